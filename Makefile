@@ -1,0 +1,74 @@
+# make demo: the emulated lab cell, a leader and the camera follower, for DEMO_S seconds.
+# make test: lint, types, rooms and tests.
+# Both need Python 3.11 or newer and make, and nothing else.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+DEMO_S ?= 60
+# the base image of the container; it needs Python 3.11 or newer with venv
+BASE ?= python:3.11-slim-bookworm
+
+.PHONY: help install demo test lint nightly container-test wheels image docs figures constraints clean
+
+help: ## show this list
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
+
+install: $(INSTALLED) ## make .venv and install everything
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@python=$$(for name in python3.11 python3.12 python3.13 python3 python; do \
+	  "$$name" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	    && { command -v "$$name"; break; }; done || true); \
+	if [ -z "$$python" ]; then \
+	  echo "error: no Python 3.11 or newer with venv was found; install one" \
+	    "(on Debian and Ubuntu: apt install python3 python3-venv)" >&2; exit 1; fi; \
+	echo "installing into $(VENV) with $$python"; \
+	[ -x $(BIN)/python ] || "$$python" -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt hatchling editables
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  --no-build-isolation -e '.[dev]'
+	touch $@
+
+demo: $(INSTALLED) ## start the emulated lab cell and let the camera follow, for DEMO_S seconds
+	$(BIN)/deltaq demo --duration-s $(DEMO_S)
+
+test: $(INSTALLED) lint ## lint, types, rooms, tests
+	$(BIN)/pytest
+
+lint: $(INSTALLED) ## lint, format, types, rooms
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+nightly: $(INSTALLED) ## the long proofs
+	$(BIN)/pytest -m nightly
+
+docs: $(INSTALLED) ## write docs/reference and deploy/compose.yaml anew from the code
+	$(BIN)/python -m deltaq_deploy.reference
+	$(BIN)/python -m deltaq_deploy.compose
+
+figures: $(INSTALLED) ## run the paper's experiments and write docs/explanation/camera-figures.md anew; takes minutes
+	$(BIN)/python -m deltaq_experiments.claims
+
+wheels: $(INSTALLED) ## the wheels that the image installs, so that its build needs no Python package index
+	rm -rf build/wheels
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check -c constraints.txt \
+	  --no-build-isolation -w build/wheels '.[all]'
+
+image: wheels ## build the container image deltaq
+	docker build --build-arg BASE=$(BASE) -f deploy/Dockerfile -t deltaq .
+
+container-test: image ## bring the stack up on a real engine and move a robot from outside
+	$(BIN)/pytest -m container --timeout 600
+
+constraints: $(INSTALLED) ## pin what is installed now
+	$(BIN)/python -m pip freeze --exclude-editable | grep -E '^[A-Za-z0-9._-]+==' >constraints.txt
+
+clean: ## remove everything that was made
+	rm -rf $(VENV) build dist
