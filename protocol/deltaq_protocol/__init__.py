@@ -1,0 +1,12 @@
+"""What crosses a wire in deltaq, and the client that a controller imports.
+
+Importing this package loads neither pinocchio nor coal.
+"""
+
+from importlib.metadata import version
+
+from deltaq_protocol.client import connect
+
+__version__ = version("deltaq")
+
+__all__ = ["__version__", "connect"]

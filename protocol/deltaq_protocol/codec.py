@@ -1,0 +1,112 @@
+"""Bytes to messages and back: msgpack on zenoh, JSON lines over TCP.
+
+Both go through pydantic, so a message that has been decoded is a valid one. Errors say which field,
+what value came, and what is allowed.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, TypeVar
+
+import msgpack
+from pydantic import ValidationError
+
+from deltaq_protocol.errors import ProtocolError
+from deltaq_protocol.messages import Message
+from deltaq_protocol.reasons import ReasonCode
+
+M = TypeVar("M", bound=Message)
+
+MAX_MESSAGE_BYTES = 64 * 1024
+"""Longest message and longest JSON line; an arm's description goes by query and is not bound by it."""
+
+
+class InvalidMessageError(ProtocolError):
+    """Bytes that are no valid message of the type asked for.
+
+    Attributes:
+        code: `bad_shape` and `not_finite` where that is what is wrong with `dq`, otherwise `malformed`.
+        data: the decoded map, if it got that far, so that an answer can name its sequence number.
+    """
+
+    def __init__(self, message: str, code: ReasonCode, data: dict[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.data = data or {}
+
+
+def pack(message: Message) -> bytes:
+    """Encode a message as a msgpack map."""
+    packed: bytes = msgpack.packb(message.model_dump())
+    return packed
+
+
+def unpack(message_type: type[M], payload: bytes, max_bytes: int = MAX_MESSAGE_BYTES) -> M:
+    """Decode a msgpack map.
+
+    Raises:
+        InvalidMessageError: if the bytes are no valid message of that type.
+    """
+    if len(payload) > max_bytes:
+        raise InvalidMessageError(
+            f"message is {len(payload)} bytes long, at most {max_bytes} are allowed", ReasonCode.MALFORMED
+        )
+    try:
+        data = msgpack.unpackb(payload)
+    except Exception as error:  # msgpack raises many unrelated types on damaged input
+        raise InvalidMessageError(f"not a msgpack map: {error}", ReasonCode.MALFORMED) from error
+    return from_map(message_type, data)
+
+
+def to_line(message: Message) -> bytes:
+    """Encode a message as one JSON line."""
+    return message.model_dump_json(exclude_unset=False).encode() + b"\n"
+
+
+def line_to_map(line: bytes) -> dict[str, Any]:
+    """Decode one JSON line to a map, without looking at its fields.
+
+    Raises:
+        InvalidMessageError: if the line is not one JSON object.
+    """
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise InvalidMessageError(f"not a JSON object: {error}", ReasonCode.MALFORMED) from error
+    if not isinstance(data, dict):
+        raise InvalidMessageError(
+            f"a line must be one JSON object, got {type(data).__name__}", ReasonCode.MALFORMED
+        )
+    return data
+
+
+def from_map(message_type: type[M], data: object) -> M:
+    """Validate a decoded map as a message.
+
+    Raises:
+        InvalidMessageError: naming the first field that is wrong, its value and what is allowed.
+    """
+    try:
+        # a wire has lists where a message has tuples, and names where it has enumerations
+        return message_type.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in first["loc"]) or message_type.__name__
+        shown = repr(first["input"])
+        if len(shown) > 80:
+            shown = shown[:77] + "..."
+        raise InvalidMessageError(
+            f"{field}: {first['msg']}, got {shown}",
+            _code_of(first["loc"], first["type"], first["input"]),
+            data if isinstance(data, dict) else None,
+        ) from error
+
+
+def _code_of(location: tuple[int | str, ...], kind: str, value: object) -> ReasonCode:
+    if location and location[0] == "dq":
+        if kind == "finite_number" or (len(location) > 1 and value is None):
+            return ReasonCode.NOT_FINITE
+        if len(location) == 1:
+            return ReasonCode.BAD_SHAPE
+    return ReasonCode.MALFORMED

@@ -1,0 +1,187 @@
+"""Messages of the guarded realm: what HLI, SIM and Robot Server tell one another."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat
+
+from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase
+from deltaq_protocol.reasons import ReasonCode
+
+BrakeCycles = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class Plan(Message):
+    """What a Robot Server is doing: the increment `dq` it was last admitted and the brake that follows it.
+
+    `step` counts what has been sent: 0 the increment itself, then the steps of the brake. At rest `dq` is
+    zero. See `deltaq_protocol.brake` for the formula.
+    """
+
+    dq: Joints
+    brake_cycles: BrakeCycles
+    step: Count
+
+
+class ServerState(Message):
+    """State of one robot as its Robot Server publishes it, after it replied to the KRC.
+
+    `q_cmd` and `dq` are the setpoint just sent and its increment. `sequence` is the admission it follows in
+    gate epoch `epoch` (0 and 0: none yet). `moving` is true while the plan or the servo still has way to go.
+    """
+
+    robot: Name
+    cycle: Count
+    ipoc: Count
+    time_s: FiniteFloat
+    q: Joints
+    q_cmd: Joints
+    dq: Joints
+    plan: Plan
+    epoch: Count
+    sequence: Count
+    phase: Phase
+    reason: ReasonCode | None = None
+    resets: Count = 0
+    inputs: dict[str, bool] = {}
+    outputs: dict[str, bool] = {}
+    counters: dict[str, int] = {}
+
+
+class Request(Message):
+    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a sign of life."""
+
+    robot: Name
+    cycle: Count
+    lease_epoch: Count
+    seq: Count = 0
+    dq: Joints | None = None
+
+
+class Admission(Message):
+    """SIM to Robot Server: an increment and the length of the brake that follows it.
+
+    Valid for the reply right after `cycle` only, and only if the Robot Server then still does what the gate
+    believed: it follows admission `follows_sequence`, its setpoint is `follows_q_cmd` and its last
+    increment `follows_dq`, all compared exactly.
+    """
+
+    robot: Name
+    epoch: Count
+    sequence: Count
+    cycle: Count
+    follows_sequence: Count
+    follows_q_cmd: Joints
+    follows_dq: Joints
+    dq: Joints
+    brake_cycles: BrakeCycles
+
+
+class Supervision(Message):
+    """SIM to Robot Server, once a cycle: a sign of life, and standing orders.
+
+    Orders are levels, not edges, so that a lost message costs nothing: `stop` stands until the state
+    shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's.
+    """
+
+    robot: Name
+    epoch: Count
+    cycle: Count
+    stop: ReasonCode | None = None
+    resets: Count = 0
+    outputs: dict[str, bool] = {}
+
+
+class Command(Message):
+    """HLI to SIM: stop robots or reset one, or set digital outputs; answered by a `CommandReply`."""
+
+    id: Count
+    kind: Literal["stop", "reset", "io"]
+    robot: Name | None = None
+    reason: ReasonCode = ReasonCode.OPERATOR_STOP
+    outputs: dict[str, bool] = {}
+
+
+class CommandReply(Message):
+    """SIM to HLI: whether the command was taken, and if not, why."""
+
+    id: Count
+    accepted: bool
+    code: ReasonCode | None = None
+    message: str = ""
+
+
+class Health(Message):
+    """A service's sign of life for `deltaq up`, container health checks and `deltaq status`.
+
+    `fingerprint` is the SIM's: a hash of the gate's code and one of its configuration.
+    """
+
+    service: Name
+    healthy: bool
+    detail: str = ""
+    time_s: FiniteFloat
+    counters: dict[str, int] = {}
+    nearest: NearestPair | None = None
+    fingerprint: str = ""
+
+
+class GateEntry(Message):
+    """One message that the gate took in, and what it gave out in answer, as msgpack; published to be recorded.
+
+    `number` counts the messages taken in since the SIM began `epoch`, so that a gap shows. `topic` and the names
+    in `outputs` are those of the table of topics.
+    """
+
+    epoch: Count
+    number: Count
+    topic: str
+    payload: bytes
+    outputs: tuple[tuple[str, bytes], ...] = ()
+
+
+class TrackerMemory(Message):
+    """What the gate remembers of one robot's motion: its newest state and the setpoints behind it."""
+
+    state: ServerState | None = None
+    in_flight: Admission | None = None
+    missed: Count = 0
+    history: tuple[Joints, ...] = ()
+
+
+class OrdersMemory(Message):
+    """What the gate remembers of its orders to one robot."""
+
+    standing_stop: ReasonCode | None = None
+    resets: Count = 0
+    outputs: dict[str, bool] = {}
+    cycles_without_hli: int | None = None
+    krc_silent: bool = False
+    awaited_resets: tuple[Count, ...] = ()
+
+
+class RobotMemory(Message):
+    """What the gate remembers of one robot: motion, orders, and how far its requests have come."""
+
+    tracker: TrackerMemory
+    orders: OrdersMemory
+    waiting: Request | None = None
+    decided_cycle: int
+    lease_epoch: Count
+    seq: int
+
+
+class GateMemory(Message):
+    """All that the gate's decisions depend on after `number` messages, so that a replay can begin there.
+
+    `sequence` is that of the last admission, `receipt` the head of the chain of refusals, and `fingerprint` tells
+    the gate's code and configuration.
+    """
+
+    epoch: Count
+    number: Count
+    sequence: Count
+    receipt: str
+    fingerprint: str
+    robots: dict[str, RobotMemory]

@@ -1,0 +1,74 @@
+"""From zenoh's threads to the event loop, bounded."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
+
+_ITEMS_A_TURN = 32
+"""Items taken before the loop turns to others, so that one flood does not starve the rest."""
+
+
+class Inbox(Generic[T]):
+    """Items put by any thread and taken by the loop, in order; when it is full the oldest is dropped.
+
+    Args:
+        loop: the loop that takes them.
+        take: called in the loop, once for each item.
+        capacity: how many may wait; with 1 only the newest does.
+
+    Attributes:
+        dropped: how many were dropped.
+        failed: how many `take` failed on; it is logged, and the next one is taken.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[T], None], capacity: int) -> None:
+        self._loop = loop
+        self._take = take
+        self._items: deque[T] = deque(maxlen=capacity)
+        self._is_scheduled = False
+        self._is_open = True
+        self.dropped = 0
+        self.failed = 0
+
+    def put(self, item: T) -> None:
+        """Put an item; any thread may."""
+        if not self._is_open:
+            return
+        if len(self._items) == self._items.maxlen:
+            self.dropped += 1
+        self._items.append(item)
+        # whoever reads True here can be sure that the turn it stands for has not begun: it will see the item
+        if not self._is_scheduled:
+            self._is_scheduled = True
+            # a loop that has ended has nobody left to take it
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._turn)
+
+    def close(self) -> None:
+        """Take nothing any more, not even what waits."""
+        self._is_open = False
+        self._items.clear()
+
+    def _turn(self) -> None:
+        self._is_scheduled = False
+        for _ in range(_ITEMS_A_TURN):
+            if not self._items or not self._is_open:
+                return
+            item = self._items.popleft()
+            try:
+                self._take(item)
+            except Exception:  # nothing that runs dies of a message
+                self.failed += 1
+                _log.exception("a message could not be served")
+        if not self._is_scheduled:
+            self._is_scheduled = True
+            self._loop.call_soon(self._turn)

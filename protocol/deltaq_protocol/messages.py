@@ -1,0 +1,303 @@
+"""Messages of the open realm: what a controller sends and sees.
+
+All joint quantities are in the joint order of the robot's description, rad for revolute and m for
+prismatic joints. `q` is a configuration, `dq` an increment over one cycle, never a velocity.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from deltaq_protocol.reasons import ReasonCode
+
+PROTOCOL_VERSION = 1
+
+JointValue = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Joints = Annotated[tuple[JointValue, ...], Field(min_length=1, max_length=32)]
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class Message(BaseModel):
+    """Base of all messages: immutable, and a field that is not known is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Phase(StrEnum):
+    """Phase of a robot; the transitions are a table in `deltaq_services.phases`."""
+
+    OFFLINE = "offline"
+    READY = "ready"
+    ENGAGED = "engaged"
+    BRAKING = "braking"
+    HELD = "held"
+
+
+class Outcome(StrEnum):
+    """What became of an increment."""
+
+    ADMITTED = "admitted"
+    SCALED = "scaled"
+    HELD = "held"
+    REFUSED = "refused"
+
+
+class Reason(Message):
+    """One thing that bound a request: which limit, on what, the value asked for and the bound (SI units)."""
+
+    code: ReasonCode
+    what: str = ""
+    value: FiniteFloat | None = None
+    bound: FiniteFloat | None = None
+
+
+class ToolPose(Message):
+    """Pose of the tool in the world: maps tool coordinates into world coordinates."""
+
+    position: Vector3
+    quaternion_wxyz: Quaternion
+
+
+class RobotState(Message):
+    """State of one robot, published every cycle of its KRC."""
+
+    type: Literal["state"] = "state"
+    robot: Name
+    cycle: Count
+    ipoc: Count
+    time_s: FiniteFloat
+    q: Joints
+    q_cmd: Joints
+    tool: ToolPose
+    phase: Phase
+    reason: ReasonCode | None = None
+
+
+class Increment(Message):
+    """A controller's request: move by `dq` in one cycle, in answer to the state of `cycle`.
+
+    `lease` is the token that the lease reply gave. Over TCP the connection itself is the holder, and
+    the field is not sent.
+    """
+
+    type: Literal["increment"] = "increment"
+    robot: Name
+    seq: Count
+    cycle: Count
+    dq: Joints
+    lease: str | None = None
+
+
+class Verdict(Message):
+    """The gate's answer to one increment.
+
+    `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the
+    distance of `pair`, the two bodies whose room to the stop distance is least at the middle of the tube.
+    Where the gate held or refused, `receipt` is its link in the chain of refusals (`deltaq_protocol.receipts`).
+    """
+
+    type: Literal["verdict"] = "verdict"
+    robot: Name
+    cycle: Count
+    seq: Count
+    outcome: Outcome
+    scale: FiniteFloat = 0.0
+    dq: tuple[FiniteFloat, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+    clearance_m: FiniteFloat | None = None
+    pair: tuple[str, str] | None = None
+    receipt: str | None = None
+
+
+class LeaseAction(StrEnum):
+    """What can be done with the lease of a robot; `take` is a hand-over against the holder's will."""
+
+    ACQUIRE = "acquire"
+    RENEW = "renew"
+    RELEASE = "release"
+    TAKE = "take"
+
+
+class LeaseRequest(Message):
+    """Ask for the right to write to a robot: one writer a robot, any number of readers.
+
+    `token` is the operator's token, which `take` needs where the HLI has been given one; over TCP it is
+    in the hello.
+    """
+
+    type: Literal["lease"] = "lease"
+    robot: Name
+    action: LeaseAction
+    client: str | None = Field(default=None, max_length=64)
+    lease: str | None = None
+    token: str | None = None
+
+
+class LeaseReply(Message):
+    """Whether the lease was granted, who holds it now, and the token to put into increments."""
+
+    type: Literal["lease"] = "lease"
+    robot: Name
+    granted: bool
+    holder: str | None = None
+    expires_s: FiniteFloat | None = None
+    lease: str | None = None
+    code: ReasonCode | None = None
+
+
+class StopRequest(Message):
+    """Bring every robot of the cell to rest; anyone may."""
+
+    type: Literal["stop"] = "stop"
+    client: str | None = Field(default=None, max_length=64)
+
+
+class ResetRequest(Message):
+    """Leave `held`; refused while the cause stands, and without the operator's token where one is set."""
+
+    type: Literal["reset"] = "reset"
+    robot: Name
+    client: str | None = Field(default=None, max_length=64)
+    token: str | None = None
+
+
+class Done(Message):
+    """A stop or reset was carried out."""
+
+    type: Literal["done"] = "done"
+    what: str
+
+
+class IoRequest(Message):
+    """Set digital outputs by name; the reply tells all outputs and inputs.
+
+    While a robot is leased only the holder of `lease` sets its outputs; anybody may read.
+    """
+
+    type: Literal["io"] = "io"
+    robot: Name
+    outputs: dict[str, bool] = Field(default_factory=dict, max_length=64)
+    lease: str | None = None
+
+
+class IoReply(Message):
+    """Digital outputs and inputs of a robot."""
+
+    type: Literal["io"] = "io"
+    robot: Name
+    outputs: dict[str, bool] = {}
+    inputs: dict[str, bool] = {}
+
+
+class Hello(Message):
+    """First line of a TCP client."""
+
+    type: Literal["hello"] = "hello"
+    protocol: int
+    client: str = Field(min_length=1, max_length=64)
+    token: str | None = None
+
+
+class DescribeRequest(Message):
+    """Ask for the cell's description."""
+
+    type: Literal["describe"] = "describe"
+
+
+class RobotSummary(Message):
+    """What a controller must know of a robot: names, units and limits in joint order, SI units."""
+
+    joints: tuple[str, ...]
+    units: tuple[Literal["rad", "m"], ...]
+    lower: Joints
+    upper: Joints
+    max_velocity: Joints
+    max_acceleration: Joints
+    max_increment: Joints
+
+
+class Welcome(Message):
+    """Answer to a hello."""
+
+    type: Literal["welcome"] = "welcome"
+    protocol: int = PROTOCOL_VERSION
+    cell: str
+    cycle_s: FiniteFloat
+    robots: dict[str, RobotSummary]
+
+
+class Description(Message):
+    """Everything a client needs to model the cell: the YAML text and each robot's URDF text."""
+
+    type: Literal["description"] = "description"
+    protocol: int = PROTOCOL_VERSION
+    cell: str
+    cycle_s: FiniteFloat
+    robots: dict[str, RobotSummary]
+    yaml: str
+    urdf: dict[str, str]
+
+
+class Error(Message):
+    """A message that could not be served, and why."""
+
+    type: Literal["error"] = "error"
+    code: ReasonCode
+    message: str
+    hint: str = ""
+
+
+class NearestPair(Message):
+    """Two bodies, their distance and the witness points in world coordinates [m]."""
+
+    pair: tuple[str, str]
+    distance_m: FiniteFloat
+    points_m: tuple[Vector3, Vector3]
+
+
+class Proximity(Message):
+    """The nearest pairs of the cell, nearest first; published at a reduced rate."""
+
+    type: Literal["proximity"] = "proximity"
+    time_s: FiniteFloat
+    pairs: tuple[NearestPair, ...]
+
+
+class LeaseStatus(Message):
+    """Who may write to a robot."""
+
+    holder: str | None = None
+    expires_s: FiniteFloat | None = None
+    epoch: Count = 0
+
+
+class RobotStatus(Message):
+    """One robot as `deltaq status` shows it."""
+
+    phase: Phase
+    reason: ReasonCode | None
+    cycle: Count
+    state_age_s: FiniteFloat | None
+    q: tuple[FiniteFloat, ...]
+    lease: LeaseStatus
+    counters: dict[str, int]
+
+
+class Status(Message):
+    """The running cell as `deltaq status` shows it."""
+
+    type: Literal["status"] = "status"
+    cell: str
+    protocol: int = PROTOCOL_VERSION
+    robots: dict[str, RobotStatus]
+    gate: dict[str, int]
+    gate_age_s: FiniteFloat | None
+    gate_fingerprint: str = ""
+    hli: dict[str, int]
+    nearest: NearestPair | None = None

@@ -1,0 +1,41 @@
+"""The newest value of a stream: who is slow skips, nothing queues."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Newest(Generic[T]):
+    """The newest value, and a way to await a newer one; for one event loop.
+
+    Attributes:
+        value: the newest value, None before the first.
+        version: how many values there have been.
+    """
+
+    def __init__(self) -> None:
+        self.value: T | None = None
+        self.version = 0
+        self._changed = asyncio.Event()
+
+    def put(self, value: T) -> None:
+        """Put a newer value."""
+        self.value = value
+        self.version += 1
+        self._changed.set()
+        self._changed.clear()  # whoever waits now is woken; the next one waits for the next value
+
+    async def after(self, version: int, deadline_s: float) -> T:
+        """The newest value, as soon as there is one beyond `version`.
+
+        Raises:
+            TimeoutError: none came within the deadline.
+        """
+        if self.version <= version or self.value is None:
+            async with asyncio.timeout(deadline_s):
+                await self._changed.wait()
+        assert self.value is not None  # the event is only ever set after a value
+        return self.value

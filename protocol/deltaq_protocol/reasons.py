@@ -1,0 +1,77 @@
+"""The table of reason codes: why a request was scaled, held or refused, and why a robot is held.
+
+Verdicts, error replies, the phase of a robot, the documentation and the tests all read this table.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class ReasonCode(StrEnum):
+    """Machine-readable reasons; `EXPLANATIONS` says what each one means."""
+
+    # what bounded a request that the gate decided
+    POSITION_LIMIT = "position_limit"
+    VELOCITY_LIMIT = "velocity_limit"
+    ACCELERATION_LIMIT = "acceleration_limit"
+    CLEARANCE = "clearance"
+    RETREAT = "retreat"
+    # why a message was no valid request
+    MALFORMED = "malformed"
+    BAD_SHAPE = "bad_shape"
+    NOT_FINITE = "not_finite"
+    STALE_CYCLE = "stale_cycle"
+    FUTURE_CYCLE = "future_cycle"
+    REPLAYED_SEQUENCE = "replayed_sequence"
+    SUPERSEDED = "superseded"
+    UNKNOWN_ROBOT = "unknown_robot"
+    LEASE_NOT_HELD = "lease_not_held"
+    LEASE_TAKEN = "lease_taken"
+    NOT_READY = "not_ready"
+    STOPPED = "stopped"
+    NOT_PERMITTED = "not_permitted"
+    PROTOCOL_VERSION = "protocol_version"
+    UNREACHABLE = "unreachable"
+    # why a robot is held
+    OPERATOR_STOP = "operator_stop"
+    CONTROLLER_LOST = "controller_lost"
+    HLI_LOST = "hli_lost"
+    GATE_LOST = "gate_lost"
+    KRC_LOST = "krc_lost"
+    TRACKING_ERROR = "tracking_error"
+    # why a reset was refused
+    CAUSE_STANDS = "cause_stands"
+    NOT_AT_REST = "not_at_rest"
+
+
+EXPLANATIONS: dict[ReasonCode, str] = {
+    ReasonCode.POSITION_LIMIT: "a joint could not be braked inside its position limit",
+    ReasonCode.VELOCITY_LIMIT: "a joint would have moved faster than its velocity limit",
+    ReasonCode.ACCELERATION_LIMIT: "a joint would have changed speed faster than its acceleration limit",
+    ReasonCode.CLEARANCE: "two bodies could have come nearer than the stop distance",
+    ReasonCode.RETREAT: "two bodies are too near already: only slow motion that parts them is admitted",
+    ReasonCode.MALFORMED: "the message does not have the fields of its type",
+    ReasonCode.BAD_SHAPE: "dq does not have one element for each joint of the robot",
+    ReasonCode.NOT_FINITE: "dq has an element that is not a finite number",
+    ReasonCode.STALE_CYCLE: "the increment answers a cycle that is too old",
+    ReasonCode.FUTURE_CYCLE: "the increment answers a cycle that has not been",
+    ReasonCode.REPLAYED_SEQUENCE: "the sequence number is not greater than the last one",
+    ReasonCode.SUPERSEDED: "a newer increment of the same cycle took its place",
+    ReasonCode.UNKNOWN_ROBOT: "the cell has no robot of that name",
+    ReasonCode.LEASE_NOT_HELD: "the sender does not hold the lease of that robot",
+    ReasonCode.LEASE_TAKEN: "another client holds the lease of that robot",
+    ReasonCode.NOT_READY: "the robot is offline",
+    ReasonCode.STOPPED: "the robot is held until a reset",
+    ReasonCode.NOT_PERMITTED: "the sender is not entitled to this",
+    ReasonCode.PROTOCOL_VERSION: "client and server speak different protocol versions",
+    ReasonCode.UNREACHABLE: "a service that is needed for this did not answer",
+    ReasonCode.OPERATOR_STOP: "somebody pressed stop",
+    ReasonCode.CONTROLLER_LOST: "the controller vanished without releasing its lease",
+    ReasonCode.HLI_LOST: "the high-level interface fell silent",
+    ReasonCode.GATE_LOST: "the System Integrity Module fell silent",
+    ReasonCode.KRC_LOST: "the robot controller (KRC) fell silent",
+    ReasonCode.TRACKING_ERROR: "the robot left the path that was commanded",
+    ReasonCode.CAUSE_STANDS: "the cause of the hold still stands",
+    ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",
+}

@@ -1,0 +1,272 @@
+"""The PC's end of RSI: reads what the controller sends, writes the corrections.
+
+A telegram has to be answered within a cycle of 4 or 12 ms, so one regular expression and one bytes template
+are compiled beforehand; building XML documents in the loop is four to six times slower.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, Array, AxisMap
+from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
+from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
+from deltaq_protocol.rsi.layout import (
+    MAX_IPOC,
+    NUMBER,
+    Field,
+    correction_fields,
+    digital_fields,
+    document,
+    receive_fields,
+    send_fields,
+)
+from deltaq_protocol.rsi.rounding import DECIMALS
+
+MAX_TELEGRAM_BYTES = 4096
+MAX_TEXT = 80
+_MAX_CORRECTION = 1e6
+# some controllers write TYPE
+_TYPE = '(?i:Type)="KUKA"'
+
+
+class KrcTelegram(NamedTuple):
+    """What the controller said.
+
+    Attributes:
+        ipoc: time stamp, to be echoed exactly.
+        q: (n,) measured joints [rad or m]; None in the first telegram of a KR C2, which has nothing but
+            its IPOC.
+        delay: late packets so far, as the controller counts them; None if it does not send them.
+        rist: actual pose of the tool, X, Y, Z [m] and A, B, C [rad], `R = Rz(A) Ry(B) Rx(C)`;
+            None if not sent.
+        inputs: digital inputs by name.
+        q_programmed: (n,) setpoint of the programmed path, which corrections do not move; None if not sent.
+            When it changes, a new RSI session has begun.
+    """
+
+    ipoc: int
+    q: Array | None
+    delay: int | None
+    rist: tuple[float, ...] | None
+    inputs: dict[str, bool]
+    q_programmed: Array | None
+
+
+class SensorCodec:
+    """Telegrams of one robot as the PC sees them.
+
+    Args:
+        config: the controller's `*_ethernet.xml`.
+        axes: the robot's joints.
+        inputs: names of the digital inputs, which are the BOOL signals of SEND in their order.
+        outputs: names of the digital outputs, which are the BOOL signals of RECEIVE in their order.
+
+    Attributes:
+        axes: as given.
+
+    Raises:
+        EthernetConfigError: if the configuration has no measured position or no correction of some joint, or
+            too few BOOL signals.
+    """
+
+    def __init__(
+        self,
+        config: EthernetConfig,
+        axes: AxisMap,
+        inputs: tuple[str, ...] = (),
+        outputs: tuple[str, ...] = (),
+    ) -> None:
+        self._config = config
+        self.axes = axes
+        self._fields = send_fields(config)
+        self._compile_decoder(inputs)
+        self._compile_encoder(outputs)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints, the length of every vector given and got."""
+        return len(self.axes.joints)
+
+    def _compile_decoder(self, inputs: tuple[str, ...]) -> None:
+        by_name = {
+            (field.group, field.attribute): field
+            for field in self._fields
+            if field.element.internal is not None
+        }
+        measured, programmed = (
+            [by_name.get((arm if axis[0] == "A" else external, axis)) for axis in self.axes.axes]
+            for arm, external in (("AIPos", "EIPos"), ("ASPos", "ESPos"))
+        )
+        for axis, place in zip(self.axes.axes, measured, strict=True):
+            if place is None:
+                tag = "DEF_AIPos" if axis[0] == "A" else "DEF_EIPos"
+                raise EthernetConfigError(
+                    f"{self._config.source}: SEND does not have {tag}, which reports joint {axis.lower()}; "
+                    "add it with TYPE DOUBLE and INDX INTERNAL"
+                )
+        digital = digital_fields(self._config, "SEND", self._fields, inputs)
+        pose = [by_name.get(("RIst", axis)) for axis in POSE_AXES]
+        delay = by_name.get(("Delay", "D"))
+        wanted = {field for field in [*measured, *programmed, *pose, *digital.values(), delay] if field}
+        captured = [field for field in self._fields if field in wanted]
+        place_of = {field: number for number, field in enumerate(captured)}
+
+        def places(fields: list[Field | None]) -> list[int] | None:
+            found = [place_of[field] for field in fields if field is not None]
+            return found if len(found) == len(fields) else None
+
+        self._q_places = places(measured) or []
+        self._programmed_places = places(programmed)
+        self._pose_places = places(pose)
+        self._delay_place = None if delay is None else place_of[delay]
+        self._input_places = {name: place_of[field] for name, field in digital.items()}
+        self._per_reported = 1.0 / self.axes.reported
+        self._pose_scale = (1.0 / MM_PER_M,) * 3 + (1.0 / DEG_PER_RAD,) * 3
+
+        def value(field: Field) -> str:
+            return f"({NUMBER})" if field in wanted else '[^"<]*'
+
+        self._pattern = self._compile(document("Rob", _TYPE, self._fields, value, r"\s*"))
+        self._ipoc_only = self._compile(document("Rob", _TYPE, (), value, r"\s*"))
+
+    @staticmethod
+    def _compile(pattern: str) -> re.Pattern[bytes]:
+        pattern = pattern.replace("%IPOC%", "([0-9]{1,10})")
+        return re.compile(rb"\s*" + pattern.encode() + rb"\s*")
+
+    def _compile_encoder(self, outputs: tuple[str, ...]) -> None:
+        fields = receive_fields(self._config)
+        axis_of = {field: axis for axis, field in correction_fields(self._config, self.axes).items()}
+        output_of = {
+            field: name for name, field in digital_fields(self._config, "RECEIVE", fields, outputs).items()
+        }
+        joints = len(self.axes)
+        self._outputs = outputs
+        self.has_text = any(field.element.internal == "EStr" for field in fields)
+        # the template's places, as indices into corrections, then outputs, then text, then IPOC
+        self._places: list[int] = []
+
+        def value(field: Field) -> str:
+            if (axis := axis_of.get(field)) in self.axes.axes:
+                self._places.append(self.axes.axes.index(axis))
+                return f"%.{DECIMALS}f"
+            if (name := output_of.get(field)) is not None:
+                self._places.append(joints + outputs.index(name))
+                return "%d"
+            if field.element.internal == "EStr":
+                self._places.append(joints + len(outputs))
+                return "%s"
+            if field.element.type is ElementType.DOUBLE:
+                return f"{0:.{DECIMALS}f}"
+            return "" if field.element.type is ElementType.STRING else "0"
+
+        text = document("Sen", f'Type="{self._config.sentype}"', fields, value)
+        self._places.append(joints + len(outputs) + 1)
+        self._template = text.replace("%IPOC%", "%d").encode()
+
+    def decode(self, datagram: bytes) -> KrcTelegram:
+        """Read a telegram of the controller.
+
+        Raises:
+            TelegramError: if it is none; the message says which part is missing or damaged.
+        """
+        match = self._pattern.fullmatch(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
+        if match is None:
+            return self._decode_ipoc_only(datagram)
+        values = match.groups()
+        q = np.array([float(values[place]) for place in self._q_places]) * self._per_reported
+        programmed = None
+        if self._programmed_places is not None:
+            programmed = np.array([float(values[place]) for place in self._programmed_places])
+            programmed *= self._per_reported
+        rist = None
+        if self._pose_places is not None:
+            rist = tuple(
+                float(values[place]) * scale
+                for place, scale in zip(self._pose_places, self._pose_scale, strict=True)
+            )
+        delay = None if self._delay_place is None else int(float(values[self._delay_place]))
+        inputs = {name: float(values[place]) != 0.0 for name, place in self._input_places.items()}
+        return KrcTelegram(self._ipoc(values[-1]), q, delay, rist, inputs, programmed)
+
+    def _decode_ipoc_only(self, datagram: bytes) -> KrcTelegram:
+        if len(datagram) <= MAX_TELEGRAM_BYTES and (match := self._ipoc_only.fullmatch(datagram)):
+            return KrcTelegram(self._ipoc(match[1]), None, None, None, {}, None)
+        raise TelegramError(f"{self._explain(datagram)}; got {len(datagram)} bytes: {datagram[:120]!r}")
+
+    @staticmethod
+    def _ipoc(digits: bytes) -> int:
+        if (ipoc := int(digits)) > MAX_IPOC:
+            raise TelegramError(f"IPOC is {ipoc}, allowed is a number of 32 bit, at most {MAX_IPOC}")
+        return ipoc
+
+    def _explain(self, datagram: bytes) -> str:
+        if len(datagram) > MAX_TELEGRAM_BYTES:
+            return f"a telegram has at most {MAX_TELEGRAM_BYTES} bytes"
+        if not re.match(rb"\s*<Rob " + _TYPE.encode() + rb">", datagram):
+            return 'a telegram of the controller starts with <Rob Type="KUKA">'
+        for field in self._fields:
+            if field.attribute is None:
+                pattern = f"<{field.group}>[^<]*</{field.group}>"
+            else:
+                content = '[^"<]*' if field.element.type is ElementType.STRING else NUMBER
+                pattern = f'<{field.group} (?:[^<>]* )?{field.attribute}="{content}"'
+            if not re.search(pattern.encode(), datagram):
+                name = field.group if field.attribute is None else f"{field.attribute} of {field.group}"
+                return f"{name} is missing or no number, though {self._config.source} lists it in SEND"
+        if not re.search(rb"<IPOC>[0-9]{1,10}</IPOC>\s*</", datagram):
+            return "IPOC is missing, not last or no number of 32 bit"
+        return (
+            f"there is something in the telegram that {self._config.source} does not list in SEND, or its "
+            "order is not the order of that file; load the same file on both sides"
+        )
+
+    def encode(
+        self, ipoc: int, correction: Array, outputs: Mapping[str, bool] | None = None, text: str = ""
+    ) -> bytes:
+        """Write the reply to the telegram with that IPOC.
+
+        Args:
+            ipoc: as it came.
+            correction: (n,) total (absolute) or this cycle's (relative) correction [rad or m].
+            outputs: digital outputs by name; those not given are off.
+            text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to
+                80 characters.
+
+        Raises:
+            TelegramError: if the correction has not n elements, or one that is not finite or too large to be
+                written, if an output has a name that the robot does not have, or there is text but no
+                `DEF_EStr`.
+        """
+        axes = self.axes.axes
+        if len(correction) != len(axes):
+            raise TelegramError(f"a correction has {len(axes)} elements, got {len(correction)}")
+        values: list[float] = (correction * self.axes.commanded).tolist()
+        for axis, number in zip(axes, values, strict=True):
+            if not -_MAX_CORRECTION < number < _MAX_CORRECTION:
+                raise TelegramError(
+                    f"correction of {axis} is {number} deg or mm, allowed is a finite number below "
+                    f"{_MAX_CORRECTION:g}"
+                )
+        if outputs and not set(outputs) <= set(self._outputs):
+            raise TelegramError(
+                f"outputs {sorted(set(outputs) - set(self._outputs))} are not known, allowed are "
+                f"{list(self._outputs)}"
+            )
+        if text and not self.has_text:
+            raise TelegramError(
+                f"{self._config.source} has no DEF_EStr in RECEIVE, so no text can be sent: {text!r}"
+            )
+        pool: list[object] = [
+            *values,
+            *(bool(outputs and outputs.get(name)) for name in self._outputs),
+            escape(text[:MAX_TEXT]).encode("ascii", "replace"),
+            ipoc,
+        ]
+        return self._template % tuple([pool[place] for place in self._places])

@@ -1,0 +1,69 @@
+"""zenoh sessions with explicit endpoints: nobody joins by accident, nothing queues up.
+
+Multicast scouting and gossip are off, a lost peer is found again within a fraction of a second, and a
+message is small. Commands travel express, at real-time priority, and are dropped rather than queued.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import zenoh
+
+from deltaq_protocol.errors import ServiceUnreachableError
+
+MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
+"""Largest message that a session puts together; descriptions with their URDF texts are the largest."""
+
+
+def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_connect: bool = False) -> Any:
+    """Open a zenoh session.
+
+    Args:
+        listen: endpoints to listen on, e.g. `tcp/127.0.0.1:7447`.
+        connect: endpoints to connect to, and to connect to again whenever they are lost.
+        must_connect: fail at once if an endpoint cannot be reached, instead of trying for ever.
+
+    Raises:
+        ServiceUnreachableError: if an endpoint can neither be listened on nor, with `must_connect`, reached.
+    """
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": 2000 if must_connect else -1,
+        "connect/exit_on_failure": must_connect,
+        "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,  # nobody is scouted for, so nobody is to be waited for
+        "transport/link/tx/lease": 1000,
+        "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,
+    }
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where = ", ".join([*listen, *connect])
+        raise ServiceUnreachableError(
+            f"no zenoh session on {where}: {error}; is the cell up (`deltaq up`), and the address right?"
+        ) from error
+
+
+def declare_publisher(session: Any, key: str) -> Any:
+    """A publisher for small, urgent messages: sent at once, at real-time priority, dropped when blocked."""
+    return session.declare_publisher(
+        key,
+        express=True,
+        priority=zenoh.Priority.REAL_TIME,
+        congestion_control=zenoh.CongestionControl.DROP,
+    )
+
+
+def subscribe_newest(session: Any, key: str, capacity: int = 1) -> Any:
+    """A subscriber that keeps the newest `capacity` samples, to be read with `try_recv` or `recv`."""
+    return session.declare_subscriber(key, zenoh.handlers.RingChannel(capacity))

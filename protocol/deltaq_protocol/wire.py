@@ -1,0 +1,90 @@
+"""A zenoh session for asyncio: queries that can be awaited, samples that arrive in the loop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from deltaq_protocol.codec import InvalidMessageError, pack, unpack
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.messages import Error, Message
+from deltaq_protocol.session import declare_publisher
+
+QUERY_DEADLINE_S = 1.0
+"""Longer than the server waits for the gate, so that its own answer is the one that is seen."""
+
+
+class Wire:
+    """Wraps an open session for the running loop.
+
+    Args:
+        session: an open zenoh session.
+        loop: the loop that everything is served in.
+    """
+
+    def __init__(self, session: Any, loop: asyncio.AbstractEventLoop) -> None:
+        self._session = session
+        self._loop = loop
+        self._declared: list[tuple[Any, Inbox[zenoh.Sample]]] = []
+
+    async def ask(self, key: str, request: Message, deadline_s: float = QUERY_DEADLINE_S) -> bytes:
+        """Send a query and return the payload of its answer.
+
+        Raises:
+            RefusedError: the server turned the request down.
+            ServiceUnreachableError: nobody answered within the deadline.
+        """
+        future: asyncio.Future[zenoh.Reply | None] = self._loop.create_future()
+
+        def settle(reply: zenoh.Reply | None) -> None:
+            if not future.done():
+                future.set_result(reply)
+
+        def post(reply: zenoh.Reply | None) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop may have ended: nobody is left to be told
+                self._loop.call_soon_threadsafe(settle, reply)
+
+        try:
+            self._session.get(
+                key,
+                zenoh.handlers.Callback(post, drop=lambda: post(None), indirect=False),
+                payload=pack(request),
+                timeout=deadline_s,
+                express=True,
+                priority=zenoh.Priority.REAL_TIME,
+            )
+        except zenoh.ZError as error:
+            raise ServiceUnreachableError(f"no query to {key}: {error}; connect again") from error
+        reply = await future
+        if reply is not None and reply.ok is not None:
+            return reply.ok.payload.to_bytes()
+        if reply is not None and reply.err is not None:
+            with contextlib.suppress(InvalidMessageError):  # a time-out of zenoh's own is no message of ours
+                refusal = unpack(Error, reply.err.payload.to_bytes())
+                raise RefusedError(refusal.code, refusal.message, refusal.hint)
+        raise ServiceUnreachableError(
+            f"no answer to {key} within {deadline_s:g} s; is the cell up (`deltaq up`, `deltaq status`)?"
+        )
+
+    def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
+        """Call `take` in the loop with the samples of a key; of those that wait the newest `capacity` stay."""
+        inbox = Inbox[zenoh.Sample](self._loop, take, capacity)
+        callback = zenoh.handlers.Callback(inbox.put, indirect=False)
+        self._declared.append((self._session.declare_subscriber(key, callback), inbox))
+
+    def publisher(self, key: str) -> Any:
+        """A publisher for small, urgent messages; a session that was closed makes its `put` raise `ZError`."""
+        return declare_publisher(self._session, key)
+
+    def close(self) -> None:
+        """Stop listening, then close: a session that closes with callbacks under way can panic."""
+        while self._declared:
+            declared, inbox = self._declared.pop()
+            declared.undeclare()
+            inbox.close()
+        self._session.close()

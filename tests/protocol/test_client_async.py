@@ -1,0 +1,364 @@
+"""The client against a real HLI over real zenoh; the guarded realm is played by a peer."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import msgpack
+import pytest
+import zenoh
+from guarded_peer import GuardedPeer, guarded_peer
+from small_cell import endpoint, small_cell, told, tool_pose
+
+from deltaq_protocol import connect, topics
+from deltaq_protocol.client import Cell
+from deltaq_protocol.codec import pack
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.leased_robot import LeasedRobot
+from deltaq_protocol.messages import Increment, Outcome, Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.session import open_session
+from deltaq_services.hli.shell import Hli
+
+DQ = (0.001,) * 6
+
+
+class Running:
+    """A running HLI, its peer, which turns in the cell's cycle, and a client."""
+
+    def __init__(self, hli: Hli, peer: GuardedPeer, cell: Cell) -> None:
+        self.hli = hli
+        self.peer = peer
+        self.cell = cell
+
+    async def commanded(self) -> Any:
+        """The next command that the gate got."""
+        async with asyncio.timeout(10):
+            return await self.peer.commands.get()
+
+
+@asynccontextmanager
+async def turning(peer: GuardedPeer) -> AsyncIterator[None]:
+    await peer.turn()
+    cycles = asyncio.create_task(peer.run())
+    try:
+        yield
+    finally:
+        cycles.cancel()
+
+
+async def move_for_ever(robot: LeasedRobot) -> None:
+    while True:
+        await robot.move(DQ)
+
+
+@pytest.fixture
+async def running() -> AsyncIterator[Running]:
+    description = small_cell()
+    async with (
+        guarded_peer(description) as peer,
+        Hli(description, told(description), tool_pose) as hli,
+        turning(peer),
+        connect(description.hli, client="tester") as cell,
+    ):
+        yield Running(hli, peer, cell)
+
+
+# --- what goes wrong ---------------------------------------------------------------------------------
+
+
+async def test_where_nobody_listens_connecting_fails_and_says_where_and_what_to_do() -> None:
+    nowhere = endpoint()
+    with pytest.raises(ServiceUnreachableError, match=f"{nowhere}.*is the cell up"):
+        async with connect(nowhere):
+            pass
+
+
+async def test_a_peer_that_serves_no_cell_is_not_taken_for_one() -> None:
+    somewhere = endpoint()
+    session = open_session(listen=[somewhere])
+    try:
+        with pytest.raises(ServiceUnreachableError, match="serves no cell"):
+            async with connect(somewhere):
+                pass
+    finally:
+        session.close()
+
+
+async def test_a_server_of_another_version_is_refused_though_its_description_has_other_fields() -> None:
+    somewhere = endpoint()
+    session = open_session(listen=[somewhere])
+    key = topics.DESCRIPTION.key("other")
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(key, msgpack.packb({"protocol": 2, "a_field_of_version_2": 1}))
+
+    try:
+        session.declare_queryable(key, answer)
+        with pytest.raises(RefusedError, match="server speaks protocol 2, this client 1") as refused:
+            async with connect(somewhere):
+                pass
+        assert refused.value.code == ReasonCode.PROTOCOL_VERSION
+    finally:
+        session.close()
+
+
+@pytest.mark.parametrize(
+    ("dq", "code"),
+    [
+        ((math.nan,) * 6, ReasonCode.NOT_FINITE),
+        ((0.0,) * 7, ReasonCode.BAD_SHAPE),
+        ((), ReasonCode.BAD_SHAPE),
+    ],
+)
+async def test_a_bad_increment_comes_back_refused_and_the_next_one_is_admitted(
+    running: Running, dq: tuple[float, ...], code: ReasonCode
+) -> None:
+    async with running.cell.lease("fr") as robot:
+        verdict = await robot.move(dq)
+        assert (verdict.outcome, verdict.reasons[0].code, verdict.dq) == (Outcome.REFUSED, code, ())
+        assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+
+
+async def test_a_lease_that_another_holds_is_refused_with_its_name_and_a_hint(running: Running) -> None:
+    async with running.cell.lease("fr", client="first"):
+        with pytest.raises(RefusedError, match="first holds it") as refused:
+            async with running.cell.lease("fr", client="second"):
+                pass
+        assert refused.value.code == ReasonCode.LEASE_TAKEN
+        assert "take=True" in refused.value.hint
+
+
+async def test_a_robot_that_the_cell_does_not_have_is_refused_with_those_it_has(running: Running) -> None:
+    with pytest.raises(RefusedError, match="fr, gr"):
+        async with running.cell.lease("ghost"):
+            pass
+    with pytest.raises(RefusedError, match="ghost"):
+        await anext(running.cell.states("ghost"))
+
+
+async def test_when_the_lease_is_taken_move_and_states_raise_and_leaving_does_not_disturb_the_new_holder(
+    running: Running,
+) -> None:
+    async with running.cell.lease("fr", client="first") as first:
+        await first.move(DQ)
+        async with running.cell.lease("fr", client="second", take=True) as second:
+            with pytest.raises(RefusedError, match="second holds it now"):
+                await first.move(DQ)
+            with pytest.raises(RefusedError, match="lease of fr was lost"):
+                async for _ in first.states():
+                    pass
+            await first.release()
+            assert (await second.move(DQ)).outcome is Outcome.ADMITTED
+
+
+async def test_a_foreign_increment_with_our_number_is_refused_and_we_are_not_taken_in_by_its_verdict(
+    running: Running,
+) -> None:
+    running.peer.judges = False
+    async with running.cell.lease("fr") as robot:
+        move = asyncio.create_task(robot.move(DQ))
+        async with asyncio.timeout(10):
+            request = await running.peer.increments.get()
+        forged = Increment(robot="fr", seq=request.seq, cycle=request.cycle, dq=DQ, lease="guessed")
+        intruder = await asyncio.to_thread(open_session, connect=[running.hli._cell.hli], must_connect=True)
+        verdicts = running.cell.verdicts("fr")
+        refused = asyncio.create_task(anext(verdicts))
+        await asyncio.sleep(0)
+        intruder.put(topics.INCREMENT.key("small", robot="fr"), pack(forged))
+        async with asyncio.timeout(10):
+            assert (await refused).reasons[0].code is ReasonCode.LEASE_NOT_HELD
+        running.peer.judge(request)
+        assert (await move).outcome is Outcome.ADMITTED
+        await asyncio.to_thread(intruder.close)
+
+
+async def test_an_increment_on_the_key_of_another_robot_is_refused(running: Running) -> None:
+    verdicts = running.cell.verdicts("fr")
+    first = asyncio.create_task(anext(verdicts))
+    await asyncio.sleep(0)
+    session = await asyncio.to_thread(open_session, connect=[running.hli._cell.hli], must_connect=True)
+    async with running.cell.lease("fr") as robot:
+        stray = Increment(robot="fr", seq=1, cycle=running.peer.cycle, dq=DQ, lease=robot._token)
+        session.put(topics.INCREMENT.key("small", robot="gr"), pack(stray))
+        async with asyncio.timeout(10):
+            while "malformed" not in running.hli.status().hli:
+                await asyncio.sleep(0.005)
+    await asyncio.to_thread(session.close)
+    first.cancel()
+    assert running.peer.increments.empty()
+
+
+async def test_without_a_verdict_move_gives_up_and_says_who_is_silent(running: Running) -> None:
+    running.peer.judges = False
+    async with running.cell.lease("fr") as robot:
+        with pytest.raises(ServiceUnreachableError, match="no verdict on increment 1 of fr"):
+            await robot.move(DQ)
+
+
+async def test_without_a_state_there_is_nothing_to_answer(running: Running) -> None:
+    async with running.cell.lease("gr") as robot:
+        with pytest.raises(ServiceUnreachableError, match="no state of gr"):
+            await robot.move((0.0,) * 9)
+
+
+async def test_when_the_server_goes_whoever_waits_for_states_is_told() -> None:
+    description = small_cell()
+    async with guarded_peer(description) as peer:
+        hli = Hli(description, told(description), tool_pose)
+        await hli.__aenter__()
+        async with connect(description.hli) as cell:
+            await peer.turn()
+            await hli.__aexit__()
+            with pytest.raises(ServiceUnreachableError, match="is the cell up"):
+                async for _ in cell.states("fr"):
+                    pass
+
+
+async def test_a_server_that_restarts_is_found_again_and_the_old_lease_is_worth_nothing() -> None:
+    description = small_cell()
+    async with guarded_peer(description) as peer:
+        hli = Hli(description, told(description), tool_pose)
+        await hli.__aenter__()
+        async with turning(peer), connect(description.hli) as cell, cell.lease("fr") as old:
+            await old.move(DQ)
+            await hli.__aexit__()
+            async with Hli(description, told(description), tool_pose):
+                with pytest.raises((RefusedError, ServiceUnreachableError)):
+                    await move_for_ever(old)
+                await anext(cell.states("fr"))
+                async with cell.lease("fr") as new:
+                    await new._newest.after(new._newest.version, 10)
+                    assert (await new.move(DQ)).outcome is Outcome.ADMITTED
+
+
+# --- leaving ----------------------------------------------------------------------------------------
+
+
+class _OwnError(Exception):
+    pass
+
+
+@pytest.mark.parametrize("road", ["end", "error", "cancel"])
+async def test_leaving_the_block_by_any_road_releases_the_lease_and_latches_nothing(
+    running: Running, road: str
+) -> None:
+    inside = asyncio.Event()
+
+    async def controller() -> None:
+        async with running.cell.lease("fr") as robot:
+            await robot.move(DQ)
+            inside.set()
+            if road == "error":
+                raise _OwnError
+            if road == "cancel":
+                await asyncio.Event().wait()
+
+    task = asyncio.create_task(controller())
+    await inside.wait()
+    if road == "cancel":
+        task.cancel()
+    (result,) = await asyncio.gather(task, return_exceptions=True)
+    assert isinstance(result, {"end": type(None), "error": _OwnError, "cancel": asyncio.CancelledError}[road])
+    status = await running.cell.status()
+    assert status.robots["fr"].lease.holder is None
+    assert running.peer.commands.empty()
+
+
+async def test_after_the_block_the_robot_can_no_longer_be_moved(running: Running) -> None:
+    async with running.cell.lease("fr") as robot:
+        await robot.move(DQ)
+    with pytest.raises(RefusedError, match="given back"):
+        await robot.move(DQ)
+
+
+async def test_a_client_that_vanishes_while_it_moves_a_robot_stops_it(running: Running) -> None:
+    async with connect(running.hli._cell.hli, client="doomed") as doomed, doomed.lease("fr") as robot:
+        await robot.move(DQ)
+        await asyncio.to_thread(doomed._wire.close)  # without a word, as a kill would
+        command = await running.commanded()
+    assert (command.robot, command.reason) == ("fr", ReasonCode.CONTROLLER_LOST)
+
+
+# --- what goes right ---------------------------------------------------------------------------------
+
+
+async def test_a_controller_answers_states_with_increments_and_gets_back_what_was_admitted(
+    running: Running,
+) -> None:
+    async with running.cell.lease("fr") as robot:
+        moved = 0
+        async for state in robot.states():
+            verdict = await robot.move(DQ)
+            assert verdict.cycle >= state.cycle
+            assert verdict.dq == DQ
+            moved += 1
+            if moved == 20:
+                break
+    seqs = [running.peer.increments.get_nowait().seq for _ in range(20)]
+    assert seqs == list(range(1, 21))
+
+
+async def test_the_lease_is_renewed_by_itself_for_longer_than_it_lasts(running: Running) -> None:
+    async with running.cell.lease("fr") as robot:
+        until = asyncio.get_running_loop().time() + 1.6 * running.hli._cell.lease_s
+        async for _ in robot.states():
+            if asyncio.get_running_loop().time() > until:
+                break
+        assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+
+
+async def test_a_slow_reader_of_states_skips_and_sees_the_newest(running: Running) -> None:
+    states = running.cell.states("fr")
+    first = await anext(states)
+    async with asyncio.timeout(10):
+        while running.peer.cycle < first.cycle + 20:
+            await asyncio.sleep(0.01)
+    second = await anext(states)
+    assert second.cycle >= first.cycle + 15
+
+
+async def test_stop_reset_and_status_are_answered_from_the_running_cell(running: Running) -> None:
+    assert (await running.cell.stop()).what == "stop"
+    assert (await running.commanded()).reason is ReasonCode.OPERATOR_STOP
+    running.peer.phases["fr"] = Phase.HELD
+    running.peer.refuses = ReasonCode.NOT_AT_REST
+    with pytest.raises(RefusedError, match=r"not_at_rest.*reset of fr refused"):
+        await running.cell.reset("fr")
+    running.peer.refuses = None
+    assert (await running.cell.reset("fr")).what == "reset fr"
+    async for state in running.cell.states("fr"):
+        if state.phase is Phase.HELD:
+            break
+    status = await running.cell.status()
+    assert (status.cell, status.robots["fr"].phase) == ("small", Phase.HELD)
+    assert status.hli["stops"] == 1
+
+
+async def test_while_the_robot_is_held_move_says_stopped(running: Running) -> None:
+    running.peer.phases["fr"] = Phase.HELD
+    async for state in running.cell.states("fr"):
+        if state.phase is Phase.HELD:
+            break
+    async with running.cell.lease("fr") as robot:
+        assert (await robot.move(DQ)).reasons[0].code is ReasonCode.STOPPED
+
+
+async def test_outputs_are_set_by_the_holder_and_a_wrong_name_is_refused(running: Running) -> None:
+    await running.peer.turn("gr")
+    async with running.cell.lease("gr") as robot:
+        assert (await robot.io({"gripper": True})).outputs == {"gripper": True}
+        assert (await robot.io()).inputs == {"closed": True}
+        with pytest.raises(RefusedError, match="griper"):
+            await robot.io({"griper": True})
+
+
+async def test_the_description_brings_everything_needed_to_model_the_cell(running: Running) -> None:
+    assert running.cell.description.urdf == {"fr": "<robot/>", "gr": "<robot/>"}
+    assert running.cell.robots["gr"].units == ("m",) * 3 + ("rad",) * 6
+    assert running.cell.robots["fr"].max_increment[0] == pytest.approx(math.radians(90) * 0.012)

@@ -1,0 +1,99 @@
+"""What lies between zenoh's threads and the loop: bounded, in order, and it outlives what it carries."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+
+import pytest
+
+from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.newest import Newest
+
+
+def flood(inbox: Inbox[int], items: int) -> None:
+    """Put from another thread while this one, the loop's, is busy."""
+    thread = threading.Thread(target=lambda: [inbox.put(item) for item in range(items)])
+    thread.start()
+    thread.join()
+
+
+async def settled() -> None:
+    """Let the loop turn until it has nothing more to do."""
+    for _ in range(100):
+        await asyncio.sleep(0)
+
+
+async def test_what_comes_faster_than_it_is_taken_is_dropped_oldest_first_and_counted() -> None:
+    taken: list[int] = []
+    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=256)
+    flood(inbox, 100_000)
+    await settled()
+    assert taken == list(range(100_000 - 256, 100_000))
+    assert inbox.dropped == 100_000 - 256
+
+
+async def test_with_a_capacity_of_one_only_the_newest_is_taken() -> None:
+    taken: list[int] = []
+    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=1)
+    flood(inbox, 1000)
+    await settled()
+    assert taken == [999]
+
+
+async def test_a_flood_lets_the_loop_turn_to_others_in_between() -> None:
+    taken: list[int] = []
+    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=256)
+    flood(inbox, 256)
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert 0 < len(taken) < 256
+    await settled()
+    assert len(taken) == 256
+
+
+async def test_an_item_that_cannot_be_taken_is_counted_and_logged_and_the_next_one_is_taken(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    taken: list[float] = []
+    inbox = Inbox[int](asyncio.get_running_loop(), lambda item: taken.append(1 / item), capacity=8)
+    with caplog.at_level(logging.ERROR):
+        flood(inbox, 3)
+        await settled()
+    assert (taken, inbox.failed) == ([1.0, 0.5], 1)
+    assert "ZeroDivisionError" in caplog.text
+
+
+async def test_after_closing_nothing_is_taken_any_more() -> None:
+    taken: list[int] = []
+    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=8)
+    inbox.put(1)
+    inbox.close()
+    inbox.put(2)
+    await settled()
+    assert taken == []
+
+
+def test_a_loop_that_has_ended_does_not_trouble_the_thread_that_puts() -> None:
+    loop = asyncio.new_event_loop()
+    inbox = Inbox[int](loop, print, capacity=8)
+    loop.close()
+    inbox.put(1)
+
+
+async def test_everybody_who_waits_for_a_newer_value_is_woken_and_gets_the_newest() -> None:
+    newest: Newest[int] = Newest()
+    waiting = [asyncio.create_task(newest.after(0, 10.0)) for _ in range(3)]
+    await settled()
+    newest.put(1)
+    newest.put(2)
+    assert await asyncio.gather(*waiting) == [2, 2, 2]
+    assert await newest.after(1, 10.0) == 2
+
+
+async def test_whoever_has_seen_the_newest_value_waits_and_gives_up_at_the_deadline() -> None:
+    newest: Newest[int] = Newest()
+    newest.put(1)
+    with pytest.raises(TimeoutError):
+        await newest.after(1, 0.01)

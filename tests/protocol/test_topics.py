@@ -1,0 +1,62 @@
+"""The table of topics: every key is its own, and no wildcard of one realm reaches into the other."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+import zenoh
+
+from deltaq_protocol.messages import Message
+from deltaq_protocol.topics import (
+    DESCRIPTION,
+    INCREMENT,
+    SERVER_STATE,
+    STATE,
+    TOPICS,
+    Kind,
+    Realm,
+    Topic,
+)
+
+
+def test_names_are_unique() -> None:
+    assert len({topic.name for topic in TOPICS}) == len(TOPICS)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_every_key_is_a_zenoh_key_with_everything_filled_in(topic: Topic) -> None:
+    key = topic.key("lab", robot="fr", service="sim")
+    assert "{" not in key
+    assert "*" not in key
+    assert str(zenoh.KeyExpr(key)) == key
+    assert zenoh.KeyExpr(topic.key("lab")).includes(zenoh.KeyExpr(key))
+
+
+def test_a_field_that_is_not_given_is_a_wildcard() -> None:
+    assert INCREMENT.key("lab") == "deltaq/lab/*/increment"
+    assert STATE.key("lab", robot="fr") == "deltaq/lab/fr/state"
+    assert DESCRIPTION.key("*") == "deltaq/*/description"
+
+
+def test_no_message_of_one_topic_reaches_the_subscribers_of_another() -> None:
+    for one, other in itertools.permutations(TOPICS, 2):
+        key = zenoh.KeyExpr(one.key("lab", robot="fr", service="sim"))
+        assert not zenoh.KeyExpr(other.key("*")).intersects(key), (one.name, other.name)
+
+
+def test_whatever_a_client_subscribes_to_in_the_open_realm_it_gets_nothing_of_the_guarded_one() -> None:
+    everything_open = zenoh.KeyExpr("deltaq/**")
+    for topic in TOPICS:
+        is_open = everything_open.intersects(zenoh.KeyExpr(topic.key("*")))
+        assert is_open == (topic.realm is Realm.OPEN), topic.name
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_a_query_has_a_reply_a_stream_has_none_and_both_carry_messages(topic: Topic) -> None:
+    assert issubclass(topic.message, Message)
+    assert (topic.reply is not None) == (topic.kind is Kind.QUERY)
+
+
+def test_what_moves_a_robot_has_a_greatest_age() -> None:
+    assert all(topic.max_age_cycles for topic in (STATE, INCREMENT, SERVER_STATE))
