@@ -1,0 +1,92 @@
+"""Groups of bodies whose distances coal measures in one call, with one stop distance for all pairs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Names = frozenset[frozenset[str]]
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The pair of a group with the least swept distance.
+
+    Attributes:
+        pair: names of the two bodies.
+        swept_m: lower bound of their distance over the box in joint space.
+        distance_m: their distance at the middle of the box.
+        points_m: witness points in world coordinates.
+    """
+
+    pair: tuple[str, str]
+    swept_m: float
+    distance_m: float
+    points_m: tuple[Array, Array]
+
+
+class Group:
+    """Bodies that move as one, the bodies that they are checked against, and one stop distance for all pairs.
+
+    Args:
+        bodies: pinocchio geometry objects on one link.
+        against: the others.
+        never: pairs of names that are left out.
+        stop_distance_m: what the pairs have to keep.
+    """
+
+    def __init__(
+        self, bodies: Sequence[Any], against: Sequence[Any], never: Names, stop_distance_m: float
+    ) -> None:
+        self.stop_distance_m = stop_distance_m
+        self.geometry = pin.GeometryModel()
+        self.pairs: list[tuple[Any, Any]] = []
+        index = {item.name: self.geometry.addGeometryObject(item) for item in (*bodies, *against)}
+        for first in bodies:
+            for second in against:
+                if frozenset((first.name, second.name)) not in never:
+                    self.pairs.append((first, second))
+                    self.geometry.addCollisionPair(pin.CollisionPair(index[first.name], index[second.name]))
+        self.data = self.geometry.createData()
+        make_reproducible(self.data)
+
+    def least(self, model: Any, data: Any) -> float:
+        """Least swept distance [m] at the placement that `data` holds."""
+        pin.updateGeometryPlacements(model, data, self.geometry, self.data)
+        self._least = pin.computeDistances(self.geometry, self.data)
+        distance: float = self.data.distanceResults[self._least].min_distance
+        return distance
+
+    def nearest(self) -> Nearest:
+        """The pair that `least` found last."""
+        return self._measured(self._least)
+
+    def all_pairs(self) -> list[Nearest]:
+        """Every pair of the group as `least` measured it; for the rare case that asks for all."""
+        return [self._measured(index) for index in range(len(self.pairs))]
+
+    def _measured(self, index: int) -> Nearest:
+        first, second = self.pairs[index]
+        result = self.data.distanceResults[index]
+        swept: float = result.min_distance
+        radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
+        points = (np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2()))
+        return Nearest((first.name, second.name), swept, swept + radii, points)
+
+
+def make_reproducible(data: Any) -> None:
+    """Switch off what makes a distance depend on the queries before it: the cached guess of GJK."""
+    with warnings.catch_warnings():
+        # coal deprecates the switch in favour of the initial guess, but still obeys it
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for request in data.distanceRequests:
+            request.gjk_initial_guess = coal.GJKInitialGuess.DefaultGuess
+            request.enable_cached_gjk_guess = False

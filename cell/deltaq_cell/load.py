@@ -1,0 +1,191 @@
+"""Load a cell's description from its YAML file, with errors that point into the file."""
+
+from __future__ import annotations
+
+import io
+import json
+import types
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import ValidationError
+from ruamel.yaml import YAML
+
+from deltaq_cell.description import CellDescription, Description
+from deltaq_cell.find import find_cell, resolve_near
+from deltaq_cell.located import Located, Scalar, merge, parse, read, shown
+from deltaq_cell.models import SHIPPED, nearest_name
+from deltaq_cell.problems import CellError, Problem
+
+__all__ = ["cell_text", "find_cell", "load_cell", "load_located", "parse_cell", "resolve_near"]
+
+EXTENDS = "extends"
+"""Key at the top of a cell file: another cell (by path beside it, or by name) that this one changes."""
+
+
+def load_cell(name_or_path: str | Path) -> CellDescription:
+    """Load the description of a cell.
+
+    Args:
+        name_or_path: name of a cell (`lab`) or path of a YAML file; see `deltaq_cell.find.find_cell`.
+
+    Raises:
+        CellError: no such cell, or its file has errors; the error lists all of them.
+    """
+    return load_located(name_or_path)[0]
+
+
+def load_located(name_or_path: str | Path) -> tuple[CellDescription, Located]:
+    """Like `load_cell`, with the tree that tells the file and line of every value."""
+    tree = _read_with_bases(find_cell(name_or_path))[1]
+    return _validated(tree), tree
+
+
+def parse_cell(text: str, source: str = "cell") -> CellDescription:
+    """The description in a YAML text, e.g. one that came over the wire; `source` names it in messages.
+
+    Raises:
+        CellError: the text has errors.
+    """
+    return _validated(parse(text, source))
+
+
+def cell_text(name_or_path: str | Path) -> str:
+    """The YAML text of a cell. One that extends another is returned merged, so that it stands alone.
+
+    Raises:
+        CellError: no such cell, or its file is no YAML.
+    """
+    text, tree, extended = _read_with_bases(find_cell(name_or_path))
+    if not extended:
+        return text
+    stream = io.StringIO()
+    YAML(typ="rt").dump(tree.plain(), stream)  # keeps the order of the keys, and so that of the joints
+    return stream.getvalue()
+
+
+def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, Located, bool]:
+    """Text and tree of a file, what it extends merged in, and whether it extends anything."""
+    text, tree = read(path)
+    assert isinstance(tree.value, dict)  # read() saw to it
+    _resolve_models(tree, path)
+    base_name = tree.value.pop(EXTENDS, None)
+    if base_name is None:
+        return text, tree, False
+    if not isinstance(base_name.value, str):
+        raise _extends_error(base_name, "must be the name or the path of one cell")
+    try:
+        base = _find_base(path, base_name.value)
+    except CellError as error:
+        raise _extends_error(base_name, f"'{base_name.value}': {error.problems[0].message}") from None
+    if base.resolve() in (*seen, path.resolve()):
+        raise _extends_error(base_name, f"'{base_name.value}' extends this file in turn")
+    return text, merge(_read_with_bases(base, (*seen, path.resolve()))[1], tree), True
+
+
+def _find_base(path: Path, name: str) -> Path:
+    """The file that `path` extends: beside it, or a cell that is found by name."""
+    beside = path.parent / name
+    if beside.is_file():
+        return beside
+    try:
+        return find_cell(name)
+    except CellError:
+        if beside.suffix:
+            find_cell(beside)  # says what there is beside the file
+        raise
+
+
+def _resolve_models(tree: Located, path: Path) -> None:
+    """Turn the path of a robot's URDF, which is given beside the cell's file, into one that holds anywhere."""
+    robots = tree.value.get("robots") if isinstance(tree.value, dict) else None
+    for robot in robots.value.values() if robots and isinstance(robots.value, dict) else ():
+        model = robot.value.get("model") if isinstance(robot.value, dict) else None
+        if model is None or not isinstance(model.value, str) or model.value in SHIPPED:
+            continue
+        beside = path.resolve().parent / model.value
+        if beside.is_file() and isinstance(robot.value, dict):
+            robot.value["model"] = Located(str(beside), model.file, model.line)
+
+
+def _extends_error(node: Located, message: str) -> CellError:
+    return CellError([Problem(node.file, node.line, EXTENDS, message, value=shown(node.value))])
+
+
+def _validated(tree: Located) -> CellDescription:
+    try:
+        # as JSON, because strict validation takes JSON's lists for tuples but no text for numbers
+        return CellDescription.model_validate_json(json.dumps(tree.plain()), strict=True)
+    except ValidationError as error:
+        raise CellError([_problem(tree, dict(item)) for item in error.errors()]) from None
+
+
+def _problem(tree: Located, error: dict[str, Any]) -> Problem:
+    """One of pydantic's errors as a problem with its place."""
+    loc = tuple(part for part in error["loc"] if part != "[key]")
+    node, trail = tree.find(loc)
+    context = error.get("ctx", {})
+    kind, given = error["type"], error.get("input")
+    value: Scalar = None if isinstance(given, (dict, list)) else shown(given)
+    bound: str | int | float | None = None
+    suggestion: str | None = None
+    field = ".".join(str(part) for part in trail)
+    if kind == "missing":
+        field = ".".join(str(part) for part in (*trail, loc[-1]))
+        message, value = "is missing", None
+    elif kind == "extra_forbidden":
+        allowed = _fields_at(loc[:-1])
+        suggestion = nearest_name(str(loc[-1]), allowed)
+        bound, value = ", ".join(allowed), None
+        message = "not a field here" + ("" if suggestion else f"; the fields here are {bound}")
+    elif kind in ("union_tag_invalid", "literal_error", "union_tag_not_found"):
+        expected = str(context.get("expected_tags", context.get("expected", "")))
+        names = [name.strip(" '") for name in expected.replace(" or ", ",").split(",") if name.strip()]
+        tag = str(context.get("discriminator", "")).strip("'")
+        field = ".".join([field, tag]).strip(".") if tag else field
+        if isinstance(node.value, dict) and tag in node.value:
+            node = node.value[tag]
+        value = shown(context.get("tag", value))
+        bound = ", ".join(names) or None
+        suggestion = nearest_name(str(value), names)
+        message = (
+            f"must be one of {bound}, got {value!r}" if bound else "is missing: it says what kind this is"
+        )
+    elif kind == "value_error":
+        message = str(context.get("error", error["msg"]))
+    else:
+        bound = next((context[key] for key in _BOUNDS if key in context), None)
+        message = error["msg"].replace("Input should", "should").replace("String should", "should")
+        got = "a list" if isinstance(given, list) else "a mapping" if isinstance(given, dict) else repr(value)
+        message = f"{message[0].lower()}{message[1:]}, got {got}"
+    if suggestion:
+        message += f"; did you mean '{suggestion}'?"
+    return Problem(node.file, node.line, field, message, value, bound, suggestion)
+
+
+_BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "pattern")
+
+
+def _fields_at(loc: tuple[str | int, ...]) -> list[str]:
+    """Names of the fields that the description has at a place that a validation error names."""
+    models: list[Any] = [CellDescription]
+    for part in loc:
+        models = [below for model in models for below in _below(model, part)]
+    return sorted({name for model in models for name in model.model_fields})
+
+
+def _below(model: Any, part: str | int) -> list[Any]:
+    """The models that field or key `part` of a model can hold."""
+    annotation = model.model_fields[part].annotation if part in model.model_fields else None
+    if annotation is None:
+        # a key of a mapping or the branch of a union: what is below is what was found before
+        return [model]
+    return _models_in(annotation)
+
+
+def _models_in(annotation: Any) -> list[Any]:
+    if isinstance(annotation, type) and issubclass(annotation, Description):
+        return [annotation]
+    if get_origin(annotation) in (Annotated, Union, types.UnionType, dict, list, tuple):
+        return [model for argument in get_args(annotation) for model in _models_in(argument)]
+    return []

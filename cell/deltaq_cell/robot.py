@@ -1,0 +1,310 @@
+"""One robot of a cell: its kinematics through pinocchio, and its bodies, in world coordinates."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from deltaq_cell.description import Array, Pose, RobotDescription
+from deltaq_cell.models import RobotModelError, load_urdf, nearest_name, urdf_from_text
+from deltaq_cell.robot_bodies import collision_geometry, parse_geometry
+from deltaq_cell.structure import body_geometry, placement
+from deltaq_protocol.messages import ToolPose
+
+FLANGE_LINKS = ("flange", "tool0")
+"""The link that carries the tool, by name; a model without one carries it on its last link."""
+
+Point = str
+"""A frame that a robot carries: `tool`, `camera`, or the name of one of its hands."""
+
+
+class RobotModel:
+    """Kinematics and bodies of one robot.
+
+    Vectors are in the joint order of the description, rad for revolute and m for prismatic joints; poses map
+    into world coordinates, in m.
+
+    Args:
+        description: the robot as its cell describes it.
+        name: the robot's name in the cell; its bodies' names begin with it (`fr/link_5`).
+        urdf: URDF text to use in place of `description.model`, e.g. one that came over the wire.
+
+    Attributes:
+        description: as given.
+        name: as given.
+        urdf: the URDF text.
+        model: `pinocchio.Model`; its world is the cell's world (the base pose is part of it).
+        geometry: `pinocchio.GeometryModel` of the collision bodies, in the order of the joints that move them.
+            Meshes are taken for their convex hulls.
+        hands: names of the frames that the robot works with: its hands', or `tool` alone.
+        T_world_base: (4, 4) pose of the robot's root link.
+
+    Raises:
+        RobotModelError: the model is not found, or does not fit the description.
+    """
+
+    def __init__(self, description: RobotDescription, name: str, urdf: str | None = None) -> None:
+        self.description = description
+        self.name = name
+        source = load_urdf(description.model) if urdf is None else urdf_from_text(urdf)
+        self.urdf = source.text
+        self._source = source
+        self._T_world_base = placement(description.base)
+        self.T_world_base: Array = _frozen(self._T_world_base.homogeneous)
+        try:
+            self.model = pin.buildModelFromXML(source.text)
+        except ValueError as error:
+            raise RobotModelError(f"{source.source}: not a URDF model: {error}", ("model",)) from None
+        self._check_joints()
+        self._bake_base_pose()
+        self.hands: tuple[str, ...] = tuple(description.hands) or ("tool",)
+        self._frames = self._carried_frames()
+        self._data = self.model.createData()
+        self.geometry = collision_geometry(source, name, self._T_world_base, self._bolted_bodies())
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in order."""
+        return self.description.joint_names
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.description.joints)
+
+    @property
+    def lower(self) -> Array:
+        """(n,) lower limits [rad or m], read-only."""
+        return self.description.lower
+
+    @property
+    def upper(self) -> Array:
+        """(n,) upper limits [rad or m], read-only."""
+        return self.description.upper
+
+    @property
+    def max_velocity(self) -> Array:
+        """(n,) largest speeds [rad/s or m/s], read-only."""
+        return self.description.max_velocity
+
+    @property
+    def max_acceleration(self) -> Array:
+        """(n,) largest accelerations [rad/s^2 or m/s^2], read-only."""
+        return self.description.max_acceleration
+
+    @property
+    def home(self) -> Array:
+        """(n,) home configuration [rad or m], read-only."""
+        return self.description.home
+
+    @property
+    def tool_offset(self) -> Array:
+        """(3,) the tool's origin in the frame of the joint that carries it [m]."""
+        offset: Array = self.model.frames[self._frames["tool"]].placement.translation
+        return offset
+
+    @cached_property
+    def revolute(self) -> NDArray[np.bool_]:
+        """(n,) True for revolute joints, False for prismatic ones."""
+        return np.array([unit == "rad" for unit in self.description.units])
+
+    def forward(self, q: ArrayLike, hand: Point = "tool") -> Array:
+        """(4, 4) `T_world_tool` of the configuration `q` (n,), of the first hand or of a named one."""
+        return self._frame_pose(q, self.frame_of(hand))
+
+    def camera_pose(self, q: ArrayLike) -> Array:
+        """(4, 4) `T_world_camera` of the configuration `q` (n,); its z axis is the view axis.
+
+        Raises:
+            RobotModelError: the robot carries no camera.
+        """
+        return self._frame_pose(q, self.frame_of("camera"))
+
+    def tool_pose(self, q: ArrayLike) -> ToolPose:
+        """The tool's pose as messages carry it: position [m] and unit quaternion, w not negative."""
+        T_world_tool = self.forward(q)
+        x, y, z, w = pin.Quaternion(np.ascontiguousarray(T_world_tool[:3, :3])).coeffs().tolist()
+        sign = -1.0 if w < 0 else 1.0
+        px, py, pz = T_world_tool[:3, 3].tolist()
+        return ToolPose(position=(px, py, pz), quaternion_wxyz=(sign * w, sign * x, sign * y, sign * z))
+
+    def jacobian(self, q: ArrayLike, point: Point = "tool") -> Array:
+        """(6, n) Jacobian of the tool's, a hand's or the camera's origin at `q` (n,), world axes.
+
+        Rows 0 to 2 are the velocity of that point [m/s], rows 3 to 5 the angular velocity [rad/s], per unit
+        of joint velocity.
+        """
+        jacobian: Array = pin.computeFrameJacobian(
+            self.model, self._data, self._checked(q), self.frame_of(point), pin.LOCAL_WORLD_ALIGNED
+        )
+        return jacobian
+
+    def joint_axes(self, q: ArrayLike) -> Array:
+        """(n, 3) unit vectors of the joints' axes at `q` (n,), in world coordinates."""
+        jacobian = pin.computeJointJacobians(self.model, self._data, self._checked(q))
+        axes: Array = np.where(self.revolute[:, None], jacobian[3:].T, jacobian[:3].T)
+        return axes
+
+    def joint_origins(self, q: ArrayLike) -> Array:
+        """(n, 3) a point on each joint's axis at `q` (n,), in world coordinates [m]."""
+        pin.forwardKinematics(self.model, self._data, self._checked(q))
+        return np.array([self._data.oMi[joint].translation for joint in range(1, self.model.njoints)])
+
+    def never_checked_pairs(self, structure: bool = True) -> frozenset[tuple[str, str]]:
+        """Pairs of body names that touch by construction, and so are never checked; each pair is sorted.
+
+        They are two bodies of one link (or of links that are fixed to one another), two bodies of links that one
+        joint joins, and, if `structure`, the robot's mount with the bodies it is mounted on. The mount is
+        what stands still, or, where nothing of the robot does (a portal on rails), what the first joint moves.
+        """
+        pairs = set()
+        bodies = [(body.name, int(body.parentJoint)) for body in self.geometry.geometryObjects]
+        for i, (first, first_joint) in enumerate(bodies):
+            for second, second_joint in bodies[i + 1 :]:
+                low, high = sorted((first_joint, second_joint))
+                if low == high or int(self.model.parents[high]) == low:
+                    pairs.add(_sorted(first, second))
+        if structure and bodies:
+            mount = min(joint for _, joint in bodies)
+            for body, joint in bodies:
+                if joint == mount:
+                    pairs |= {_sorted(body, f"structure/{name}") for name in self.description.mounted_on}
+        return frozenset(pairs)
+
+    @cached_property
+    def visual(self) -> pin.GeometryModel:
+        """`pinocchio.GeometryModel` of the visual bodies, attachments and tool bodies included."""
+        visual = parse_geometry(self._source, pin.GeometryType.VISUAL, self._T_world_base)
+        for body in self._bolted_bodies():
+            visual.addGeometryObject(body)
+        return visual
+
+    def _check_joints(self) -> None:
+        model, given = self.model, self.joint_names
+        found = tuple(model.names[1:])
+        if found != given:
+            raise RobotModelError(
+                f"robot '{self.name}': the joints must be those of {self._source.source} in its order: expected "
+                f"{', '.join(found) or 'none'}; got {', '.join(given)}",
+                ("joints",),
+            )
+        for index, joint in enumerate(self.description.joints.values(), start=1):
+            kind = model.joints[index].shortname()
+            if model.joints[index].nq != 1:
+                raise RobotModelError(
+                    f"robot '{self.name}': joint '{given[index - 1]}' is a {kind}; only revolute joints "
+                    "(with limits) and prismatic joints are supported",
+                    ("joints", given[index - 1]),
+                )
+            if ("Prismatic" in kind or "JointModelP" in kind) == joint.revolute:
+                raise RobotModelError(
+                    f"robot '{self.name}': joint '{given[index - 1]}' is a {kind} in {self._source.source}, "
+                    f"but its limits are given in {'deg' if joint.revolute else 'm'}",
+                    ("joints", given[index - 1]),
+                )
+
+    def _bake_base_pose(self) -> None:
+        """Put the base pose into the model, so that its world is the cell's."""
+        for joint in range(1, self.model.njoints):
+            if self.model.parents[joint] == 0:
+                self.model.jointPlacements[joint] = self._T_world_base * self.model.jointPlacements[joint]
+        for index in range(1, self.model.nframes):
+            frame = self.model.frames[index]
+            if frame.parentJoint == 0:
+                frame.placement = self._T_world_base * frame.placement
+
+    def _carried_frames(self) -> dict[Point, int]:
+        """Add the frames of tool, hands and camera to the model; on which frame each sits."""
+        description = self.description
+        self._flange = self._flange_frame()
+        frames = {}
+        for name, hand in description.hands.items():
+            frames[name] = self._add_frame(name, hand.frame, self._link_frame(hand.link, "hands", name))
+        first = description.hands[self.hands[0]].frame if description.hands else description.tool.frame
+        frames["tool"] = self._add_frame("tool", first, self._flange)
+        if description.camera is not None:
+            frames["camera"] = self._add_frame("camera", description.camera.pose, self._flange)
+        return frames
+
+    def _flange_frame(self) -> int:
+        if self.description.hands:
+            first = self.hands[0]
+            return self._link_frame(self.description.hands[first].link, "hands", first)
+        links = [i for i, frame in enumerate(self.model.frames) if frame.type == pin.FrameType.BODY]
+        named = [i for i in links if self.model.frames[i].name in FLANGE_LINKS]
+        return (named or links)[-1]
+
+    def _link_frame(self, link: str, *field: str) -> int:
+        links = [frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY]
+        if link not in links:
+            raise RobotModelError(
+                f"robot '{self.name}': no link '{link}' in {self._source.source}; it has {', '.join(links)}",
+                (*field, "link"),
+                nearest_name(link, links),
+            )
+        return int(self.model.getFrameId(link, pin.FrameType.BODY))
+
+    def _add_frame(self, name: Point, pose: Pose, link: int) -> int:
+        carrier = self.model.frames[link]
+        place = carrier.placement * placement(pose)
+        frame = pin.Frame(f"deltaq_{name}", carrier.parentJoint, link, place, pin.FrameType.OP_FRAME)
+        return int(self.model.addFrame(frame))
+
+    def _bolted_bodies(self) -> list[pin.GeometryObject]:
+        """Attachments, and the bodies of tool or hands."""
+        bolted = []
+        for name, attachment in self.description.attachments.items():
+            link = self.model.frames[self._link_frame(attachment.link, "attachments", name)]
+            bolted.append(body_geometry(f"{self.name}/{name}", attachment, link.parentJoint, link.placement))
+        carried = [("tool", self._flange, self.description.tool)]
+        for name, hand in self.description.hands.items():
+            carried.append((name, self._link_frame(hand.link, "hands", name), hand))
+        for prefix, frame, tool in carried:
+            flange = self.model.frames[frame]
+            for name, body in tool.bodies.items():
+                full_name = f"{self.name}/{prefix}_{name}"
+                bolted.append(body_geometry(full_name, body, flange.parentJoint, flange.placement))
+        return bolted
+
+    def frame_of(self, point: Point) -> int:
+        """Index in `model.frames` of a frame that the robot carries: `tool`, `camera` or a hand.
+
+        Raises:
+            RobotModelError: the robot carries no such frame.
+        """
+        if point in self._frames:
+            return self._frames[point]
+        if point == "camera":
+            raise RobotModelError(
+                f"robot '{self.name}' carries no camera; add one under robots.{self.name}.camera"
+            )
+        raise RobotModelError(
+            f"point must be one of {', '.join(self._frames)}, got {point!r}",
+            suggestion=nearest_name(point, self._frames),
+        )
+
+    def _frame_pose(self, q: ArrayLike, frame: int) -> Array:
+        pin.forwardKinematics(self.model, self._data, self._checked(q))
+        pose: Array = pin.updateFramePlacement(self.model, self._data, frame).homogeneous
+        return pose
+
+    def _checked(self, q: ArrayLike) -> Array:
+        vector = np.asarray(q, dtype=np.float64)
+        if vector.shape != (self.n,):
+            raise RobotModelError(
+                f"robot '{self.name}': q must have shape ({self.n},) for {', '.join(self.joint_names)}, "
+                f"got shape {vector.shape}"
+            )
+        return vector
+
+
+def _sorted(first: str, second: str) -> tuple[str, str]:
+    return (first, second) if first <= second else (second, first)
+
+
+def _frozen(array: Array) -> Array:
+    array.flags.writeable = False
+    return array

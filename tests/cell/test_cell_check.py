@@ -1,0 +1,127 @@
+"""`check_cell`: what a schema cannot see, each with its place."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from deltaq_cell.check import check_cell
+from deltaq_cell.find import find_cell
+
+LAB = find_cell("lab").read_text(encoding="utf-8")
+
+
+def checked(folder: Path, *edits: tuple[str, str]) -> tuple[Path, list[str]]:
+    text = LAB
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = folder / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path, text.splitlines()
+
+
+@pytest.mark.parametrize("name", ["dawm", "lab", "lab-4ms"])
+def test_the_shipped_cells_are_sound(name: str) -> None:
+    report = check_cell(name)
+    assert report.problems == ()
+    assert report.ok
+    assert report.as_dict() == {"cell": name, "ok": True, "problems": []}
+
+
+# edits, field, words in the line it points at, value, bound, suggestion, part of the message
+UNSOUND = [
+    ([("model: kr16\n", "model: kr61\n")], "robots.fr.model", "kr61", None, None, "kr16", "no robot model"),
+    ([("model: kr16_gantry", "model: kr16")], "robots.gr.joints", "joints:", None, None, None, "expected a1"),
+    ([("link: link_1,", "link: link1,")], "robots.gr.attachments.utility_plate.link", "utility_plate", None, None,
+     "link_1", "no link 'link1'"),
+    ([("[floor, fr_plate]", "[floor, frplate]")], "robots.fr.mounted_on.1", "mounted_on", "frplate", None, "fr_plate",
+     "no body 'frplate'"),
+    ([("lower_deg: -180", "lower_deg: -190")], "robots.fr.joints.a1.lower_deg", "a1:", -190, -185, None, "below"),
+    ([("upper_deg: 30", "upper_deg: 36")], "robots.fr.joints.a2.upper_deg", "a2:", 36, 35, None, "above"),
+    ([("upper_m: 1.54", "upper_m: 2")], "robots.gr.joints.e1.upper_m", "e1:", 2, 1.54, None, "above"),
+    ([("lower_m: -1.60", "lower_m: -1.7")], "robots.gr.joints.e3.lower_m", "e3:", -1.7, -1.6, None, "below"),
+    ([("max_velocity_deg_s: 330", "max_velocity_deg_s: 400")], "robots.fr.joints.a4.max_velocity_deg_s", "a4:", 400,
+     330, None, "above"),
+    ([("tcp/127.0.0.1:7452", "tcp/127.0.0.1:7451")], "robots.gr.server", "7451", 7451, None, None,
+     "that of robots.fr.server"),
+    ([("tcp_port: 5210", "tcp_port: 7447")], "tcp_port", "tcp_port", 7447, None, None, "that of hli"),
+    ([("control_port: 49253", "control_port: 49152")], "robots.gr.driver.control_port", "49152", 49152, None, None,
+     "that of robots.fr.driver.port"),
+    ([("sim: tcp/127.0.0.1:7450", "sim: tcp/127.0.0.1:70000")], "sim", "70000", 70000, 65535, None, "does not exist"),
+    ([("retreat_speed: 0.1", "gate_timeout_s: 0.02")], "gate.gate_timeout_s", "0.02", 0.02, 0.024, None,
+     "less than two cycles"),
+    ([("fr_ethernet.xml", "none.xml")], "robots.fr.driver.ethernet_xml", "none.xml", "none.xml", None, None,
+     "no file 'none.xml'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("edits", "field", "line", "value", "bound", "suggestion", "message"),
+    UNSOUND,
+    ids=[row[1] for row in UNSOUND],
+)
+def test_what_is_unsound_is_told_with_its_place(
+    tmp_path: Path,
+    edits: list[tuple[str, str]],
+    field: str,
+    line: str,
+    value: object,
+    bound: object,
+    suggestion: str | None,
+    message: str,
+) -> None:
+    path, lines = checked(tmp_path, *edits)
+    report = check_cell(path)
+    (problem,) = [p for p in report.problems if p.field == field]
+    assert not report.ok
+    assert problem.file == "mine.yaml"
+    assert line in lines[problem.line - 1]
+    assert problem.value == value or (isinstance(value, float) and problem.value == pytest.approx(value))
+    assert bound is None or problem.bound == pytest.approx(bound)
+    assert problem.suggestion == suggestion
+    assert message in problem.message
+
+
+@pytest.mark.parametrize(("cycle", "krc", "sound"), [
+    (0.012, "krc2", True), (0.024, "krc2", True), (0.004, "krc2", False), (0.018, "krc2", False),
+    (0.004, "krc4", True), (0.008, "krc4", True), (0.012, "krc4", True), (0.010, "krc4", False),
+])  # fmt: skip
+def test_the_cycle_is_a_whole_number_of_the_krcs(tmp_path: Path, cycle: float, krc: str, sound: bool) -> None:
+    path, _ = checked(tmp_path, ("cycle_s: 0.012", f"cycle_s: {cycle}"))
+    path.write_text(path.read_text().replace("krc: krc2", f"krc: {krc}"))
+    found = [p for p in check_cell(path).errors if p.field == "cycle_s"]
+    assert len(found) == (0 if sound else 2)  # one for each robot
+    assert all("no multiple of the cycle" in p.message for p in found)
+
+
+def test_a_tolerance_wider_than_the_stop_distance_is_a_warning(tmp_path: Path) -> None:
+    old = "max_acceleration_rad_s2: 10.9, tracking_tolerance_deg: 1"
+    path, _ = checked(tmp_path, (old, old.replace("_deg: 1", "_deg: 2")))
+    report = check_cell(path)
+    (problem,) = report.problems
+    assert report.ok
+    assert (problem.severity, problem.field) == ("warning", "robots.fr.joints.a1.tracking_tolerance_deg")
+    assert problem.value == pytest.approx(2)
+    assert isinstance(problem.bound, float)
+    assert 1 < problem.bound < 2
+
+
+def test_a_home_in_contact_is_told_with_the_two_bodies(tmp_path: Path) -> None:
+    path, _ = checked(tmp_path, ("e3: {home_m: -0.175", "e3: {home_m: -1.3"))
+    report = check_cell(path)
+    assert report.errors
+    assert all(p.field == "robots.gr.joints" and "stop distance" in p.message for p in report.errors)
+    assert any(re.search(r"gr/\w+ and structure/\w+", p.message) for p in report.errors)
+
+
+def test_a_robot_that_stands_in_the_floor_without_leave_is_told(tmp_path: Path) -> None:
+    path, _ = checked(tmp_path, ("mounted_on: [rail_south, rail_north]", "mounted_on: [rail_south]"))
+    assert any("structure/rail_north" in p.message for p in check_cell(path).errors)
+
+
+def test_what_cannot_be_loaded_is_reported_not_raised(tmp_path: Path) -> None:
+    report = check_cell(tmp_path / "gone.yaml")
+    assert [p.message for p in report.errors] == ["no such file"]
+    path, _ = checked(tmp_path, ("cycle_s: 0.012", "cycle_s: -1"))
+    assert [p.field for p in check_cell(path).errors] == ["cycle_s"]

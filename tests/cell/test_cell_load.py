@@ -1,0 +1,271 @@
+"""Loading a cell: every way a file can be wrong is told with its place, all at once."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltaq_cell.find import find_cell
+from deltaq_cell.load import cell_text, load_cell, parse_cell
+from deltaq_cell.problems import CellError, Problem
+
+MINI = """\
+cell: mini
+cycle_s: 0.012
+robots:
+  fr:
+    model: kr16
+    server: tcp/127.0.0.1:7451
+    driver: {kind: kinematic}
+    joints:
+      a1: {home_deg: 0, lower_deg: -180, upper_deg: 180, max_velocity_deg_s: 156, max_acceleration_rad_s2: 10}
+      a2:
+        home_deg: -90
+        lower_deg: -150
+        upper_deg: 30
+        max_velocity_deg_s: 156
+        max_acceleration_rad_s2: 4.5
+structure:
+  pipe:
+    shape: {kind: cylinder, radius_m: 0.1, length_m: 1}
+    pose:
+      position_m: [0, 1, 2]
+gate:
+  stop_distance_m: 0.05
+"""
+
+
+def write(folder: Path, text: str, name: str = "lab.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def problems(path: Path | str) -> tuple[Problem, ...]:
+    with pytest.raises(CellError) as caught:
+        load_cell(path)
+    assert str(caught.value) == "\n".join(str(problem) for problem in caught.value.problems)
+    return caught.value.problems
+
+
+def only(path: Path | str) -> Problem:
+    (problem,) = problems(path)
+    return problem
+
+
+def test_a_good_file_loads(tmp_path: Path) -> None:
+    cell = load_cell(write(tmp_path, MINI))
+    assert cell.cell == "mini"
+    assert cell.robots["fr"].joint_names == ("a1", "a2")
+    assert cell.structure["pipe"].pose.position_m == (0, 1, 2)
+    assert cell_text(tmp_path / "lab.yaml") == MINI
+    assert parse_cell(MINI) == cell
+
+
+def test_an_unknown_field_is_named_with_file_line_and_suggestion(tmp_path: Path) -> None:
+    text = MINI.replace("    driver: {", "    basee: {}\n    driver: {")
+    problem = only(write(tmp_path, text))
+    assert str(problem) == "lab.yaml:7: robots.fr.basee: not a field here; did you mean 'base'?"
+    assert (problem.file, problem.line, problem.field) == ("lab.yaml", 7, "robots.fr.basee")
+    assert problem.suggestion == "base"
+
+
+def test_a_field_that_resembles_none_is_answered_with_those_that_are(tmp_path: Path) -> None:
+    problem = only(write(tmp_path, MINI.replace("gate:", "gate:\n  zzz: 1")))
+    assert problem.line == 22
+    assert problem.suggestion is None
+    assert "the fields here are gate_timeout_s, hli_timeout_s" in problem.message
+
+
+# old text, new text, line, field, value, bound, part of the message
+WRONG = [
+    ("cycle_s: 0.012", "cycle_s: 0.5", 2, "cycle_s", 0.5, 0.1, "should be less than or equal to 0.1, got 0.5"),
+    ("cycle_s: 0.012", "cycle_s: fast", 2, "cycle_s", "fast", None, "should be a valid number, got 'fast'"),
+    ("cycle_s: 0.012", 'cycle_s: "0.012"', 2, "cycle_s", "0.012", None, "should be a valid number, got '0.012'"),
+    ("cycle_s: 0.012", "cycle_s: yes_", 2, "cycle_s", "yes_", None, "valid number"),
+    ("cycle_s: 0.012", "cycle_s: true", 2, "cycle_s", True, None, "should be a valid number, got True"),
+    ("cycle_s: 0.012", "cycle_s: .nan", 2, "cycle_s", "nan", 0.1, "got 'nan'"),
+    ("cycle_s: 0.012", "cycle_s:", 2, "cycle_s", None, None, "should be a valid number"),
+    ("stop_distance_m: 0.05", "stop_distance_m: .inf", 22, "gate.stop_distance_m", "inf", None, "finite number"),
+    ("stop_distance_m: 0.05", "stop_distance_m: .nan", 22, "gate.stop_distance_m", "nan", None, "got 'nan'"),
+    ("stop_distance_m: 0.05", "stop_distance_m: 0", 22, "gate.stop_distance_m", 0, 0, "greater than 0, got 0"),
+    ("stop_distance_m: 0.05", "stop_distance_m: [1]", 22, "gate.stop_distance_m", None, None, "got a list"),
+    ("[0, 1, 2]", "[0, 1]", 20, "structure.pipe.pose.position_m.2", None, None, "is missing"),
+    ("[0, 1, 2]", "[0, one, 2]", 20, "structure.pipe.pose.position_m.1", "one", None, "valid number"),
+    ("radius_m: 0.1", "radius_m: -1", 18, "structure.pipe.shape.radius_m", -1, 0, "greater than 0"),
+    ("radius_m: 0.1, ", "", 18, "structure.pipe.shape.radius_m", None, None, "is missing"),
+    ("kind: cylinder, ", "", 18, "structure.pipe.shape.kind", None, None, "is missing"),
+    ("cell: mini", "cell: Mini cell", 1, "cell", "Mini cell", "^[a-z][a-z0-9_-]*$", "pattern"),
+    ("cell: mini\n", "", 1, "cell", None, None, "is missing"),
+    ("tcp/127.0.0.1:7451", "127.0.0.1", 6, "robots.fr.server", "127.0.0.1", r"^tcp/[^/\s]+:\d{1,5}$", "pattern"),
+    ("  fr:", "  FR:", 4, "robots.FR", "FR", "^[a-z][a-z0-9_-]*$", "pattern"),
+    ("lower_deg: -150", "lower_deg: 40", 10, "robots.fr.joints.a2", None, None, "must be below the upper limit"),
+    ("home_deg: -90", "home_deg: 90", 10, "robots.fr.joints.a2", None, None, "home 1.5708 must lie between"),
+    ("        home_deg: -90\n", "", 10, "robots.fr.joints.a2", None, None, "a joint needs home_deg"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "line", "field", "value", "bound", "message"), WRONG)
+def test_a_wrong_value_is_told_with_line_field_value_and_bound(
+    tmp_path: Path, old: str, new: str, line: int, field: str, value: object, bound: object, message: str
+) -> None:
+    assert old in MINI
+    problem = only(write(tmp_path, MINI.replace(old, new, 1)))
+    assert (problem.line, problem.field) == (line, field), str(problem)
+    assert (problem.value, problem.bound) == (value, bound)
+    assert type(problem.value) is type(value)
+    assert message in problem.message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "suggestion"),
+    [
+        ("kind: cylinder", "kind: cylindre", "structure.pipe.shape.kind", "cylinder"),
+        ("kind: kinematic", "kind: kinematik", "robots.fr.driver.kind", "kinematic"),
+    ],
+)
+def test_a_kind_that_does_not_exist_is_answered_with_those_that_do(
+    tmp_path: Path, old: str, new: str, field: str, suggestion: str
+) -> None:
+    problem = only(write(tmp_path, MINI.replace(old, new)))
+    assert (problem.field, problem.suggestion) == (field, suggestion)
+    assert suggestion in str(problem.bound)
+    assert f"did you mean '{suggestion}'?" in problem.message
+
+
+def test_a_krc_that_does_not_exist_is_answered_with_those_that_do(tmp_path: Path) -> None:
+    driver = "{kind: rsi, port: 49152, ethernet_xml: fr.xml, krc: krc3}"
+    problem = only(write(tmp_path, MINI.replace("{kind: kinematic}", driver)))
+    assert (problem.line, problem.field, problem.value) == (7, "robots.fr.driver.krc", "krc3")
+    assert problem.bound == "krc2, krc4"
+
+
+def test_all_errors_of_a_file_are_told_at_once(tmp_path: Path) -> None:
+    text = MINI.replace("0.012", "-1").replace("radius_m", "radius").replace("model: kr16", "modell: kr16")
+    fields = [problem.field for problem in problems(write(tmp_path, text))]
+    assert sorted(fields) == [
+        "cycle_s",
+        "robots.fr.model",
+        "robots.fr.modell",
+        "structure.pipe.shape.radius",
+        "structure.pipe.shape.radius_m",
+    ]
+
+
+# text, line, part of the message
+NO_CELL = [
+    ("", 0, "is empty"),
+    ("# only a comment\n", 0, "is empty"),
+    ("- a\n- b\n", 1, "must be a mapping"),
+    ("just words\n", 1, "must be a mapping"),
+    ("cell: a\ncell: b\n", 2, "the key 'cell' is there twice"),
+    (MINI.replace("  fr:\n", "  fr:\n    base: {}\n    base: {}\n"), 6, "the key 'base' is there twice"),
+    ("cell: [a, b\ncycle_s: 1\n", 2, "not YAML: "),
+    ("cell: a\n\tcycle_s: 1\n", 2, "not YAML: "),
+    ("cell: *nowhere\n", 1, "not YAML: "),
+    ("cell: a\n---\ncell: b\n", 2, "not YAML: "),
+    ("cell: a\x00\n", 0, "not YAML: "),
+    ("cell: a\n1: b\n", 2, "the key 1 must be text"),
+    ("a: " + "[" * 30 + "]" * 30, 1, "nested deeper than 24"),
+    ("a: " + "[" * 400 + "]" * 400, 0, "not YAML: "),
+    ("a: &a [1]\n" + "".join(f"b{i}: &b{i} [{', '.join([f'*b{i - 1}' if i else '*a'] * 10)}]\n" for i in range(9)),
+     None, "look at its aliases"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "line", "message"), NO_CELL, ids=[row[2] + str(row[1]) for row in NO_CELL])
+def test_what_is_no_mapping_of_yaml_is_told_with_its_line(
+    tmp_path: Path, text: str, line: int | None, message: str
+) -> None:
+    problem = only(write(tmp_path, text))
+    assert problem.file == "lab.yaml"
+    assert message in problem.message
+    assert line is None or problem.line == line
+
+
+def test_a_value_that_contains_itself_ends_in_problems_not_in_a_loop(tmp_path: Path) -> None:
+    assert problems(write(tmp_path, MINI.replace("[0, 1, 2]", "&p [*p, *p, *p]")))
+
+
+def test_a_file_that_is_not_utf_8_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_bytes(b"cell: lab\n# gr\xfcn\n")
+    problem = only(path)
+    assert (problem.line, problem.message) == (2, "is not UTF-8 text; save it as UTF-8")
+
+
+def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
+    problem = only(write(tmp_path, "# " + "x" * (1 << 20)))
+    assert "too large" in problem.message
+    assert problem.bound == 1 << 20
+
+
+def test_a_cell_extends_another_and_changes_only_what_it_names(tmp_path: Path) -> None:
+    write(tmp_path, MINI, "base.yaml")
+    text = "extends: base.yaml\ncell: other\nrobots: {fr: {joints: {a2: {upper_deg: 20}}}}\n"
+    base, other = load_cell(tmp_path / "base.yaml"), load_cell(write(tmp_path, text))
+    assert other.cell == "other"
+    assert other.robots["fr"].joints["a2"].upper_deg == 20
+    assert other.robots["fr"].joint_names == base.robots["fr"].joint_names
+    assert other.robots["fr"].joints["a1"] == base.robots["fr"].joints["a1"]
+    assert parse_cell(cell_text(tmp_path / "lab.yaml")) == other  # the text stands alone
+
+
+def test_errors_of_an_extended_cell_point_into_the_file_they_are_in(tmp_path: Path) -> None:
+    write(tmp_path, MINI.replace("radius_m: 0.1", "radius_m: -1"), "base.yaml")
+    text = "extends: base.yaml\ngate:\n  stop_distance_m: -2\n"
+    found = {(problem.file, problem.line, problem.field) for problem in problems(write(tmp_path, text))}
+    assert found == {
+        ("base.yaml", 18, "structure.pipe.shape.radius_m"),
+        ("lab.yaml", 3, "gate.stop_distance_m"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cell: a\nextends: bass.yaml\n", "did you mean 'base.yaml'?"),
+        ("cell: a\nextends: [base.yaml]\n", "the name or the path of one cell"),
+        ("cell: a\nextends: lab.yaml\n", "extends this file in turn"),
+        ("cell: a\nextends: circle.yaml\n", "extends this file in turn"),
+    ],
+)
+def test_what_cannot_be_extended_is_told(tmp_path: Path, text: str, message: str) -> None:
+    write(tmp_path, MINI, "base.yaml")
+    write(tmp_path, "extends: lab.yaml\n", "circle.yaml")
+    problem = only(write(tmp_path, text))
+    assert message in problem.message
+    assert problem.field == "extends"
+
+
+def test_an_extension_of_a_broken_file_points_into_that_file(tmp_path: Path) -> None:
+    write(tmp_path, "cell: [\n", "base.yaml")
+    assert only(write(tmp_path, "extends: base.yaml\n")).file == "base.yaml"
+
+
+def test_a_urdf_is_found_beside_the_cells_file(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    cell = load_cell(write(tmp_path, MINI.replace("model: kr16", "model: arm.urdf")))
+    assert cell.robots["fr"].model == str(tmp_path / "arm.urdf")
+
+
+def test_the_shipped_cells_are_found_by_name() -> None:
+    assert find_cell("lab").name == "lab.yaml"
+    lab, fast = load_cell("lab"), load_cell("lab-4ms")
+    assert (lab.cycle_s, fast.cycle_s) == (0.012, 0.004)
+    assert fast.robots["gr"].joints == lab.robots["gr"].joints
+    assert fast.structure == lab.structure
+
+
+def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> None:
+    program = (
+        "import sys\n"
+        "from deltaq_cell.summary import description_message\n"
+        "message = description_message('lab-4ms')\n"
+        "assert set(message.urdf) == {'fr', 'gr'} and message.cycle_s == 0.004\n"
+        "heavy = {'pinocchio', 'coal', 'deltaq_deploy'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
