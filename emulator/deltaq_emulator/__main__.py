@@ -1,0 +1,120 @@
+"""`python -m deltaq_emulator --cell lab --robot fr`: run the emulated controller of one robot."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deltaq_cell.description import Array, RsiDriver
+from deltaq_cell.load import find_cell, load_cell, resolve_near
+from deltaq_cell.robot import RobotModel
+from deltaq_emulator.krc import Krc
+from deltaq_emulator.profiles import profile_for
+from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
+from deltaq_emulator.shell import Address, Emulator
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.rsi import load_ethernet_xml
+
+
+def _address(text: str) -> Address:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT with a port of 1 to 65535")
+    return host, int(port)
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="deltaq_emulator", description="Emulated KRC of one robot of a cell."
+    )
+    parser.add_argument("--cell", required=True, help="name of a cell, or path of its YAML file")
+    parser.add_argument("--robot", required=True, help="name of the robot in the cell")
+    parser.add_argument("--record", type=Path, metavar="FILE.csv", help="write every cycle to this file")
+    parser.add_argument(
+        "--settings", type=Path, default=SHIPPED, metavar="FILE.yaml", help="of the controller"
+    )
+    parser.add_argument("--server", type=_address, metavar="HOST:PORT", help="instead of the cell's driver")
+    parser.add_argument(
+        "--panel", type=_address, metavar="HOST:PORT", help="instead of the cell's control_port"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of injected network faults")
+    return parser.parse_args(argv)
+
+
+def build(cell_name: str, robot_name: str, settings: KrcSettings) -> tuple[Krc, RsiDriver]:
+    """The controller of one robot of a cell, at its home, and the driver that tells where it speaks.
+
+    Raises:
+        DeltaqError: if the cell, its robot or a file that it names cannot be used.
+    """
+    cell = load_cell(cell_name)
+    if (robot := cell.robots.get(robot_name)) is None:
+        raise SettingsError(
+            f"cell {cell.cell!r} has no robot {robot_name!r}; it has {', '.join(cell.robots)}"
+        )
+    if not isinstance(robot.driver, RsiDriver):
+        raise SettingsError(
+            f"robot {robot_name!r} has no KRC to emulate: its driver is {robot.driver.kind!r}"
+        )
+    try:
+        ethernet_xml = resolve_near(find_cell(cell_name), robot.driver.ethernet_xml)
+    except FileNotFoundError as error:
+        raise SettingsError(f"robots.{robot_name}.driver.ethernet_xml: {error}") from error
+    model = RobotModel(robot, robot_name)
+    T_base_world = np.linalg.inv(model.T_world_base)
+
+    def forward(q: Array) -> Array:
+        return np.asarray(T_base_world @ model.forward(q))
+
+    krc = Krc(
+        robot,
+        cell.cycle_s,
+        load_ethernet_xml(ethernet_xml),
+        profile_for(robot.driver.krc, cell.cycle_s),
+        robot.home,
+        forward,
+        settings,
+    )
+    return krc, robot.driver
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run until a signal; exit status 0, or 2 if the configuration cannot be used."""
+    arguments = _arguments(argv)
+    stop_signals: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda received, _frame: stop_signals.append(received))
+    try:
+        krc, driver = build(arguments.cell, arguments.robot, KrcSettings.load(arguments.settings))
+        server = arguments.server or (driver.address, driver.port)
+        panel = arguments.panel
+        if panel is None and driver.control_port is not None:
+            panel = (driver.address, driver.control_port)
+        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed)
+        try:
+            if arguments.record is not None:
+                emulator.recorder.start(arguments.record)
+            # nothing that stands now is garbage: no need to look at it again in every collection
+            gc.collect()
+            gc.freeze()
+            emulator.run(lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server))
+        finally:
+            emulator.close()
+    except DeltaqError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _announce(robot: str, krc: Krc, server: Address) -> None:
+    print(f"ready: {robot} sends to {server[0]}:{server[1]} every {krc.cycle_s * 1e3:g} ms", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

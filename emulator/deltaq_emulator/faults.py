@@ -1,0 +1,104 @@
+"""Faults of the network, as a queue in time: nothing here knows a clock, and one seed is one run."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Probability = Annotated[float, Field(ge=0, le=1)]
+Seconds = Annotated[float, Field(ge=0, le=10)]
+
+MAX_QUEUED = 10_000
+
+
+class LinkFaults(BaseModel):
+    """What happens to datagrams on their way in one direction; nothing by default."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    drop: Probability = 0.0
+    """Share that is lost."""
+    duplicate: Probability = 0.0
+    """Share that arrives twice."""
+    reorder: Probability = 0.0
+    """Share that is overtaken by the next one."""
+    corrupt: Probability = 0.0
+    """Share that has bytes changed, or its end cut off."""
+    delay_s: Seconds = 0.0
+    """How long each one takes."""
+    jitter_s: Seconds = 0.0
+    """How much longer each one takes at most, evenly distributed."""
+
+
+class FaultyLink:
+    """One direction of a network.
+
+    Args:
+        seed: of the random numbers that decide what happens to which datagram.
+
+    Attributes:
+        faults: may be set at any time.
+        counts: what has been done so far.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self.faults = LinkFaults()
+        self.counts = dict.fromkeys(("passed", "dropped", "duplicated", "reordered", "corrupted"), 0)
+        self._random = random.Random(seed)
+        self._queue: list[tuple[float, int, bytes]] = []
+        self._number = 0
+        self._overtaken: list[tuple[float, bytes]] = []
+
+    def put(self, now_s: float, datagram: bytes) -> None:
+        """A datagram enters the link."""
+        faults, draw = self.faults, self._random.random
+        if len(self._queue) >= MAX_QUEUED or draw() < faults.drop:
+            self.counts["dropped"] += 1
+            return
+        if draw() < faults.corrupt:
+            datagram = self._damaged(datagram)
+            self.counts["corrupted"] += 1
+        due_s = now_s + faults.delay_s + draw() * faults.jitter_s
+        if draw() < faults.reorder:
+            self._overtaken.append((due_s, datagram))
+            self.counts["reordered"] += 1
+            return
+        self._enqueue(due_s, datagram)
+        if draw() < faults.duplicate:
+            self._enqueue(due_s, datagram)
+            self.counts["duplicated"] += 1
+        for overtaken_due_s, overtaken in self._overtaken:
+            self._enqueue(max(due_s, overtaken_due_s), overtaken)
+        self._overtaken.clear()
+
+    def take(self, now_s: float) -> list[bytes]:
+        """The datagrams that leave the link by now, in order."""
+        out = []
+        while self._queue and self._queue[0][0] <= now_s:
+            out.append(heapq.heappop(self._queue)[2])
+        self.counts["passed"] += len(out)
+        return out
+
+    @property
+    def next_s(self) -> float | None:
+        """When the next datagram leaves, or None if there is none."""
+        return self._queue[0][0] if self._queue else None
+
+    def _enqueue(self, due_s: float, datagram: bytes) -> None:
+        # the number keeps the order of datagrams that are due at the same time
+        heapq.heappush(self._queue, (due_s, self._number, datagram))
+        self._number += 1
+
+    def _damaged(self, datagram: bytes) -> bytes:
+        if not datagram:
+            return b"?"
+        damaged = bytearray(datagram)
+        if self._random.random() < 0.5:
+            del damaged[self._random.randrange(len(damaged)) :]
+            return bytes(damaged)
+        for place in self._random.sample(range(len(damaged)), min(len(damaged), self._random.randint(1, 4))):
+            damaged[place] ^= self._random.randint(1, 255)
+        return bytes(damaged)

@@ -1,0 +1,178 @@
+"""The operator's side of the emulated controller: one JSON object in, one out.
+
+| request | what |
+| --- | --- |
+| `{"op": "status"}` | nothing but the answer, which every request gets |
+| `{"op": "acknowledge"}`, `{"op": "restart"}`, `{"op": "stop"}` | what the pendant's keys do |
+| `{"op": "mode", "mode": "T1"}` | T1, T2 or AUT |
+| `{"op": "drives", "on": false}` | switch the drives |
+| `{"op": "input", "name": "gripper_closed", "value": true}` | set a digital input |
+| `{"op": "fault", "link": "from_pc", "drop": 0.1}` | faults of the network: `to_pc`, `from_pc` or `both` ways |
+| `{"op": "fault", "freeze_cycles": 20}`, `{"op": "fault", "ipoc_shift_ms": -24}` | of the controller |
+| `{"op": "fault"}` | no more faults |
+| `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
+
+The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from deltaq_emulator.faults import FaultyLink, LinkFaults
+from deltaq_emulator.krc import Krc
+from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.settings import Mode
+from deltaq_protocol.errors import DeltaqError
+
+MAX_REQUEST_BYTES = 4096
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Simple(_Request):
+    op: Literal["status", "acknowledge", "restart", "stop"]
+
+
+class _SetMode(_Request):
+    op: Literal["mode"]
+    mode: Mode
+
+
+class _SetDrives(_Request):
+    op: Literal["drives"]
+    on: bool
+
+
+class _SetInput(_Request):
+    op: Literal["input"]
+    name: str
+    value: bool
+
+
+class _Fault(LinkFaults):
+    op: Literal["fault"]
+    link: Literal["to_pc", "from_pc", "both"] = "both"
+    freeze_cycles: Annotated[int, Field(ge=0, le=100_000)] | None = None
+    ipoc_shift_ms: Annotated[int, Field(gt=-(2**32), lt=2**32)] | None = None
+
+
+class _Record(_Request):
+    op: Literal["record"]
+    path: str | None = None
+
+
+_REQUESTS: TypeAdapter[Any] = TypeAdapter(
+    Annotated[
+        _Simple | _SetMode | _SetDrives | _SetInput | _Fault | _Record,
+        Field(discriminator="op"),
+    ]
+)
+
+
+class Panel:
+    """Answers the operator.
+
+    Args:
+        robot: its name in the cell.
+        krc: the controller.
+        to_pc: link on which telegrams leave; from_pc: link on which replies arrive.
+        recorder: writes records.
+        shell_counts: counters of the shell, to be shown in the status.
+    """
+
+    def __init__(
+        self,
+        robot: str,
+        krc: Krc,
+        to_pc: FaultyLink,
+        from_pc: FaultyLink,
+        recorder: CsvRecorder,
+        shell_counts: Callable[[], Mapping[str, int]] = dict,
+    ) -> None:
+        self._robot = robot
+        self._krc = krc
+        self._links = {"to_pc": to_pc, "from_pc": from_pc}
+        self._recorder = recorder
+        self._shell_counts = shell_counts
+
+    def handle(self, datagram: bytes) -> bytes:
+        """Do what a request says; whatever it is, there is an answer and no exception."""
+        try:
+            if len(datagram) > MAX_REQUEST_BYTES:
+                raise DeltaqError(f"a request has at most {MAX_REQUEST_BYTES} bytes, got {len(datagram)}")
+            self._do(_REQUESTS.validate_json(datagram))
+            answer = {"ok": True} | self.status()
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"]) or "request"
+            answer = {"ok": False, "error": f"{where}: {first['msg']}"}
+        except DeltaqError as error:
+            answer = {"ok": False, "error": str(error)}
+        return json.dumps(answer).encode()
+
+    def status(self) -> dict[str, Any]:
+        """What the pendant shows, and every counter."""
+        sample = self._krc.sample
+        return {
+            "robot": self._robot,
+            "state": self._krc.state,
+            "mode": self._krc.mode,
+            "message": None if self._krc.message is None else str(self._krc.message),
+            "text": self._krc.text,
+            "cycle": sample.cycle,
+            "ipoc": sample.ipoc,
+            "q": sample.q.tolist(),
+            "q_setpoint": sample.q_setpoint.tolist(),
+            "inputs": dict(self._krc.inputs),
+            "outputs": dict(self._krc.outputs),
+            "counters": dict(sample.counters) | dict(self._shell_counts()),
+            "faults": {
+                name: link.faults.model_dump() | {"counts": dict(link.counts)}
+                for name, link in self._links.items()
+            },
+            "record": None if self._recorder.path is None else str(self._recorder.path),
+            "record_error": self._recorder.error,
+        }
+
+    def _do(self, request: Any) -> None:
+        match request:
+            case _Simple(op="acknowledge"):
+                self._krc.acknowledge()
+            case _Simple(op="restart"):
+                self._krc.restart()
+            case _Simple(op="stop"):
+                self._krc.stop()
+            case _SetMode():
+                self._krc.set_mode(request.mode)
+            case _SetDrives():
+                self._krc.set_drives(request.on)
+            case _SetInput():
+                self._krc.set_input(request.name, request.value)
+            case _Fault():
+                self._inject(request)
+            case _Record(path=str(path)):
+                self._recorder.start(path)
+            case _Record():
+                self._recorder.stop()
+
+    def _inject(self, fault: _Fault) -> None:
+        if fault.freeze_cycles is not None:
+            self._krc.freeze(fault.freeze_cycles)
+        if fault.ipoc_shift_ms is not None:
+            self._krc.shift_ipoc(fault.ipoc_shift_ms)
+        of_link = fault.model_dump(include=set(LinkFaults.model_fields))
+        one_shot_only = fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms"} and not (
+            fault.model_fields_set & set(LinkFaults.model_fields)
+        )
+        if one_shot_only:
+            return
+        for name, link in self._links.items():
+            if fault.link in (name, "both"):
+                link.faults = LinkFaults(**of_link)

@@ -1,0 +1,70 @@
+"""A record of every cycle of the emulated robot, as a table that can be read while it grows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TextIO
+
+from deltaq_emulator.krc import Sample
+from deltaq_protocol.errors import DeltaqError
+
+
+class RecordError(DeltaqError):
+    """A record that cannot be written."""
+
+
+class CsvRecorder:
+    """Writes one row a cycle: cycle, time_s, q_1 … q_n, q_set_1 … q_set_n (rad or m), state.
+
+    Rows are flushed one by one. A write that fails ends the record, and nothing else.
+
+    Attributes:
+        path: the file being written, or None.
+        error: why the last record ended, if it had to.
+    """
+
+    def __init__(self, cycle_s: float, joints: int) -> None:
+        self._cycle_s = cycle_s
+        self._joints = joints
+        self._file: TextIO | None = None
+        self.path: Path | None = None
+        self.error: str | None = None
+
+    def start(self, path: Path | str) -> None:
+        """Begin a record; one that is being written ends.
+
+        Raises:
+            RecordError: if the file cannot be written.
+        """
+        self.stop()
+        numbers = range(1, self._joints + 1)
+        header = ["cycle", "time_s", *(f"q_{i}" for i in numbers), *(f"q_set_{i}" for i in numbers), "state"]
+        try:
+            self._file = Path(path).open("w", encoding="utf-8", buffering=1, newline="")  # noqa: SIM115 - closed by stop()
+            self._file.write(",".join(header) + "\n")
+        except OSError as error:
+            self.stop()
+            raise RecordError(
+                f"{path}: cannot be written: {error.strerror}; give a file in a folder that is there"
+            ) from error
+        self.path, self.error = Path(path), None
+
+    def row(self, sample: Sample) -> None:
+        """Write a cycle, if there is a record."""
+        if self._file is None:
+            return
+        numbers = [sample.cycle * self._cycle_s, *sample.q.tolist(), *sample.q_setpoint.tolist()]
+        try:
+            self._file.write(f"{sample.cycle},{','.join(f'{x:.12g}' for x in numbers)},{sample.state}\n")
+        except OSError as error:
+            self.error = f"{self.path}: {error.strerror}"
+            self.stop()
+
+    def stop(self) -> None:
+        """End the record."""
+        file, self._file, self.path = self._file, None, None
+        if file is not None:
+            try:
+                file.close()
+            except OSError as error:
+                self.error = f"{file.name}: {error.strerror}"

@@ -1,0 +1,138 @@
+"""Judging replies: which one answers the telegram of this cycle, and what is wrong with the others."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from enum import StrEnum
+from typing import Literal
+
+from deltaq_protocol.rsi import KrcCodec, SensorTelegram, TelegramError
+
+HISTORY = 256
+"""Telegrams that a reply can still be recognised as late or double for."""
+_RING = 2**32
+
+
+class Reply(StrEnum):
+    """What a datagram turned out to be, or a cycle without a valid one."""
+
+    ACCEPTED = "accepted"
+    LATE = "late"
+    """Answers an earlier telegram, or this one after the time allowed."""
+    STALE = "stale"
+    """Answers a telegram too old to remember, or one that was never sent."""
+    DUPLICATE = "duplicate"
+    """Answers a telegram that has had its answer."""
+    FUTURE = "future"
+    """Has a time stamp that has not been yet."""
+    GARBLED = "garbled"
+    WRONG_TYPE = "wrong_type"
+    MISSING = "missing"
+    """Nothing at all came in a cycle."""
+    UNANSWERED = "unanswered"
+    """A cycle in which nothing valid came, whatever the reason: what the element Delay counts."""
+
+
+class ReplyJudge:
+    """Counts every datagram by class and finds the one valid reply of each cycle.
+
+    Args:
+        codec: reads the datagrams.
+        reply_within_s: age at which a reply no longer counts.
+        late_budget: cycles without a valid reply that are permitted.
+        late_count: whether consecutive ones or all of a session count.
+        count_from: whether to begin with the first reply of a session or its start.
+    """
+
+    def __init__(
+        self,
+        codec: KrcCodec,
+        reply_within_s: float,
+        late_budget: int,
+        late_count: Literal["consecutive", "total"],
+        count_from: Literal["first_reply", "start"],
+    ) -> None:
+        self._codec = codec
+        self._reply_within_s = reply_within_s
+        self._late_budget = late_budget
+        self._late_count = late_count
+        self._count_from = count_from
+        self.counts: dict[str, int] = {reply.value: 0 for reply in Reply}
+        """Datagrams and cycles by class, since the controller was switched on."""
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Forget the telegrams of the last session and count late cycles from zero."""
+        self._answered: OrderedDict[int, bool] = OrderedDict()
+        self._current: int | None = None
+        self._accepted: SensorTelegram | None = None
+        self._anything_came = False
+        self._counting = self._count_from == "start"
+        self.delay = 0
+        """Cycles of this session without a valid reply."""
+        self.late_counted = 0
+        """Cycles that count against the budget."""
+
+    @property
+    def over_budget(self) -> bool:
+        """More late cycles than are permitted."""
+        return self.late_counted > self._late_budget
+
+    @property
+    def waiting(self) -> bool:
+        """A telegram of this session has been sent."""
+        return self._current is not None
+
+    def sent(self, ipoc: int) -> None:
+        """A telegram with this time stamp goes out."""
+        self._current = ipoc
+        self._answered[ipoc] = False
+        while len(self._answered) > HISTORY:
+            self._answered.popitem(last=False)
+
+    def judge(self, datagram: bytes, age_s: float) -> Reply:
+        """Classify a datagram that came `age_s` after the telegram of this cycle, and count it."""
+        self._anything_came = True
+        try:
+            telegram = self._codec.decode(datagram)
+        except TelegramError:
+            verdict = Reply.GARBLED
+        else:
+            verdict = self._classify(telegram, age_s)
+            if verdict is Reply.ACCEPTED:
+                self._accepted = telegram
+        self.counts[verdict] += 1
+        return verdict
+
+    def _classify(self, telegram: SensorTelegram, age_s: float) -> Reply:
+        if telegram.type != self._codec.config.sentype:
+            return Reply.WRONG_TYPE
+        if self._current is None:
+            return Reply.STALE
+        ahead = (telegram.ipoc - self._current + _RING // 2) % _RING - _RING // 2
+        if ahead > 0:
+            return Reply.FUTURE
+        if telegram.ipoc not in self._answered:
+            return Reply.STALE
+        if self._answered[telegram.ipoc]:
+            return Reply.DUPLICATE
+        self._answered[telegram.ipoc] = True
+        if ahead < 0 or age_s > self._reply_within_s:
+            return Reply.LATE
+        return Reply.ACCEPTED
+
+    def close_cycle(self) -> SensorTelegram | None:
+        """End a cycle: its valid reply, or None, which counts as late."""
+        reply, self._accepted = self._accepted, None
+        came, self._anything_came = self._anything_came, False
+        if reply is not None:
+            self._counting = True
+            if self._late_count == "consecutive":
+                self.late_counted = 0
+            return reply
+        self.counts[Reply.UNANSWERED] += 1
+        if not came:
+            self.counts[Reply.MISSING] += 1
+        self.delay += 1
+        self.late_counted += self._counting
+        return None

@@ -1,0 +1,92 @@
+"""What an integrator sets at a controller: correction limits, late packets, precision, operating mode."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from deltaq_protocol.errors import DeltaqError
+
+SHIPPED = Path(__file__).with_name("krc_settings.yaml")
+"""The settings that the emulator uses unless it is given others."""
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class SettingsError(DeltaqError):
+    """Settings that cannot be read or are not allowed."""
+
+
+class Mode(StrEnum):
+    """Operating mode of the controller; T1 and T2 are for setting up, by hand."""
+
+    T1 = "T1"
+    T2 = "T2"
+    AUT = "AUT"
+
+
+class KrcSettings(BaseModel):
+    """Settings of an emulated controller; the defaults are the maker's, which allow no motion to speak of."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    correction: Literal["absolute", "relative"] = "absolute"
+    """RSI_ON(#ABSOLUTE): offset from where RSI started; RSI_ON(#RELATIVE): increment a cycle."""
+    correction_limit_deg: Positive = 5.0
+    """AXISCORR: a rotating axis is corrected by no more than this in total; the rest is cut off."""
+    correction_limit_mm: Positive = 5.0
+    """AXISCORREXT: the same for a linear axis."""
+    monitor_limit_deg: Positive = 6.0
+    """AXISCORRMON: RSI stops (KSS29000) when a rotating axis is corrected by more than this in total."""
+    monitor_limit_mm: Positive = 6.0
+    """The same for a linear axis."""
+    late_budget: Annotated[int, Field(ge=0)] = 10
+    """Cycles without a valid reply that are permitted; one more stops RSI (KSS29002)."""
+    late_count: Literal["consecutive", "total"] = "consecutive"
+    """Which cycles count against the budget; the maker's documents do not tell."""
+    count_from: Literal["first_reply", "start"] = "first_reply"
+    """Start counting against the budget when the PC has replied once, or with the first telegram as a real
+    controller does. There the operator starts the program once the PC is up; here nobody does."""
+    precision: Annotated[int, Field(ge=1, le=9)] = 1
+    """Decimals of a DOUBLE in the controller's telegrams."""
+    velocity_stop_factor: Positive = 1.1
+    """Stop when an axis moves faster than its limit by this factor."""
+    jump_stop_deg: Positive = 1.5
+    """Stop when a setpoint of a rotating axis is further than this from where its speed would have taken it. A
+    step of 1.54 degrees at standstill is known to stop a robot; the value for all axes is a stand-in."""
+    jump_stop_mm: Positive = 25.0
+    """The same for a linear axis; a stand-in."""
+    acceleration_stop_factor: Positive = 3.0
+    """Stop when the setpoint goes on accelerating above the axis's limit by this factor; a stand-in for the
+    controller's model of its gears."""
+    t1_speed_m_s: Positive = 0.25
+    """Largest speed of the tool in T1."""
+    mode: Mode = Mode.AUT
+    ipoc_start: Annotated[int, Field(ge=0, lt=2**32)] = 4208163634
+    """Time stamp of the first telegram; a real controller's is any number."""
+
+    @classmethod
+    def load(cls, path: Path | str = SHIPPED) -> Self:
+        """Read settings from a YAML file.
+
+        Raises:
+            SettingsError: if it cannot be read, or a value is not allowed.
+        """
+        try:
+            data = YAML(typ="safe").load(Path(path))
+        except (OSError, UnicodeDecodeError, YAMLError) as error:
+            raise SettingsError(f"{path}: cannot be read: {error}") from error
+        try:
+            return cls.model_validate(data or {})
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "file"
+            raise SettingsError(
+                f"{path}: {where}: {first['msg']}, got {first['input']!r}; allowed settings are "
+                f"{', '.join(cls.model_fields)}"
+            ) from error

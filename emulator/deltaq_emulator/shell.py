@@ -1,0 +1,151 @@
+"""The emulated controller as a process: one loop, one thread, sockets and time.
+
+The loop keeps absolute deadlines: it sends each cycle whatever came back, as a real controller does. Where the machine
+holds it up for longer than a cycle the emulated time stands still instead of catching up in a burst, and the
+slip is counted.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections.abc import Callable
+
+from deltaq_emulator.faults import FaultyLink
+from deltaq_emulator.krc import Krc
+from deltaq_emulator.panel import Panel
+from deltaq_emulator.recorder import CsvRecorder
+from deltaq_protocol.errors import DeltaqError
+
+MAX_READ = 64
+"""Datagrams read in one go, so that a flood cannot hold up the cycle."""
+MAX_DATAGRAM = 65535
+
+Address = tuple[str, int]
+
+
+class SocketError(DeltaqError):
+    """A socket that cannot be opened."""
+
+
+class Emulator:
+    """An emulated controller with its sockets.
+
+    Args:
+        robot: its name in the cell.
+        krc: the controller.
+        server: where the Robot Server listens.
+        panel: where the operator's requests are taken, or None.
+        seed: of the network's faults.
+
+    Raises:
+        SocketError: if an address cannot be resolved or is taken.
+    """
+
+    def __init__(
+        self, robot: str, krc: Krc, server: Address, panel: Address | None = None, seed: int = 0
+    ) -> None:
+        self._krc = krc
+        self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
+        self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q))
+        self.counts = {"slipped": 0, "send_errors": 0}
+        """Cycles that the machine held up, and telegrams that could not be sent."""
+        self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, lambda: self.counts)
+        self._sent_at = 0.0
+        self._link = _udp_socket()
+        self._panel_socket = None if panel is None else _udp_socket()
+        try:
+            # connected: a controller takes replies from its sensor only
+            self._link.connect(server)
+        except OSError as error:
+            self.close()
+            raise SocketError(f"cannot send to {server[0]}:{server[1]}: {error}") from error
+        if self._panel_socket is not None and panel is not None:
+            try:
+                self._panel_socket.bind(panel)
+            except OSError as error:
+                self.close()
+                raise SocketError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
+
+    def close(self) -> None:
+        """Close sockets and the record."""
+        self._link.close()
+        if self._panel_socket is not None:
+            self._panel_socket.close()
+        self.recorder.stop()
+
+    def run(self, stopping: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
+        """Send and receive until `stopping()`; `ready` is called once, when the first cycle has begun."""
+        deadline = time.monotonic()
+        first = True
+        while not stopping():
+            now = time.monotonic()
+            if now - deadline > self._krc.cycle_s:
+                self.counts["slipped"] += int((now - deadline) / self._krc.cycle_s)
+                deadline = now
+            telegram = self._krc.tick()
+            self._sent_at = now
+            if telegram is not None:
+                self._to_pc.put(now, telegram)
+                self._send(now)
+            self.recorder.row(self._krc.sample)
+            if first:
+                first = False
+                ready()
+            deadline += self._krc.cycle_s
+            self._receive_until(deadline)
+
+    def _receive_until(self, deadline: float) -> None:
+        sockets = [self._link] if self._panel_socket is None else [self._link, self._panel_socket]
+        now = time.monotonic()
+        while True:
+            dues = [due for due in (self._to_pc.next_s, self._from_pc.next_s) if due is not None]
+            timeout = max(min([deadline, *dues]) - now, 0.0)
+            readable, _, _ = select.select(sockets, [], [], timeout)
+            now = time.monotonic()
+            if self._panel_socket in readable:
+                self._answer_operator()
+            if self._link in readable:
+                self._read_link(now)
+            # what waited in the socket while this process was held up has not been late
+            age_s = now - self._sent_at if now < deadline else 0.0
+            for datagram in self._from_pc.take(now):
+                self._krc.receive(datagram, age_s)
+            self._send(now)
+            if now >= deadline:
+                return
+
+    def _read_link(self, now: float) -> None:
+        for _ in range(MAX_READ):
+            try:
+                self._from_pc.put(now, self._link.recv(MAX_DATAGRAM))
+            except BlockingIOError:
+                return
+            except OSError:
+                # nobody listens there (yet); what was sent is lost, as on any network
+                self.counts["send_errors"] += 1
+
+    def _send(self, now: float) -> None:
+        for datagram in self._to_pc.take(now):
+            try:
+                self._link.send(datagram)
+            except OSError:
+                self.counts["send_errors"] += 1
+
+    def _answer_operator(self) -> None:
+        assert self._panel_socket is not None  # it was readable
+        for _ in range(MAX_READ):
+            try:
+                request, sender = self._panel_socket.recvfrom(MAX_DATAGRAM)
+                self._panel_socket.sendto(self._panel.handle(request), sender)
+            except BlockingIOError:
+                return
+            except OSError:
+                self.counts["send_errors"] += 1
+
+
+def _udp_socket() -> socket.socket:
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.setblocking(False)
+    return udp

@@ -1,0 +1,228 @@
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import RSIPI
+from private_cell import write_private_cell
+
+from deltaq_cell.description import RobotDescription, RsiDriver
+from deltaq_cell.load import find_cell, load_cell, resolve_near
+from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
+
+pytestmark = pytest.mark.live
+
+PATIENCE_S = 30.0
+PEER = Path(__file__).parents[1] / "support" / "rsipi_peer.py"
+
+
+class Emulated:
+    """An emulator process, seen from outside: its panel and the PC's socket, which the test owns."""
+
+    def __init__(self, cell: Path, robot: str) -> None:
+        self.robot: RobotDescription = load_cell(cell).robots[robot]
+        driver = self.robot.driver
+        assert isinstance(driver, RsiDriver)
+        assert driver.control_port is not None
+        self.server = (driver.address, driver.port)
+        self._panel_address = (driver.address, driver.control_port)
+        self.codec = SensorCodec(
+            load_ethernet_xml(resolve_near(find_cell(cell), driver.ethernet_xml)),
+            AxisMap.of(self.robot.joint_names, self.robot.units, driver.krc),
+            self.robot.inputs,
+            self.robot.outputs,
+        )
+        self._panel = socket.socket(type=socket.SOCK_DGRAM)
+        self._panel.settimeout(PATIENCE_S)
+        self.process: subprocess.Popen[str]
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        self._panel.sendto(json.dumps(request).encode(), self._panel_address)
+        answer: dict[str, Any] = json.loads(self._panel.recv(65535))
+        return answer
+
+    def wait_for(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The first status that fulfils the condition."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition(status := self.ask(op="status")):
+            assert time.monotonic() < deadline, status
+            time.sleep(0.01)
+        return status
+
+    def close(self) -> None:
+        self._panel.close()
+
+
+@contextmanager
+def running(cell: Path, robot: str, *arguments: str) -> Iterator[Emulated]:
+    emulated = Emulated(cell, robot)
+    command = [sys.executable, "-m", "deltaq_emulator", "--cell", str(cell), "--robot", robot, *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith(f"ready: {robot} sends to 127.0.0.1:")
+        emulated.process = process
+        yield emulated
+    finally:
+        process.terminate()
+        _, errors = process.communicate(timeout=PATIENCE_S)
+        emulated.close()
+    assert process.returncode == 0, errors
+    assert errors == ""
+
+
+@contextmanager
+def pc(emulated: Emulated) -> Iterator[socket.socket]:
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(emulated.server)
+        sock.settimeout(PATIENCE_S)
+        yield sock
+
+
+@pytest.mark.parametrize("replies", ["none", "garbage"])
+def test_telegrams_go_out_at_the_fixed_rate_whatever_comes_back(tmp_path: Path, replies: str) -> None:
+    with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
+        first = sock.recvfrom(4096)[0]
+        before, before_s = emulated.ask(op="status"), time.monotonic()
+        ipocs = []
+        for _ in range(150):
+            datagram, krc = sock.recvfrom(4096)
+            ipocs.append(emulated.codec.decode(datagram).ipoc)
+            if replies == "garbage":
+                for _ in range(5):
+                    sock.sendto(b"<Sen", krc)
+        after, after_s = emulated.ask(op="status"), time.monotonic()
+        # cycles that the machine held up are told, and only those may be missing
+        passed = after["cycle"] - before["cycle"]
+        slipped = after["counters"]["slipped"] - before["counters"]["slipped"]
+        assert passed + slipped == pytest.approx((after_s - before_s) / 0.004, abs=10)
+        assert set(np.diff([emulated.codec.decode(first).ipoc, *ipocs])) == {4}
+        assert after["state"] == "RSI running"
+        assert (after["counters"]["garbled"] > 0) == (replies == "garbage")
+
+
+def test_a_pc_moves_the_gantry_and_the_record_shows_it_while_it_grows(tmp_path: Path) -> None:
+    record = tmp_path / "gr.csv"
+    cell = write_private_cell(tmp_path)
+    with running(cell, "gr", "--record", str(record)) as emulated, pc(emulated) as sock:
+        start, moved = emulated.robot.home, 0.0
+        while moved < 0.02:
+            datagram, krc = sock.recvfrom(4096)
+            telegram = emulated.codec.decode(datagram)
+            if telegram.q is not None:
+                assert telegram.q_programmed is not None
+                moved += 0.0005
+                correction = np.zeros(9)
+                correction[0], correction[3] = moved, -moved
+                sock.sendto(emulated.codec.encode(telegram.ipoc, correction, {"gripper": True}), krc)
+        status = emulated.wait_for(lambda status: abs(status["q"][0] - start[0] - moved) < 1e-5)
+        assert status["outputs"] == {"gripper": True, "tool_changer": False}
+        rows = record.read_text().splitlines()
+        names = rows[0].split(",")
+        q = np.array([[float(value) for value in row.split(",")[:-1]] for row in rows[1:-1]])
+        first, fourth = q[:, names.index("q_1")], q[:, names.index("q_4")]
+        assert first[0] == pytest.approx(start[0])
+        assert first.max() - start[0] == pytest.approx(moved, abs=1e-4)
+        assert fourth.min() == pytest.approx(start[3] - moved, abs=1e-4)
+        assert np.diff(q[:, 0]).tolist() == [1.0] * (len(q) - 1)
+
+
+def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
+        datagram, krc = sock.recvfrom(4096)
+        sock.sendto(emulated.codec.encode(emulated.codec.decode(datagram).ipoc, np.zeros(6)), krc)
+        stopped = emulated.wait_for(lambda status: status["state"] == "stopped")
+        assert stopped["message"].startswith("KSS29002")
+        refused = emulated.ask(op="restart")
+        assert refused["ok"] is False
+        assert "acknowledge" in refused["error"]
+        last = stopped["ipoc"]
+        assert emulated.ask(op="acknowledge")["state"] == "ready"
+        assert emulated.ask(op="restart")["ok"]
+        emulated.wait_for(lambda status: status["state"] == "RSI running")
+        ipoc = 0
+        while ipoc <= last:
+            ipoc = emulated.codec.decode(sock.recv(4096)).ipoc
+
+
+def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
+        sock.recv(4096)
+        assert emulated.ask(op="fault", link="to_pc", drop=1.0)["ok"]
+        dropped = emulated.wait_for(lambda status: status["faults"]["to_pc"]["counts"]["dropped"] >= 5)
+        assert dropped["state"] == "RSI running"
+        assert emulated.ask(op="fault", link="to_pc", corrupt=1.0)["ok"]
+        emulated.wait_for(lambda status: status["faults"]["to_pc"]["counts"]["corrupted"] >= 5)
+        assert emulated.ask(op="fault")["faults"]["to_pc"]["drop"] == 0.0
+        assert emulated.ask(op="explode")["ok"] is False
+
+
+def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path), "fr") as emulated:
+        emulated.process.send_signal(signal.SIGINT)
+        assert emulated.process.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--cell", "lab", "--robot", "xr"], "cell 'lab' has no robot 'xr'; it has fr, gr"),
+        (["--cell", "lap", "--robot", "fr"], "did you mean 'lab'?"),
+        (["--cell", "lab", "--robot", "fr", "--settings", "none.yaml"], "none.yaml: cannot be read"),
+        (["--cell", "lab", "--robot", "fr", "--server", "here"], "'here' is not HOST:PORT"),
+    ],
+)
+def test_what_cannot_be_started_is_said_in_one_line(arguments: list[str], message: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "deltaq_emulator", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_own(tmp_path: Path) -> None:
+    cell = write_private_cell(tmp_path)
+    driver = load_cell(cell).robots["fr"].driver
+    assert isinstance(driver, RsiDriver)
+    theirs = Path(RSIPI.context("joints")).read_text()
+    ours = tmp_path / "rsipi_ethernet.xml"
+    ours.write_text(
+        theirs.replace("10.10.10.10", "127.0.0.1").replace(">64000<", f">{driver.port}<"), encoding="utf-8"
+    )
+    assert f">{driver.port}<" in ours.read_text()
+    text = cell.read_text().replace(
+        f"driver: {{port: {driver.port},", f"driver: {{ethernet_xml: {ours}, krc: krc4, port: {driver.port},"
+    )
+    cell.write_text(text)
+    with running(cell, "fr") as emulated:
+        peer = subprocess.run(
+            [sys.executable, str(PEER), str(ours)], capture_output=True, text=True, timeout=90, check=False
+        )
+        assert peer.returncode == 0, peer.stderr
+        seen = json.loads(peer.stdout.splitlines()[-1])
+        home = dict(zip(("A1", "A2", "A3", "A4", "A5", "A6"), np.rad2deg(emulated.robot.home), strict=True))
+        assert seen["start"] == pytest.approx(home, abs=1e-4)
+        assert seen["end"] == pytest.approx(home | {"A1": home["A1"] + 5, "A3": home["A3"] - 3}, abs=1e-3)
+        assert seen["pose"]["Z"] > 500.0
+        status = emulated.wait_for(lambda status: status["state"] == "stopped")
+        assert status["message"].startswith("KSS29002")
+        assert status["text"].startswith("RSIPI")
+        assert status["counters"]["accepted"] > 20
+        wrong = {name: status["counters"][name] for name in ("garbled", "wrong_type", "future", "stale")}
+        assert wrong == dict.fromkeys(wrong, 0)
+        assert np.rad2deg(status["q"][0]) == pytest.approx(home["A1"] + 5, abs=1e-3)

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltaq_emulator.faults import FaultyLink, LinkFaults
+
+
+def through(link: FaultyLink, count: int, spacing_s: float = 0.012) -> list[bytes]:
+    """What arrives when datagrams `0`, `1`, … are sent at that spacing."""
+    out = []
+    for k in range(count):
+        link.put(k * spacing_s, b"%d" % k)
+        out += link.take(k * spacing_s)
+    return out + link.take(1e9)
+
+
+def test_without_faults_everything_passes_at_once_and_in_order() -> None:
+    link = FaultyLink()
+    for k in range(50):
+        link.put(1.0, b"%d" % k)
+    assert link.next_s == 1.0
+    assert link.take(1.0) == [b"%d" % k for k in range(50)]
+    assert link.next_s is None
+    assert link.counts["passed"] == 50
+
+
+def test_dropped_datagrams_never_arrive() -> None:
+    link = FaultyLink(seed=3)
+    link.faults = LinkFaults(drop=0.25)
+    arrived = through(link, 1000)
+    assert 700 < len(arrived) < 800
+    assert link.counts["dropped"] == 1000 - len(arrived)
+    assert arrived == sorted(arrived, key=int)
+
+
+def test_a_delay_holds_each_datagram_back_that_long() -> None:
+    link = FaultyLink()
+    link.faults = LinkFaults(delay_s=0.005)
+    link.put(1.0, b"a")
+    assert link.take(1.004) == []
+    assert link.next_s == pytest.approx(1.005)
+    assert link.take(1.0051) == [b"a"]
+
+
+def test_jitter_stays_within_its_bound() -> None:
+    link = FaultyLink(seed=1)
+    link.faults = LinkFaults(delay_s=0.001, jitter_s=0.004)
+    dues = []
+    for _ in range(300):
+        link.put(0.0, b"a")
+        assert link.next_s is not None
+        dues.append(link.next_s)
+        link.take(1.0)
+    assert 0.001 <= min(dues) < 0.0015
+    assert 0.0045 < max(dues) <= 0.005
+
+
+def test_duplicates_arrive_twice() -> None:
+    link = FaultyLink()
+    link.faults = LinkFaults(duplicate=1.0)
+    assert through(link, 3) == [b"0", b"0", b"1", b"1", b"2", b"2"]
+
+
+def test_reordered_datagrams_are_overtaken_by_the_next_one_that_is_not() -> None:
+    link = FaultyLink(seed=5)
+    link.faults = LinkFaults(reorder=0.3)
+    arrived = [int(datagram) for datagram in through(link, 200)]
+    assert arrived != sorted(arrived)
+    assert link.counts["reordered"] > 30
+    link.faults = LinkFaults()
+    link.put(1e9, b"last")
+    assert len(arrived) + len(link.take(2e9)) == 201
+
+
+def test_corrupted_datagrams_arrive_changed() -> None:
+    link = FaultyLink(seed=2)
+    link.faults = LinkFaults(corrupt=1.0)
+    link.put(0.0, b"<Sen/>")
+    link.put(0.0, b"")
+    first, second = link.take(0.0)
+    assert first != b"<Sen/>"
+    assert second != b""
+    assert link.counts["corrupted"] == 2
+
+
+@given(st.integers(0, 2**32), st.floats(0, 1), st.floats(0, 1), st.floats(0, 1), st.floats(0, 1))
+def test_one_seed_is_one_run(
+    seed: int, drop: float, duplicate: float, reorder: float, corrupt: float
+) -> None:
+    runs = []
+    for _ in range(2):
+        link = FaultyLink(seed)
+        link.faults = LinkFaults(
+            drop=drop, duplicate=duplicate, reorder=reorder, corrupt=corrupt, jitter_s=0.02
+        )
+        runs.append(through(link, 30))
+    assert runs[0] == runs[1]

@@ -1,0 +1,300 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from krc_bench import Bench
+
+from deltaq_cell.description import ServoLag
+from deltaq_emulator.catalogue import TEXTS, Code, KrcMessage
+from deltaq_emulator.faults import FaultyLink
+from deltaq_emulator.krc import START_CYCLES
+from deltaq_emulator.panel import Panel
+from deltaq_emulator.profiles import profile_for
+from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.settings import KrcSettings, Mode, SettingsError
+from deltaq_emulator.states import TRANSITIONS, KrcEvent, KrcState, NotNowError, after
+
+
+def make_panel(bench: Bench) -> Panel:
+    return Panel("fr", bench.krc, FaultyLink(1), FaultyLink(2), CsvRecorder(0.012, bench.n))
+
+
+def ask(panel: Panel, **request: Any) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads(panel.handle(json.dumps(request).encode()))
+    return answer
+
+
+def test_the_table_of_states_knows_every_event_and_leads_somewhere() -> None:
+    assert {event for _, event in TRANSITIONS} == set(KrcEvent)
+    assert {state for state, _ in TRANSITIONS} == set(KrcState) == set(TRANSITIONS.values())
+
+
+@pytest.mark.parametrize("state", KrcState)
+@pytest.mark.parametrize("event", KrcEvent)
+def test_an_event_that_is_not_in_the_table_is_refused_with_those_that_are(
+    state: KrcState, event: KrcEvent
+) -> None:
+    if (state, event) in TRANSITIONS:
+        assert after(state, event) is TRANSITIONS[state, event]
+    else:
+        with pytest.raises(NotNowError, match=rf"'{event}' is not possible while {state}; possible are: "):
+            after(state, event)
+
+
+@pytest.mark.parametrize("code", Code)
+def test_every_message_has_a_text(code: Code) -> None:
+    assert TEXTS[code]
+    assert "{" not in str(KrcMessage(code, "A1", 1.0, 2.0, "deg"))
+
+
+def test_a_stopped_controller_starts_again_only_after_its_message_was_acknowledged() -> None:
+    bench = Bench(late_budget=1)
+    bench.cycle()
+    bench.silent(5)
+    assert bench.krc.state is KrcState.STOPPED
+    with pytest.raises(NotNowError, match="possible are: acknowledge"):
+        bench.krc.restart()
+    bench.krc.acknowledge()
+    assert bench.krc.state is KrcState.READY
+    assert bench.krc.message is None
+    bench.krc.restart()
+    assert bench.silent(START_CYCLES - 1) is None
+    assert bench.silent() is not None
+    assert bench.krc.state is KrcState.RSI_RUNNING
+
+
+def test_a_new_session_starts_where_the_robot_rests_with_no_correction_and_no_delay() -> None:
+    bench = Bench(servo_lag=ServoLag())
+    for k in range(1, 40):
+        bench.cycle(k * 0.0005)
+    bench.silent(3)
+    last_ipoc = bench.krc.sample.ipoc
+    bench.krc.restart()
+    telegram = None
+    while telegram is None:
+        telegram = bench.krc.tick()
+    decoded = bench.pc.decode(telegram)
+    assert decoded.delay == 0
+    assert decoded.ipoc > last_ipoc + 12
+    assert decoded.q_programmed is not None
+    assert decoded.q_programmed[0] > 0.015
+    assert decoded.q == pytest.approx(decoded.q_programmed, abs=2e-5)
+    resting = bench.krc.sample.q_setpoint.copy()
+    bench.krc.receive(bench.reply(decoded.ipoc, 0.0))
+    bench.krc.tick()
+    assert bench.krc.sample.q_setpoint == pytest.approx(resting)
+
+
+@pytest.mark.parametrize("correction", ["absolute", "relative"])
+def test_nothing_of_the_last_session_is_held_into_a_new_one(correction: str) -> None:
+    bench = Bench(correction=correction)
+    bench.cycle(0.001)
+    bench.krc.tick()
+    bench.krc.stop()
+    assert bench.krc.message is not None
+    bench.krc.restart()
+    while bench.krc.tick() is None:
+        pass
+    resting = bench.krc.sample.q_setpoint.copy()
+    assert resting.any()
+    assert bench.krc.message is None
+    bench.silent(3)
+    assert bench.krc.sample.q_setpoint == pytest.approx(resting, abs=1e-12)
+    assert bench.krc.state is KrcState.RSI_RUNNING
+
+
+def test_restarting_a_running_program_waits_until_the_robot_rests() -> None:
+    bench = Bench(("a1",), servo_lag=ServoLag())
+    angle, speed = 0.0, 0.0
+    for _ in range(60):
+        speed = min(speed + 0.1, 1.5)
+        angle += speed * 0.012
+        bench.cycle(angle)
+    bench.krc.restart()
+    while bench.krc.tick() is None:
+        pass
+    before = bench.krc.sample.q
+    bench.krc.tick()
+    assert bench.krc.sample.q == pytest.approx(before, abs=2e-5)
+
+
+def test_turning_the_key_stops_the_program_and_says_so() -> None:
+    bench = Bench()
+    bench.cycle()
+    bench.krc.set_mode(Mode.T1)
+    assert bench.krc.mode is Mode.T1
+    assert bench.krc.state is KrcState.READY
+    assert str(bench.krc.message) == "Operating mode changed to T1"
+    assert bench.krc.tick() is None
+
+
+def test_without_drives_nothing_starts() -> None:
+    bench = Bench()
+    bench.krc.set_drives(False)
+    assert bench.krc.state is KrcState.DRIVES_OFF
+    assert bench.krc.tick() is None
+    with pytest.raises(NotNowError):
+        bench.krc.restart()
+    bench.krc.set_drives(True)
+    bench.krc.restart()
+    assert bench.silent(START_CYCLES) is not None
+
+
+def test_a_frozen_controller_is_silent_and_its_time_goes_on() -> None:
+    bench = Bench()
+    before = bench.cycle(0.001).ipoc
+    bench.krc.freeze(5)
+    assert [bench.krc.tick() for _ in range(5)] == [None] * 5
+    assert bench.krc.state is KrcState.RSI_RUNNING
+    assert bench.cycle(0.001).ipoc == before + 6 * 12
+
+
+@pytest.mark.parametrize("shift_ms", [-24, 1200])
+def test_the_time_stamp_can_be_made_to_jump(shift_ms: int) -> None:
+    bench = Bench()
+    before = bench.cycle().ipoc
+    bench.krc.shift_ipoc(shift_ms)
+    assert bench.cycle().ipoc == before + 12 + shift_ms
+    bench.cycle()
+    assert bench.krc.sample.counters["accepted"] == 2
+
+
+def test_the_panel_shows_everything_and_does_what_the_operator_says(tmp_path: Path) -> None:
+    bench = Bench(late_budget=1)
+    panel = make_panel(bench)
+    bench.cycle(0.001)
+    bench.krc.tick()
+    status = ask(panel, op="status")
+    assert status["ok"] is True
+    assert (status["state"], status["mode"], status["message"]) == ("RSI running", "AUT", None)
+    assert status["q_setpoint"] == pytest.approx([0.001] * 6, abs=1e-8)
+    assert status["counters"]["accepted"] == 1
+    assert ask(panel, op="input", name="closed", value=True)["inputs"] == {"closed": True}
+    assert ask(panel, op="stop")["message"] == "Program stopped by the operator"
+    assert ask(panel, op="mode", mode="T2")["mode"] == "T2"
+    assert ask(panel, op="drives", on=False)["state"] == "drives off"
+    assert ask(panel, op="drives", on=True)["state"] == "ready"
+    assert ask(panel, op="restart")["ok"] is True
+    assert bench.silent(START_CYCLES) is not None
+    path = tmp_path / "run.csv"
+    assert ask(panel, op="record", path=str(path))["record"] == str(path)
+    assert path.read_text().startswith("cycle,time_s,q_1,")
+    assert ask(panel, op="record")["record"] is None
+
+
+def test_the_panel_sets_and_clears_faults() -> None:
+    bench = Bench()
+    panel = make_panel(bench)
+    faults = ask(panel, op="fault", link="from_pc", drop=0.5, delay_s=0.002)["faults"]
+    assert (faults["from_pc"]["drop"], faults["from_pc"]["delay_s"]) == (0.5, 0.002)
+    assert faults["to_pc"]["drop"] == 0.0
+    assert ask(panel, op="fault", freeze_cycles=3)["faults"]["from_pc"]["drop"] == 0.5
+    assert bench.silent(3) is None
+    assert bench.silent() is not None
+    before = bench.krc.sample.ipoc
+    assert ask(panel, op="fault", ipoc_shift_ms=-120)["ok"]
+    bench.silent()
+    assert bench.krc.sample.ipoc == before + 12 - 120
+    assert ask(panel, op="fault")["faults"]["from_pc"]["drop"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("request_bytes", "message"),
+    [
+        (b"", "Invalid JSON"),
+        (b"[]", "request: "),
+        (b'{"op": "explode"}', "'status'"),
+        (b'{"op": "mode", "mode": "T3"}', "mode: Input should be 'T1', 'T2' or 'AUT'"),
+        (b'{"op": "acknowledge"}', "'acknowledge' is not possible while RSI running"),
+        (b'{"op": "fault", "drop": 2}', "less than or equal to 1"),
+        (b'{"op": "fault", "dropp": 1}', "Extra inputs are not permitted"),
+        (b'{"op": "input", "name": "door", "value": true}', "no digital input 'door'; this robot has closed"),
+        (b'{"op": "record", "path": "/nowhere/at/all.csv"}', "cannot be written"),
+        (b" " * 5000, "at most 4096 bytes"),
+    ],
+)
+def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
+    request_bytes: bytes, message: str
+) -> None:
+    answer = json.loads(make_panel(Bench()).handle(request_bytes))
+    assert answer["ok"] is False
+    assert message in answer["error"]
+
+
+@given(st.binary(max_size=200))
+def test_whatever_is_sent_to_the_panel_is_answered(request_bytes: bytes) -> None:
+    assert json.loads(make_panel(Bench()).handle(request_bytes))["ok"] is False
+
+
+def test_the_shipped_settings_open_the_makers_limits_and_can_be_loaded() -> None:
+    assert KrcSettings().correction_limit_deg == 5
+    assert KrcSettings().monitor_limit_mm == 6
+    shipped = KrcSettings.load()
+    assert shipped.correction_limit_deg > 690
+    assert shipped.monitor_limit_deg > shipped.correction_limit_deg
+    assert shipped.correction == "absolute"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "late_buget: 3",
+            "late_buget: Extra inputs are not permitted, got 3; allowed settings are correction",
+        ),
+        ("correction_limit_deg: -1", "correction_limit_deg: Input should be greater than 0, got -1"),
+        ("a: [", "cannot be read"),
+        ("- a", "file: "),
+    ],
+)
+def test_a_setting_that_is_not_allowed_is_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "settings.yaml"
+    path.write_text(text)
+    with pytest.raises(SettingsError) as caught:
+        KrcSettings.load(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_settings_that_are_not_there_are_said_so(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="cannot be read"):
+        KrcSettings.load(tmp_path / "none.yaml")
+
+
+def test_a_controller_runs_at_its_own_cycles_only() -> None:
+    assert profile_for("krc2", 0.012).ipoc_only_first
+    assert profile_for("krc4", 0.004).reply_within == 1.0
+    with pytest.raises(SettingsError, match=r"cycle_s is 0\.004: a krc2 runs at 12 ms"):
+        profile_for("krc2", 0.004)
+    with pytest.raises(SettingsError, match="allowed is krc2 or krc4"):
+        profile_for("krc5", 0.004)
+
+
+def test_a_record_can_be_read_while_it_grows(tmp_path: Path) -> None:
+    bench = Bench()
+    recorder = CsvRecorder(0.012, 6)
+    recorder.row(bench.krc.sample)
+    recorder.start(tmp_path / "run.csv")
+    for k in range(3):
+        bench.cycle(0.001 * k)
+        recorder.row(bench.krc.sample)
+        lines = (tmp_path / "run.csv").read_text().splitlines()
+        assert len(lines) == 2 + k
+    names, values = lines[0].split(","), lines[-1].split(",")
+    assert names == [
+        "cycle",
+        "time_s",
+        *(f"q_{i}" for i in range(1, 7)),
+        *(f"q_set_{i}" for i in range(1, 7)),
+        "state",
+    ]
+    assert values[:2] == ["3", "0.036"]
+    assert np.array(values[8:14], float) == pytest.approx([0.001] * 6, abs=1e-8)
+    assert values[-1] == "RSI running"
+    recorder.stop()
