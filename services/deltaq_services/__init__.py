@@ -1,0 +1,1 @@
+"""The processes of the guarded realm, one folder each: HLI, SIM and Robot Server."""

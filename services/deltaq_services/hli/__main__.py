@@ -1,0 +1,50 @@
+"""Run the high-level interface of a cell: `python -m deltaq_services.hli --cell lab`."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+import sys
+
+from deltaq_cell.description import CellDescription
+from deltaq_cell.load import load_cell
+from deltaq_cell.robot import RobotModel
+from deltaq_cell.summary import description_message
+from deltaq_protocol.messages import Description, ToolPose
+from deltaq_services.hli.shell import Hli
+from deltaq_services.process import arguments, run
+
+OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
+"""Environment variable: where set, `take` and `reset` need this token."""
+
+
+async def _run(cell: CellDescription, told: Description) -> None:
+    models = {name: RobotModel(robot, name) for name, robot in cell.robots.items()}
+
+    def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
+        return models[robot].tool_pose(q)
+
+    loop = asyncio.get_running_loop()
+    stopped = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stopped.set)
+    async with Hli(cell, told, tool_pose, os.environ.get(OPERATOR_TOKEN) or None):
+        print(
+            f"ready: hli of {cell.cell} on {cell.hli} and tcp {cell.tcp_address}:{cell.tcp_port}", flush=True
+        )
+        await stopped.wait()
+
+
+def main() -> None:
+    """Serve the clients of a cell."""
+    options = arguments("High-level interface: between controllers and the gate")
+    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+    # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
+    sys.setswitchinterval(0.0005)
+    asyncio.run(_run(load_cell(options.cell), description_message(options.cell)))
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,98 @@
+"""The books of the HLI: leases, robots, commands and counters, and what happens when a lease ends."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.guarded import Command
+from deltaq_protocol.messages import Done, IoReply, Phase, Reason
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.commands import Commands
+from deltaq_services.hli.leases import Lease, Leases
+from deltaq_services.hli.outputs import Output, Sender, ToGuarded
+from deltaq_services.hli.refusals import refusal
+from deltaq_services.hli.robot_link import Asked, RobotLink
+
+_ROUNDING = 1e-9
+
+
+class Books:
+    """What the HLI knows, shared by the parts of its core.
+
+    Args:
+        cell: description of the cell.
+        new_token: makes a secret, different each time.
+        first_epoch: greater than any lease epoch or command id used before, also by an earlier process.
+    """
+
+    def __init__(self, cell: CellDescription, new_token: Callable[[], str], first_epoch: int) -> None:
+        age = cell.gate.max_request_age_s
+        self.cell = cell
+        self.counters: Counter[str] = Counter()
+        self.leases = Leases(cell.robots, cell.lease_s, new_token, first_epoch)
+        self.commands = Commands(first_epoch)
+        self.links = {
+            name: RobotLink(len(robot.joints), math.floor(age / cell.cycle_s + _ROUNDING), age)
+            for name, robot in cell.robots.items()
+        }
+
+    def tick(self, time_s: float) -> list[Output]:
+        """Let leases and commands run out."""
+        outputs: list[Output] = []
+        for lease in self.leases.expired(time_s):
+            self.counters["leases_expired"] += 1
+            outputs += self.holder_lost(lease, time_s)
+        late, answers = self.commands.overdue(time_s)
+        self.counters["commands_unanswered"] += late
+        outputs += answers
+        return outputs
+
+    def refuse(self, robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
+        """Refuse an increment: count it, tell the sender and everybody who watches."""
+        self.counters["refused"] += 1
+        self.counters[f"refused_{reason.code}"] += 1
+        return refusal(robot, cycle, seq, reason, sender)
+
+    def refuse_asked(self, asked: Asked, reason: Reason) -> list[Output]:
+        """Refuse an increment that had been accepted before."""
+        increment = asked.increment
+        return self.refuse(increment.robot, increment.cycle, increment.seq, reason, asked.sender)
+
+    def end_lease(self, lease: Lease) -> list[Output]:
+        """End a lease; nothing that was queued under it survives."""
+        self.leases.end(lease)
+        asked = self.links[lease.robot].drop()
+        if asked is None:
+            return []
+        return self.refuse_asked(asked, Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"))
+
+    def holder_lost(self, lease: Lease, time_s: float) -> list[Output]:
+        """The holder vanished without a word: stop its robot, if there is anything to stop."""
+        outputs = self.end_lease(lease)
+        moving = self.links[lease.robot].phase(time_s) in (Phase.ENGAGED, Phase.BRAKING)
+        if not (moving or lease.used):
+            return outputs
+        self.counters["controllers_lost"] += 1
+        command = Command(
+            id=self.commands.next_id(),
+            kind="stop",
+            robot=lease.robot,
+            reason=ReasonCode.CONTROLLER_LOST,
+        )
+        return outputs + self.command(command, None, Done(what="stop"), time_s)
+
+    def drop_all(self, reason: Reason) -> list[Output]:
+        """Refuse every increment that waits, of all robots."""
+        dropped = [link.drop() for link in self.links.values()]
+        return [output for asked in dropped if asked for output in self.refuse_asked(asked, reason)]
+
+    def command(
+        self, command: Command, sender: Sender | None, done: Done | IoReply, time_s: float
+    ) -> list[Output]:
+        """Send a command to the gate and remember whom to tell when it has answered."""
+        self.commands.sent(command, sender, done, time_s)
+        return [ToGuarded(topics.COMMAND, "", command)]

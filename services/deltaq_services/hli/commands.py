@@ -1,0 +1,78 @@
+"""Commands to the gate that await their answer: stop, reset, digital outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deltaq_protocol.guarded import Command, CommandReply
+from deltaq_protocol.messages import Error, Message
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+from deltaq_services.hli.outputs import Sender, ToSender
+
+REPLY_DEADLINE_S = 0.5
+"""Silence of the gate after which a command counts as not carried out."""
+
+_HINTS = {
+    ReasonCode.CAUSE_STANDS: "remove the cause, then reset again",
+    ReasonCode.NOT_AT_REST: "wait until the robot is at rest, then reset again",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Awaited:
+    command: Command
+    sender: Sender | None
+    done: Message
+    deadline_s: float
+
+
+class Commands:
+    """The commands that are under way.
+
+    Args:
+        first_id: greater than any id used before, also by an earlier process.
+    """
+
+    def __init__(self, first_id: int) -> None:
+        self._id = first_id
+        self._awaited: dict[int, _Awaited] = {}
+
+    def next_id(self) -> int:
+        """An id that no command has had."""
+        self._id += 1
+        return self._id
+
+    def sent(self, command: Command, sender: Sender | None, done: Message, time_s: float) -> None:
+        """Await the answer to a command; `done` is what the sender is told when it was carried out."""
+        self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
+
+    def answered(self, reply: CommandReply) -> list[ToSender]:
+        """Tell the sender of the command what became of it."""
+        awaited = self._awaited.pop(reply.id, None)
+        if awaited is None or awaited.sender is None:
+            return []
+        if reply.accepted:
+            return [ToSender(awaited.sender, awaited.done)]
+        code = reply.code or ReasonCode.NOT_PERMITTED
+        robot = f" of {awaited.command.robot}" if awaited.command.robot else ""
+        text = f"{awaited.command.kind}{robot} refused: {reply.message or EXPLANATIONS[code]}"
+        return [ToSender(awaited.sender, Error(code=code, message=text, hint=_HINTS.get(code, "")))]
+
+    def overdue(self, time_s: float) -> tuple[int, list[ToSender]]:
+        """How many commands the gate left unanswered just now, and what their senders are told."""
+        late = [awaited for awaited in self._awaited.values() if time_s >= awaited.deadline_s]
+        for awaited in late:
+            del self._awaited[awaited.command.id]
+        answers = [
+            ToSender(
+                awaited.sender,
+                Error(
+                    code=ReasonCode.UNREACHABLE,
+                    message=f"the gate did not answer {awaited.command.kind} within {REPLY_DEADLINE_S:g} s",
+                    hint="without the gate every robot brakes to rest by itself; see `deltaq status`",
+                ),
+            )
+            for awaited in late
+            if awaited.sender is not None
+        ]
+        return len(late), answers

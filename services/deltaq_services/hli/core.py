@@ -1,0 +1,175 @@
+"""The core of the HLI: plain decisions, told the time by its shell.
+
+Between controllers and gate it keeps who may write (`leases`), hands on the newest increment of each
+cycle (`increments`), and answers everything that is asked (`requests`), refusals with their reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.guarded import CommandReply, Health, ServerState
+from deltaq_protocol.messages import (
+    PROTOCOL_VERSION,
+    Description,
+    Error,
+    Hello,
+    LeaseStatus,
+    Proximity,
+    RobotState,
+    RobotStatus,
+    Status,
+    ToolPose,
+    Verdict,
+    Welcome,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.books import Books
+from deltaq_services.hli.increments import Increments
+from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
+from deltaq_services.hli.requests import Requests
+from deltaq_services.hli.robot_link import RobotLink
+
+
+class HliCore:
+    """Everything the HLI decides; every `on_...` method returns what is to be sent.
+
+    Args:
+        cell: description of the cell.
+        told: what clients are told about the cell.
+        tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
+        new_token: makes a secret, different each time.
+        first_epoch: greater than any lease epoch or command id used before, also by an earlier process.
+        operator_token: where given, `take` and `reset` need it.
+
+    Attributes:
+        increments: takes the controllers' increments.
+        requests: answers leases, stop, reset and digital outputs.
+        counters: everything that has been counted.
+    """
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        told: Description,
+        tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
+        new_token: Callable[[], str],
+        first_epoch: int,
+        operator_token: str | None = None,
+    ) -> None:
+        self._books = Books(cell, new_token, first_epoch)
+        self._tool_pose = tool_pose
+        self._gate: Health | None = None
+        self._gate_heard_s = -math.inf
+        self.told = told
+        self.counters = self._books.counters
+        self.increments = Increments(self._books)
+        self.requests = Requests(self._books, operator_token)
+
+    def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
+        """A cycle of a robot: ask the gate at once, then tell the controllers."""
+        link = self._books.links.get(state.robot)
+        if link is None or len(state.q) != link.joints:
+            self.counters["states_ignored"] += 1
+            return []
+        self.counters["states"] += 1
+        outputs = self._books.tick(time_s)
+        link.take_state(state, time_s)
+        outputs += self.increments.on_cycle(state.robot, link, time_s)
+        told = RobotState(
+            robot=state.robot,
+            cycle=state.cycle,
+            ipoc=state.ipoc,
+            time_s=state.time_s,
+            q=state.q,
+            q_cmd=state.q_cmd,
+            tool=self._tool_pose(state.robot, state.q),
+            phase=state.phase,
+            reason=state.reason,
+        )
+        outputs.append(ToOpen(topics.STATE, state.robot, told))
+        return outputs
+
+    def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
+        """The gate has decided: tell the one who asked, and everybody who watches."""
+        link = self._books.links.get(verdict.robot)
+        if link is None:
+            self.counters["verdicts_ignored"] += 1
+            return []
+        self.counters[f"verdicts_{verdict.outcome}"] += 1
+        awaited, sender = link.answered(verdict.seq)
+        lease = self._books.leases.of(verdict.robot)
+        if not awaited and lease is not None:
+            sender = lease.connection
+        outputs: list[Output] = [ToOpen(topics.VERDICT, verdict.robot, verdict)]
+        if sender is not None:
+            outputs.insert(0, ToSender(sender, verdict))
+        return outputs
+
+    def on_command_reply(self, reply: CommandReply) -> list[Output]:
+        """The gate has taken a command or refused it."""
+        return list(self._books.commands.answered(reply))
+
+    def on_health(self, health: Health, time_s: float) -> list[Output]:
+        """A service is alive; the gate's sign of life brings its counters and the nearest pair."""
+        if health.service != "sim":
+            return []
+        self._gate, self._gate_heard_s = health, time_s
+        if health.nearest is None:
+            return []
+        return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
+
+    def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
+        """Welcome a client, or tell it that it speaks another version."""
+        if hello.protocol != PROTOCOL_VERSION:
+            self.counters["version_mismatches"] += 1
+            text = f"client speaks protocol {hello.protocol}, this server {PROTOCOL_VERSION}"
+            hint = "install the deltaq version that the server runs"
+            return [ToSender(sender, Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint))]
+        told = self.told
+        return [ToSender(sender, Welcome(cell=told.cell, cycle_s=told.cycle_s, robots=told.robots))]
+
+    def on_tick(self, time_s: float) -> list[Output]:
+        """Let leases and commands run out."""
+        return self._books.tick(time_s)
+
+    def status(self, time_s: float, front_counters: Counter[str]) -> Status:
+        """The running cell; `front_counters` are what the fronts counted themselves."""
+        gate = self._gate
+        return Status(
+            cell=self._books.cell.cell,
+            robots={
+                robot: self._robot_status(robot, link, time_s) for robot, link in self._books.links.items()
+            },
+            gate=gate.counters if gate else {},
+            gate_age_s=time_s - self._gate_heard_s if gate else None,
+            gate_fingerprint=gate.fingerprint if gate else "",
+            hli=dict(self.counters + front_counters),
+            nearest=gate.nearest if gate else None,
+        )
+
+    def unheard(self, time_s: float, timeout_s: float) -> list[str]:
+        """The gate and the robots that have not been heard for a while."""
+        heard = {f"robot {name}": link.received_s for name, link in self._books.links.items()}
+        heard["gate"] = self._gate_heard_s
+        return [name for name, at_s in heard.items() if time_s - at_s > timeout_s]
+
+    def _robot_status(self, robot: str, link: RobotLink, time_s: float) -> RobotStatus:
+        state, lease = link.state, self._books.leases.of(robot)
+        return RobotStatus(
+            phase=link.phase(time_s),
+            reason=state.reason if state else None,
+            cycle=state.cycle if state else 0,
+            state_age_s=time_s - link.received_s if state else None,
+            q=state.q if state else (),
+            lease=LeaseStatus(
+                holder=lease.client if lease else None,
+                expires_s=lease.expires_s - time_s if lease else None,
+                epoch=lease.epoch if lease else 0,
+            ),
+            counters=state.counters if state else {},
+        )

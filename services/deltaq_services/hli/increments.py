@@ -1,0 +1,120 @@
+"""Increments on their way from controllers to the gate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError
+from deltaq_protocol.guarded import Request
+from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.books import Books
+from deltaq_services.hli.leases import Lease
+from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
+from deltaq_services.hli.refusals import at_fault, unknown_robot
+from deltaq_services.hli.robot_link import Asked, RobotLink
+
+
+class Increments:
+    """Checks increments and hands on the newest one of each cycle."""
+
+    def __init__(self, books: Books) -> None:
+        self._books = books
+
+    def on_increment(self, increment: Increment, sender: Sender | None, time_s: float) -> list[Output]:
+        """A controller asks for an increment; it goes to the gate now, with the next state, or is refused."""
+        outputs = self._books.tick(time_s)
+        self._books.counters["increments"] += 1
+        robot, seq, cycle = increment.robot, increment.seq, increment.cycle
+        lease = self._books.leases.held_with(robot, increment.lease)
+        reason = self._sequence_fault(robot, lease, seq)
+        link = self._books.links.get(robot)
+        if reason is None and link is not None:
+            reason = link.fault(increment, time_s)
+        if reason is not None or lease is None or link is None:
+            return outputs + self._books.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
+        self._books.leases.renew(lease, time_s)
+        lease.used = True
+        send, replaced = link.offer(Asked(increment, lease.epoch, sender))
+        if replaced is not None:
+            outputs += self._books.refuse_asked(
+                replaced, Reason(code=ReasonCode.SUPERSEDED, what="increment")
+            )
+        if send is not None:
+            outputs.append(self._request(robot, send))
+        return outputs
+
+    def on_bad_increment(
+        self, error: InvalidMessageError, sender: Sender | None, time_s: float
+    ) -> list[Output]:
+        """An increment that could not be decoded: refused like any other where it says whose it was."""
+        outputs = self._books.tick(time_s)
+        self._books.counters["increments"] += 1
+        data: dict[str, Any] = error.data
+        robot, seq, cycle = data.get("robot"), data.get("seq"), data.get("cycle")
+        try:
+            verdict = Verdict(robot=robot, seq=seq, cycle=cycle, outcome=Outcome.REFUSED)
+        except ValueError:
+            verdict = None
+        if verdict is None or (error.code is ReasonCode.MALFORMED and sender is not None):
+            return outputs + self.on_malformed(error, sender)
+        lease = self._books.leases.held_with(verdict.robot, data.get("lease"))
+        reason = self._sequence_fault(verdict.robot, lease, verdict.seq)
+        if reason is None:
+            reason = at_fault(data.get("dq"), self._books.cell.robots[verdict.robot], error.code)
+        return outputs + self._books.refuse(verdict.robot, verdict.cycle, verdict.seq, reason, sender)
+
+    def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
+        """A message that is none: counted and told, nothing else."""
+        self._books.counters["malformed"] += 1
+        if sender is None:
+            return []
+        hint = "`deltaq schema` prints the schema of every message"
+        return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint))]
+
+    def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
+        """A state has come: ask the gate for the increment that waited, or send a sign of life."""
+        outputs: list[Output] = []
+        waited = link.drop()
+        if waited is not None:
+            reason = link.fault(waited.increment, time_s)  # it may have gone stale, or the robot been held
+            if reason is not None:
+                outputs = self._books.refuse_asked(waited, reason)
+            else:
+                send, _ = link.offer(waited)
+                if send is not None:
+                    return [self._request(robot, send)]
+        self._books.counters["signs_of_life"] += 1
+        assert link.state is not None  # it has just come
+        lease = self._books.leases.of(robot)
+        alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
+        return [ToGuarded(topics.REQUEST, robot, alive), *outputs]
+
+    def _request(self, robot: str, asked: Asked) -> Output:
+        self._books.counters["requests"] += 1
+        increment = asked.increment
+        return ToGuarded(
+            topics.REQUEST,
+            robot,
+            Request(
+                robot=robot,
+                cycle=increment.cycle,
+                lease_epoch=asked.lease_epoch,
+                seq=increment.seq,
+                dq=increment.dq,
+            ),
+        )
+
+    def _sequence_fault(self, robot: str, lease: Lease | None, seq: int) -> Reason | None:
+        """Lease and sequence; a number that was seen is used up, whatever else is wrong with it."""
+        if robot not in self._books.links:
+            return unknown_robot(robot)
+        if lease is None:
+            return Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease")
+        if seq <= lease.last_seq:
+            return Reason(
+                code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=float(seq), bound=float(lease.last_seq)
+            )
+        lease.last_seq = seq
+        return None

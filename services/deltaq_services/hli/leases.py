@@ -1,0 +1,79 @@
+"""Leases: one writer a robot. Who writes is decided here and nowhere else.
+
+Every grant has an epoch of its own, greater than any before, and a token that only its holder is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from deltaq_services.hli.outputs import Sender
+
+
+@dataclass
+class Lease:
+    """The right to write to one robot.
+
+    Attributes:
+        last_seq: greatest sequence number seen under this lease.
+        used: True once an increment was accepted; then losing the holder is a reason to stop.
+        connection: the holder's connection, where it has one.
+    """
+
+    robot: str
+    epoch: int
+    client: str
+    token: str
+    expires_s: float
+    connection: Sender | None = None
+    last_seq: int = -1
+    used: bool = False
+
+
+class Leases:
+    """The leases of all robots of a cell.
+
+    Args:
+        robots: names of the robots.
+        lease_s: how long a lease lasts without a renewal.
+        new_token: makes a secret, different each time.
+        first_epoch: greater than any epoch granted before, also by an earlier process.
+    """
+
+    def __init__(
+        self, robots: Iterable[str], lease_s: float, new_token: Callable[[], str], first_epoch: int
+    ) -> None:
+        self._leases: dict[str, Lease | None] = dict.fromkeys(robots)
+        self._lease_s = lease_s
+        self._new_token = new_token
+        self._epoch = first_epoch
+
+    def of(self, robot: str) -> Lease | None:
+        """The lease of a robot, whoever holds it."""
+        return self._leases.get(robot)
+
+    def held_with(self, robot: str, token: str | None) -> Lease | None:
+        """The lease of a robot, if `token` is its token."""
+        lease = self._leases.get(robot)
+        return lease if lease is not None and lease.token == token else None
+
+    def grant(self, robot: str, client: str, connection: Sender | None, time_s: float) -> Lease:
+        """A new lease, in place of the one before."""
+        self._epoch += 1
+        lease = Lease(robot, self._epoch, client, self._new_token(), time_s + self._lease_s, connection)
+        self._leases[robot] = lease
+        return lease
+
+    def renew(self, lease: Lease, time_s: float) -> None:
+        """Let a lease last from now."""
+        lease.expires_s = time_s + self._lease_s
+
+    def end(self, lease: Lease) -> None:
+        """Take a lease away, unless another has taken its place already."""
+        if self._leases[lease.robot] is lease:
+            self._leases[lease.robot] = None
+
+    def expired(self, time_s: float) -> list[Lease]:
+        """The leases that have run out."""
+        return [lease for lease in self._leases.values() if lease is not None and time_s >= lease.expires_s]

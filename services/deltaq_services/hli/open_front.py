@@ -1,0 +1,143 @@
+"""The HLI in the open realm: what zenoh clients can reach."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import TypeVar
+
+import zenoh
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError, pack, unpack
+from deltaq_protocol.messages import (
+    Error,
+    Increment,
+    IoRequest,
+    LeaseRequest,
+    Message,
+    ResetRequest,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.session import open_session
+from deltaq_protocol.topics import Topic
+from deltaq_services.hli.outputs import Output, Sender
+from deltaq_services.hli.port import Port
+from deltaq_services.hli.zenoh_session import LoopSession
+
+RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest)
+
+
+class QuerySender(Sender):
+    """A zenoh query; it takes one answer.
+
+    Attributes:
+        key: that the answer goes out on.
+    """
+
+    def __init__(self, query: zenoh.Query, key: str) -> None:
+        self._query = query
+        self.key = key
+
+    def deliver(self, message: Message) -> None:
+        """Answer the query; a refusal is an error reply."""
+        with self._query as query:
+            if isinstance(message, Error):
+                query.reply_err(pack(message))
+            else:
+                query.reply(self.key, pack(message))
+
+
+class OpenFront:
+    """Takes increments, answers queries, publishes states and verdicts.
+
+    Raises:
+        ServiceUnreachableError: if `cell.hli` cannot be listened on.
+    """
+
+    def __init__(self, cell: CellDescription, port: Port) -> None:
+        self._cell = cell.cell
+        self._robots = frozenset(cell.robots)
+        self._port = port
+        session = self._session = LoopSession(open_session(listen=[cell.hli]), cell.cell, port.loop)
+        session.subscribe(topics.INCREMENT, self._on_increment)
+        session.answer(topics.LEASE, self._on_lease)
+        session.answer(topics.IO, self._on_io)
+        session.answer(topics.RESET, self._on_reset)
+        session.answer(topics.STOP, self._on_stop)
+        session.answer(topics.STATUS, self._on_status)
+        # clients ask for the description first: when it is there, so is everything above
+        session.answer(topics.DESCRIPTION, self._on_description)
+
+    def publish(self, topic: Topic, robot: str, message: Message) -> None:
+        """Publish a message in the open realm."""
+        key = topic.key(self._cell, robot=robot)
+        if robot and robot not in self._robots:
+            self._session.publish_once(key, message)
+        else:
+            self._session.publish(key, message)
+
+    def counters(self) -> Counter[str]:
+        """What the session counted."""
+        return self._session.counters()
+
+    def close(self) -> None:
+        """Close the realm to clients."""
+        self._session.close()
+
+    def _on_increment(self, sample: zenoh.Sample) -> None:
+        port = self._port
+        try:
+            increment = unpack(Increment, sample.payload.to_bytes())
+            if topics.INCREMENT.key(self._cell, robot=increment.robot) != str(sample.key_expr):
+                raise _wrong_key(increment.robot, str(sample.key_expr))
+        except InvalidMessageError as error:
+            outputs = port.core.increments.on_bad_increment(error, None, port.now())
+        else:
+            outputs = port.core.increments.on_increment(increment, None, port.now())
+        port.carry_out(outputs)
+
+    def _on_lease(self, query: zenoh.Query) -> None:
+        requests = self._port.core.requests
+        self._answer(query, topics.LEASE, LeaseRequest, requests.on_lease)
+
+    def _on_io(self, query: zenoh.Query) -> None:
+        self._answer(query, topics.IO, IoRequest, self._port.core.requests.on_io)
+
+    def _on_reset(self, query: zenoh.Query) -> None:
+        self._answer(query, topics.RESET, ResetRequest, self._port.core.requests.on_reset)
+
+    def _on_stop(self, query: zenoh.Query) -> None:
+        # a stop is obeyed whatever the message says
+        sender = QuerySender(query, topics.STOP.key(self._cell))
+        self._port.carry_out(self._port.core.requests.on_stop(sender, self._port.now()))
+
+    def _on_status(self, query: zenoh.Query) -> None:
+        QuerySender(query, topics.STATUS.key(self._cell)).deliver(self._port.status())
+
+    def _on_description(self, query: zenoh.Query) -> None:
+        QuerySender(query, topics.DESCRIPTION.key(self._cell)).deliver(self._port.core.told)
+
+    def _answer(
+        self,
+        query: zenoh.Query,
+        topic: Topic,
+        request_type: type[RobotRequest],
+        decide: Callable[[RobotRequest, Sender, float], list[Output]],
+    ) -> None:
+        port = self._port
+        sender = QuerySender(query, topic.key(self._cell))
+        try:
+            request = unpack(request_type, query.payload.to_bytes() if query.payload else b"")
+            sender.key = topic.key(self._cell, robot=request.robot)
+            if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
+                raise _wrong_key(request.robot, str(query.key_expr))
+        except InvalidMessageError as error:
+            port.carry_out(port.core.increments.on_malformed(error, sender))
+        else:
+            port.carry_out(decide(request, sender, port.now()))
+
+
+def _wrong_key(robot: str, key: str) -> InvalidMessageError:
+    return InvalidMessageError(f"robot: the message is for {robot}, the key is {key}", ReasonCode.MALFORMED)

@@ -1,0 +1,53 @@
+"""What the core asks its shell to do: messages, and where they go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deltaq_protocol.messages import Message
+from deltaq_protocol.topics import Topic
+
+
+class Sender:
+    """Where an answer goes; the fronts derive from it, the core only hands it back.
+
+    Attributes:
+        lasting: True for a connection, which can be told something later too; a query takes one answer.
+    """
+
+    lasting = False
+
+    def deliver(self, message: Message) -> None:
+        """Send an answer; only the shell calls this."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class ToGuarded:
+    """Publish in the guarded realm."""
+
+    topic: Topic
+    robot: str
+    """Empty where the topic has no robot in its key."""
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class ToOpen:
+    """Publish in the open realm; states go to the readers over TCP too."""
+
+    topic: Topic
+    robot: str
+    """Empty where the topic has no robot in its key."""
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class ToSender:
+    """Answer one client."""
+
+    sender: Sender
+    message: Message
+
+
+Output = ToGuarded | ToOpen | ToSender

@@ -1,0 +1,50 @@
+"""Refusals: what an increment that is no valid request is answered with."""
+
+from __future__ import annotations
+
+import math
+
+from deltaq_cell.description import RobotDescription
+from deltaq_protocol import topics
+from deltaq_protocol.messages import Outcome, Reason, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
+
+
+def refusal(robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
+    """Tell the sender, and everybody who watches, that an increment was refused.
+
+    A sender over zenoh is told by the open verdict: a zenoh sample does not say where it came from.
+    """
+    verdict = Verdict(robot=robot, cycle=cycle, seq=seq, outcome=Outcome.REFUSED, reasons=(reason,))
+    outputs: list[Output] = [ToOpen(topics.VERDICT, robot, verdict)]
+    if sender is not None:
+        outputs.insert(0, ToSender(sender, verdict))
+    return outputs
+
+
+def unknown_robot(robot: str) -> Reason:
+    """The cell has no such robot."""
+    return Reason(code=ReasonCode.UNKNOWN_ROBOT, what=robot)
+
+
+def at_fault(dq: object, robot: RobotDescription, code: ReasonCode) -> Reason:
+    """What is wrong with a `dq` that could not be decoded.
+
+    Args:
+        dq: what came in its place.
+        robot: the robot it was meant for.
+        code: what the codec found.
+
+    Returns:
+        For a wrong length, both lengths; for an element that is not finite, the joint's name.
+    """
+    joints = robot.joint_names
+    if not isinstance(dq, list):
+        return Reason(code=code, what="dq")
+    if len(dq) != len(joints):
+        return Reason(code=ReasonCode.BAD_SHAPE, what="dq", value=float(len(dq)), bound=float(len(joints)))
+    for joint, element in zip(joints, dq, strict=True):
+        if element is None or (isinstance(element, float) and not math.isfinite(element)):
+            return Reason(code=code, what=joint)
+    return Reason(code=code, what="dq")

@@ -1,0 +1,147 @@
+"""What a client can ask for besides increments: a lease, a stop, a reset, digital outputs."""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Iterable
+
+from deltaq_protocol.guarded import Command
+from deltaq_protocol.messages import (
+    Done,
+    Error,
+    IoReply,
+    IoRequest,
+    LeaseAction,
+    LeaseReply,
+    LeaseRequest,
+    Reason,
+    ResetRequest,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.books import Books
+from deltaq_services.hli.leases import Lease
+from deltaq_services.hli.outputs import Output, Sender, ToSender
+
+
+class Requests:
+    """Answers requests; those that the gate must carry out are answered when it has.
+
+    Args:
+        books: what the HLI knows.
+        operator_token: where given, `take` and `reset` need it.
+    """
+
+    def __init__(self, books: Books, operator_token: str | None) -> None:
+        self._books = books
+        self._operator_token = operator_token
+
+    def on_lease(self, request: LeaseRequest, sender: Sender, time_s: float) -> list[Output]:
+        """Acquire, renew, release or take the lease of a robot."""
+        outputs = self._books.tick(time_s)
+        robot = request.robot
+        if robot not in self._books.links:
+            return [*outputs, ToSender(sender, self._lease_reply(robot, ReasonCode.UNKNOWN_ROBOT, time_s))]
+        own, current = self._books.leases.held_with(robot, request.lease), self._books.leases.of(robot)
+        code: ReasonCode | None = None
+        granted: Lease | None = own
+        if request.action is LeaseAction.RELEASE:
+            if own is None:
+                code = ReasonCode.LEASE_NOT_HELD
+            else:
+                outputs += self._books.end_lease(own)
+                granted = None
+        elif own is not None:
+            self._books.leases.renew(own, time_s)
+        elif request.action is LeaseAction.RENEW:
+            code = ReasonCode.LEASE_NOT_HELD
+        elif request.action is LeaseAction.ACQUIRE and current is not None:
+            code = ReasonCode.LEASE_TAKEN
+        elif request.action is LeaseAction.TAKE and not self._is_operator(request.token):
+            code = ReasonCode.NOT_PERMITTED
+        else:
+            if current is not None:
+                self._books.counters["leases_taken"] += 1
+                outputs += self._books.end_lease(current)
+            self._books.counters["leases_granted"] += 1
+            connection = sender if sender.lasting else None
+            granted = self._books.leases.grant(robot, request.client or "anonymous", connection, time_s)
+        if code is not None:
+            self._books.counters[f"lease_refused_{code}"] += 1
+        return [*outputs, ToSender(sender, self._lease_reply(robot, code, time_s, granted))]
+
+    def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
+        """Bring every robot to rest; anyone may."""
+        self._books.counters["stops"] += 1
+        outputs = self._books.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
+        command = Command(id=self._books.commands.next_id(), kind="stop", reason=ReasonCode.OPERATOR_STOP)
+        return outputs + self._books.command(command, sender, Done(what="stop"), time_s)
+
+    def on_reset(self, request: ResetRequest, sender: Sender, time_s: float) -> list[Output]:
+        """Leave `held`: a privilege where an operator's token is set, refused while the cause stands."""
+        if request.robot not in self._books.links:
+            return self._error(sender, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
+        if not self._is_operator(request.token):
+            text = f"reset of {request.robot} needs the operator's token"
+            return self._error(sender, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request")
+        self._books.counters["resets"] += 1
+        command = Command(id=self._books.commands.next_id(), kind="reset", robot=request.robot)
+        return self._books.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
+
+    def on_io(self, request: IoRequest, sender: Sender, time_s: float) -> list[Output]:
+        """Set outputs, which only the holder may while the robot is leased, and read all of them."""
+        outputs = self._books.tick(time_s)
+        robot = request.robot
+        if robot not in self._books.links:
+            return outputs + self._error(sender, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(robot))
+        known = self._books.cell.robots[robot].outputs
+        foreign = [name for name in request.outputs if name not in known]
+        if foreign:
+            has = ", ".join(known) or "none"
+            text = f"outputs: {foreign[0]!r} is not an output of {robot}; it has {has}"
+            return outputs + self._error(
+                sender, ReasonCode.MALFORMED, text, "see `outputs` in the cell's YAML"
+            )
+        lease = self._books.leases.of(robot)
+        if request.outputs and lease is not None and lease.token != request.lease:
+            text = f"{lease.client} holds the lease of {robot}: only the holder sets its outputs"
+            return outputs + self._error(sender, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first")
+        state = self._books.links[robot].state
+        before = state.outputs if state else {}
+        reply = IoReply(robot=robot, outputs=before | request.outputs, inputs=state.inputs if state else {})
+        if not request.outputs:
+            return [*outputs, ToSender(sender, reply)]
+        command = Command(id=self._books.commands.next_id(), kind="io", robot=robot, outputs=request.outputs)
+        return outputs + self._books.command(command, sender, reply, time_s)
+
+    def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
+        """A connection broke; `leases` are the robots and tokens it held."""
+        self._books.counters["connections_lost"] += 1
+        held = (self._books.leases.held_with(robot, token) for robot, token in leases)
+        return [
+            output for lease in held if lease is not None for output in self._books.holder_lost(lease, time_s)
+        ]
+
+    def _lease_reply(
+        self, robot: str, code: ReasonCode | None, time_s: float, granted: Lease | None = None
+    ) -> LeaseReply:
+        current = self._books.leases.of(robot)
+        return LeaseReply(
+            robot=robot,
+            granted=code is None,
+            holder=current.client if current else None,
+            expires_s=current.expires_s - time_s if current else None,
+            lease=granted.token if granted else None,
+            code=code,
+        )
+
+    def _is_operator(self, token: str | None) -> bool:
+        wanted = self._operator_token
+        # JSON can smuggle in half a surrogate pair, which is no text
+        given = (token or "").encode(errors="replace")
+        return wanted is None or hmac.compare_digest(given, wanted.encode())
+
+    def _robots_are(self, robot: str) -> tuple[str, str]:
+        return f"the cell has no robot {robot}", "it has " + ", ".join(self._books.links)
+
+    def _error(self, sender: Sender, code: ReasonCode, text: str, hint: str) -> list[Output]:
+        return [ToSender(sender, Error(code=code, message=text, hint=hint))]

@@ -1,0 +1,122 @@
+"""One robot as the HLI sees it: its newest state, and the increments on their way to the gate.
+
+At most one increment goes to the gate per robot and cycle. A second one within the cycle waits for the
+next state; of those that wait only the newest is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from deltaq_protocol.guarded import ServerState
+from deltaq_protocol.messages import Increment, Phase, Reason
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.outputs import Sender
+
+_MAX_AWAITED = 64
+"""Increments whose verdict may be outstanding; a gate that answers keeps this at one or two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """An increment that passed all checks, who sent it, and under which lease."""
+
+    increment: Increment
+    lease_epoch: int
+    sender: Sender | None
+
+
+class RobotLink:
+    """Newest state and increment of one robot.
+
+    Args:
+        joints: number of joints, n.
+        max_age_cycles: an increment that answers a cycle older than this is stale.
+        max_state_age_s: a robot whose newest state is older than this is taken for offline.
+    """
+
+    def __init__(self, joints: int, max_age_cycles: int, max_state_age_s: float) -> None:
+        self.joints = joints
+        self._max_age_cycles = max_age_cycles
+        self._max_state_age_s = max_state_age_s
+        self._asked_cycle: int | None = None
+        self._awaited: dict[int, Sender | None] = {}
+        self._waiting: Asked | None = None
+        self.state: ServerState | None = None
+        self.received_s = -math.inf
+
+    def phase(self, time_s: float) -> Phase:
+        """Phase of the robot; offline while no fresh state comes."""
+        if self.state is None or time_s - self.received_s > self._max_state_age_s:
+            return Phase.OFFLINE
+        return self.state.phase
+
+    def fault(self, increment: Increment, time_s: float) -> Reason | None:
+        """Why the robot cannot take this increment now, or None if it can."""
+        if len(increment.dq) != self.joints:
+            return Reason(
+                code=ReasonCode.BAD_SHAPE,
+                what="dq",
+                value=float(len(increment.dq)),
+                bound=float(self.joints),
+            )
+        phase = self.phase(time_s)
+        if self.state is None or phase is Phase.OFFLINE:
+            age = None if self.state is None else time_s - self.received_s
+            return Reason(
+                code=ReasonCode.NOT_READY, what="state age [s]", value=age, bound=self._max_state_age_s
+            )
+        if phase is Phase.HELD:
+            return Reason(code=ReasonCode.STOPPED, what=self.state.reason or "")
+        newest = self.state.cycle
+        if increment.cycle > newest:
+            return Reason(
+                code=ReasonCode.FUTURE_CYCLE, what="cycle", value=float(increment.cycle), bound=float(newest)
+            )
+        if newest - increment.cycle > self._max_age_cycles:
+            return Reason(
+                code=ReasonCode.STALE_CYCLE,
+                what="cycle",
+                value=float(increment.cycle),
+                bound=float(newest - self._max_age_cycles),
+            )
+        return None
+
+    def take_state(self, state: ServerState, time_s: float) -> None:
+        """Take the state of a new cycle."""
+        self.state = state
+        self.received_s = time_s
+
+    def offer(self, asked: Asked) -> tuple[Asked | None, Asked | None]:
+        """Offer an increment.
+
+        Returns:
+            The increment to send now, if any, and the one that it took the place of, if any.
+        """
+        if self._is_due():
+            return self._sent(asked), self.drop()
+        replaced, self._waiting = self._waiting, asked
+        return None, replaced
+
+    def drop(self) -> Asked | None:
+        """Forget the increment that waits, and return it."""
+        asked, self._waiting = self._waiting, None
+        return asked
+
+    def answered(self, seq: int) -> tuple[bool, Sender | None]:
+        """Whether a verdict for this sequence number was awaited, and by whom."""
+        if seq not in self._awaited:
+            return False, None
+        return True, self._awaited.pop(seq)
+
+    def _is_due(self) -> bool:
+        return self.state is not None and self._asked_cycle != self.state.cycle
+
+    def _sent(self, asked: Asked) -> Asked:
+        assert self.state is not None  # nothing is due before the first state
+        self._asked_cycle = self.state.cycle
+        self._awaited[asked.increment.seq] = asked.sender
+        while len(self._awaited) > _MAX_AWAITED:
+            self._awaited.pop(next(iter(self._awaited)))
+        return asked

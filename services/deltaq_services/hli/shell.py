@@ -1,0 +1,121 @@
+"""The shell of the HLI: sockets, sessions and time. It decides nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.guarded import Health
+from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
+from deltaq_services.hli.core import HliCore
+from deltaq_services.hli.guarded_front import GuardedFront
+from deltaq_services.hli.open_front import OpenFront
+from deltaq_services.hli.outputs import Output, ToGuarded, ToOpen
+from deltaq_services.hli.tcp_front import TcpFront
+
+_TICK_S = 0.02
+_HEALTH_S = 0.5
+_SILENCE_S = 2.0
+"""Silence after which `Health` says that a peer has not been heard."""
+
+
+class Hli:
+    """The running HLI, to be used as an async context manager; it listens while inside.
+
+    Args:
+        cell: description of the cell.
+        told: what clients are told about the cell.
+        tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
+        operator_token: where given, `take` and `reset` need it.
+
+    Raises:
+        ServiceUnreachableError: on entering, if the open realm's endpoint cannot be listened on.
+        OSError: on entering, if the TCP port cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        told: Description,
+        tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
+        operator_token: str | None = None,
+    ) -> None:
+        # milliseconds since 1970: greater than whatever an earlier process has come to
+        first_epoch = time.time_ns() // 1_000_000
+        self.core = HliCore(cell, told, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token)
+        self.loop: asyncio.AbstractEventLoop
+        self._cell = cell
+        self._health_due_s = 0.0
+
+    async def __aenter__(self) -> Hli:
+        self.loop = asyncio.get_running_loop()
+        self._tcp = TcpFront(self)
+        await self._tcp.listen(self._cell.tcp_address, self._cell.tcp_port)
+        try:
+            self._guarded = GuardedFront(self._cell, self)
+            try:
+                self._open = OpenFront(self._cell, self)
+            except BaseException:
+                self._guarded.close()
+                raise
+        except BaseException:
+            await self._tcp.close()
+            raise
+        self._next_tick = self.loop.call_soon(self._tick)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._next_tick.cancel()
+        await self._tcp.close()
+        self._open.close()
+        self._guarded.close()
+
+    def now(self) -> float:
+        """Monotonic time [s]."""
+        return self.loop.time()
+
+    def status(self) -> Status:
+        """The running cell, with what the fronts counted."""
+        return self.core.status(self.now(), self._front_counters())
+
+    def carry_out(self, outputs: list[Output]) -> None:
+        """Send what the core wants sent, in its order."""
+        for output in outputs:
+            if isinstance(output, ToGuarded):
+                self._guarded.publish(output.topic, output.robot, output.message)
+            elif isinstance(output, ToOpen):
+                self._open.publish(output.topic, output.robot, output.message)
+                if isinstance(output.message, RobotState):
+                    self._tcp.publish_state(output.message)
+            else:
+                output.sender.deliver(output.message)
+
+    def _tick(self) -> None:
+        now = self.now()
+        self._next_tick = self.loop.call_at(now + _TICK_S, self._tick)
+        self.carry_out(self.core.on_tick(now))
+        if now >= self._health_due_s:
+            self._health_due_s = now + _HEALTH_S
+            self._publish_health(now)
+
+    def _publish_health(self, now: float) -> None:
+        unheard = self.core.unheard(now, _SILENCE_S)
+        counters = self.core.counters + self._front_counters()
+        health = Health(
+            service="hli",
+            healthy=True,
+            detail=f"not heard: {', '.join(unheard)}" if unheard else "",
+            time_s=now,
+            counters=dict(counters),
+        )
+        self._guarded.publish(topics.HEALTH, "", health)
+
+    def _front_counters(self) -> Counter[str]:
+        counters = self._tcp.counters + self._open.counters() + self._guarded.counters()
+        counters["tcp_connections_open"] = len(self._tcp.connections)
+        return counters

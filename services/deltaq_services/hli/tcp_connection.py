@@ -1,0 +1,266 @@
+"""One TCP connection: lines in, lines out, and bounds on both."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import Counter
+from typing import Any, Protocol
+
+from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map, to_line
+from deltaq_protocol.messages import (
+    PROTOCOL_VERSION,
+    DescribeRequest,
+    Error,
+    Hello,
+    Increment,
+    IoRequest,
+    LeaseReply,
+    LeaseRequest,
+    Message,
+    ResetRequest,
+    StopRequest,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.outputs import Output, Sender, ToSender
+from deltaq_services.hli.port import Port
+
+MAX_LINE_BYTES = MAX_MESSAGE_BYTES
+MAX_MALFORMED_IN_A_ROW = 100
+MAX_UNREAD_BYTES = 1024 * 1024
+"""Answers that a client has asked for and not read; beyond, the connection ends."""
+HELLO_DEADLINE_S = 10.0
+_LINES_A_TURN = 16
+"""Lines served before the loop turns to others, so that one flood does not starve the rest."""
+_SEND_BUFFER_BYTES = 64 * 1024
+"""The kernel holds no more than about this: what it holds can no longer be replaced by newer states."""
+
+_TYPES: dict[str, type[Message]] = {
+    "hello": Hello,
+    "lease": LeaseRequest,
+    "increment": Increment,
+    "io": IoRequest,
+    "stop": StopRequest,
+    "reset": ResetRequest,
+    "describe": DescribeRequest,
+}
+
+
+class Front(Protocol):
+    """What a connection needs of the server it belongs to."""
+
+    counters: Counter[str]
+
+    def admit(self, connection: TcpConnection) -> bool:
+        """Take up a connection, unless there are too many."""
+
+    def leave(self, connection: TcpConnection) -> None:
+        """Forget a connection that broke."""
+
+
+class TcpConnection(asyncio.Protocol, Sender):
+    """A client over TCP. It holds its leases by being connected.
+
+    A client that reads slowly loses old states, never the newest; one that asks and does not read is
+    disconnected.
+
+    Attributes:
+        leases: token of each robot's lease that was granted to this connection.
+    """
+
+    lasting = True
+    _transport: asyncio.Transport
+
+    def __init__(self, port: Port, front: Front) -> None:
+        self._port = port
+        self._front = front
+        self._client: Hello | None = None
+        self._received = bytearray()
+        self._searched = 0
+        self._malformed_in_a_row = 0
+        self._is_slow = False
+        self._newest_states: dict[str, bytes] = {}
+        self._hello_deadline: asyncio.TimerHandle | None = None
+        self.leases: dict[str, str] = {}
+
+    # --- asyncio.Protocol ---------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """A client has connected."""
+        assert isinstance(transport, asyncio.Transport)  # of a TCP server, always
+        self._transport = transport
+        transport.set_write_buffer_limits(high=_SEND_BUFFER_BYTES)
+        sock: socket.socket = transport.get_extra_info("socket")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        if not self._front.admit(self):
+            transport.close()
+            return
+        self._hello_deadline = self._port.loop.call_later(HELLO_DEADLINE_S, self._hello_is_overdue)
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes have come."""
+        self._received += data
+        self._serve_lines()
+
+    def pause_writing(self) -> None:
+        """The client reads more slowly than it is written to."""
+        self._is_slow = True
+
+    def resume_writing(self) -> None:
+        """The client has caught up: send the newest states that it missed."""
+        self._is_slow = False
+        while self._newest_states and not self._is_slow:
+            robot = next(iter(self._newest_states))
+            self._transport.write(self._newest_states.pop(robot))
+
+    def connection_lost(self, _exc: Exception | None) -> None:
+        """The connection has broken or was closed."""
+        if self._hello_deadline is not None:
+            self._hello_deadline.cancel()
+        self._front.leave(self)
+
+    # --- out ----------------------------------------------------------------------------------------
+
+    def deliver(self, message: Message) -> None:
+        """Send a message; the token of a lease stays here, the connection is the holder."""
+        if isinstance(message, LeaseReply):
+            self._note_lease(message)
+            message = message.model_copy(update={"lease": None})
+        if self._transport.is_closing():
+            return
+        self._transport.write(to_line(message))
+        if self._transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
+            self._front.counters["tcp_not_reading"] += 1
+            self._transport.abort()
+
+    def deliver_state(self, robot: str, line: bytes) -> None:
+        """Send a state, or keep it as the newest until the client has caught up."""
+        if self._client is None or self._transport.is_closing():
+            return
+        if self._is_slow:
+            if robot in self._newest_states:
+                self._front.counters["tcp_states_skipped"] += 1
+            self._newest_states[robot] = line
+        else:
+            self._transport.write(line)
+
+    def close(self) -> None:
+        """Close the connection when everything has been sent."""
+        self._transport.close()
+
+    # --- in -----------------------------------------------------------------------------------------
+
+    def _serve_lines(self) -> None:
+        for _ in range(_LINES_A_TURN):
+            if self._transport.is_closing():
+                return
+            end = self._received.find(b"\n", self._searched)
+            length = end if end >= 0 else len(self._received)
+            if length > MAX_LINE_BYTES:
+                text = f"a line of {length} bytes or more; at most {MAX_LINE_BYTES} are allowed"
+                self._give_up(text, "end every message with a newline")
+                return
+            if end < 0:
+                self._searched = length
+                self._transport.resume_reading()
+                return
+            line = bytes(self._received[:end])
+            del self._received[: end + 1]
+            self._searched = 0
+            self._serve(line)
+        self._transport.pause_reading()
+        self._port.loop.call_soon(self._serve_lines)
+
+    def _serve(self, line: bytes) -> None:
+        increments, now = self._port.core.increments, self._port.now()
+        try:
+            data = line_to_map(line)
+            outputs = self._outputs(data, now)
+        except InvalidMessageError as error:
+            self._malformed_in_a_row += 1
+            outputs = increments.on_malformed(error, self)
+        else:
+            self._malformed_in_a_row = 0
+        self._port.carry_out(outputs)
+        if self._malformed_in_a_row >= MAX_MALFORMED_IN_A_ROW:
+            text = f"{MAX_MALFORMED_IN_A_ROW} malformed lines in a row"
+            self._give_up(text, "send one JSON object a line; `deltaq schema` prints their schema")
+
+    def _outputs(self, data: dict[str, Any], now: float) -> list[Output]:
+        core = self._port.core
+        kind = data.get("type")
+        message_type = _TYPES.get(kind) if isinstance(kind, str) else None
+        if message_type is None:
+            known = ", ".join(_TYPES)
+            raise InvalidMessageError(f"type: must be one of {known}, got {kind!r:.80}", ReasonCode.MALFORMED)
+        if message_type is Hello:
+            return self._greet(_hello(data))
+        if message_type is StopRequest:
+            # anybody may stop, and a stop is obeyed whatever else the line says
+            return core.requests.on_stop(self, now)
+        client = self._client
+        if client is None:
+            text = f"a {kind} before the hello"
+            hint = f'begin with {{"type":"hello","protocol":{PROTOCOL_VERSION},"client":"your name"}}'
+            return self._told(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint))
+        if message_type is Increment:
+            return self._increment(data, now)
+        request = from_map(message_type, data)
+        if isinstance(request, LeaseRequest):
+            fields = {"lease": self.leases.get(request.robot), "client": client.client, "token": client.token}
+            return core.requests.on_lease(request.model_copy(update=fields), self, now)
+        if isinstance(request, IoRequest):
+            fields = {"lease": self.leases.get(request.robot)}
+            return core.requests.on_io(request.model_copy(update=fields), self, now)
+        if isinstance(request, ResetRequest):
+            return core.requests.on_reset(request.model_copy(update={"token": client.token}), self, now)
+        return self._told(core.told)
+
+    def _greet(self, hello: Hello) -> list[Output]:
+        outputs = self._port.core.on_hello(hello, self)
+        self._port.carry_out(outputs)
+        if hello.protocol != PROTOCOL_VERSION:
+            self._transport.close()
+        else:
+            self._client = hello
+            if self._hello_deadline is not None:
+                self._hello_deadline.cancel()
+        return []
+
+    def _increment(self, data: dict[str, Any], now: float) -> list[Output]:
+        """The connection is the holder: whatever lease the line names is not looked at."""
+        increments = self._port.core.increments
+        robot = data.get("robot")
+        data["lease"] = self.leases.get(robot) if isinstance(robot, str) else None
+        try:
+            increment = from_map(Increment, data)
+        except InvalidMessageError as error:
+            if error.code is ReasonCode.MALFORMED:
+                raise
+            return increments.on_bad_increment(error, self, now)
+        return increments.on_increment(increment, self, now)
+
+    def _note_lease(self, reply: LeaseReply) -> None:
+        if reply.granted and reply.lease is not None:
+            self.leases[reply.robot] = reply.lease
+        elif reply.granted:
+            self.leases.pop(reply.robot, None)
+
+    def _told(self, message: Message) -> list[Output]:
+        return [ToSender(self, message)]
+
+    def _give_up(self, text: str, hint: str) -> None:
+        self._front.counters["tcp_given_up"] += 1
+        self.deliver(Error(code=ReasonCode.MALFORMED, message=f"{text}; the connection ends", hint=hint))
+        self._transport.close()
+
+    def _hello_is_overdue(self) -> None:
+        self._give_up(f"no hello within {HELLO_DEADLINE_S:g} s", "the first line of a client is its hello")
+
+
+def _hello(data: dict[str, Any]) -> Hello:
+    """The hello; one of another version may have fields that this one does not know."""
+    protocol = data.get("protocol")
+    if isinstance(protocol, int) and protocol != PROTOCOL_VERSION:
+        data = {"type": "hello", "protocol": protocol, "client": "of another version"}
+    return from_map(Hello, data)

@@ -1,0 +1,76 @@
+"""A zenoh session of the HLI: what its threads receive is served in the loop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from deltaq_protocol.codec import pack
+from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.messages import Message
+from deltaq_protocol.session import declare_publisher
+from deltaq_protocol.topics import Topic
+
+_WAITING = 256
+"""Samples or queries of one topic that may wait for the loop; at rest there is none."""
+
+
+class LoopSession:
+    """Serves a session in an event loop. zenoh's threads do nothing but put into bounded inboxes.
+
+    Args:
+        session: an open zenoh session; it is closed by `close`.
+        cell: name of the cell, for the keys.
+        loop: the loop that everything is served in.
+    """
+
+    def __init__(self, session: Any, cell: str, loop: asyncio.AbstractEventLoop) -> None:
+        self._session = session
+        self._cell = cell
+        self._loop = loop
+        self._publishers: dict[str, Any] = {}
+        self._declared: list[Any] = []
+        self._inboxes: dict[str, Inbox[Any]] = {}
+
+    def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
+        """Call `take` in the loop with every sample of a topic, of any robot and service."""
+        callback = self._callback(topic, take)
+        self._declared.append(self._session.declare_subscriber(topic.key(self._cell), callback))
+
+    def answer(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
+        """Call `take` in the loop with every query of a topic, of any robot."""
+        callback = self._callback(topic, take)
+        self._declared.append(self._session.declare_queryable(topic.key(self._cell), callback))
+
+    def publish(self, key: str, message: Message) -> None:
+        """Publish a message."""
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._publishers[key] = declare_publisher(self._session, key)
+        publisher.put(pack(message))
+
+    def publish_once(self, key: str, message: Message) -> None:
+        """Publish a message on a key that is not one of ours, without keeping anything for the next time."""
+        self._session.put(key, pack(message))
+
+    def counters(self) -> Counter[str]:
+        """What was dropped because it came faster than it could be served, and what could not be served."""
+        counters = Counter({f"{name}_dropped": inbox.dropped for name, inbox in self._inboxes.items()})
+        counters["failed"] = sum(inbox.failed for inbox in self._inboxes.values())
+        return counters
+
+    def close(self) -> None:
+        """Stop listening, then close: a session that closes with callbacks under way can panic."""
+        for declared in self._declared:
+            declared.undeclare()
+        for inbox in self._inboxes.values():
+            inbox.close()
+        self._session.close()
+
+    def _callback(self, topic: Topic, take: Callable[[Any], None]) -> Any:
+        inbox = self._inboxes[topic.name] = Inbox[Any](self._loop, take, _WAITING)
+        return zenoh.handlers.Callback(inbox.put, indirect=False)

@@ -1,0 +1,49 @@
+"""What every service process does at its start and end."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import Never
+
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+
+
+def arguments(description: str, *, of_robot: bool = False) -> argparse.Namespace:
+    """Parse a service's command line: `--cell`, and `--robot` where there is one process a robot."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
+    if of_robot:
+        parser.add_argument("--robot", required=True, help="name of the robot in the cell")
+    return parser.parse_args()
+
+
+def run(serve: Callable[[], None]) -> None:
+    """Run a service until SIGTERM or Ctrl-C.
+
+    A user's mistake becomes one line and exit status 2; an address that cannot be had, exit status 3.
+    """
+    signal.signal(signal.SIGTERM, end_on_interrupt)
+    gc.freeze()  # what is loaded by now stays: the collector need not look at it in every cycle
+    try:
+        serve()
+    except (ServiceUnreachableError, OSError) as error:
+        _fail(3, error)
+    except DeltaqError as error:
+        _fail(2, error)
+    except KeyboardInterrupt:
+        pass
+
+
+def end_on_interrupt(_signal: int, _frame: FrameType | None) -> Never:
+    """A signal's handler: end as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
+def _fail(status: int, error: Exception) -> Never:
+    print(f"error: {error}", file=sys.stderr, flush=True)
+    raise SystemExit(status)

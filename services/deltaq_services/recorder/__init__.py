@@ -1,0 +1,1 @@
+"""The recorder: keeps what a cell does in an MCAP file, in a process of its own."""

@@ -1,0 +1,122 @@
+"""The recorder's session: what HLI and SIM publish, as it comes, into a file.
+
+It is a process of its own that only listens. Whatever becomes of it, the cell goes on: senders drop what it is too
+slow to take.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.blocking import connect
+from deltaq_protocol.codec import InvalidMessageError, unpack
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.guarded import GateEntry, GateMemory
+from deltaq_protocol.session import open_session
+from deltaq_protocol.topics import TOPICS, Kind, Realm
+from deltaq_services.recorder.writer import RecordingWriter
+
+_MOST_WAITING = 20_000
+"""Messages that may wait to be written: some ten seconds of a cell."""
+
+_BY_NAME = {topic.name: topic for topic in TOPICS}
+
+
+class OtherCellRunsError(DeltaqError):
+    """Another cell answers at the address of the one that was meant."""
+
+
+class Recorder:
+    """Records a running cell; a context manager that completes the file.
+
+    Args:
+        cell: says where HLI and SIM are.
+        path: file to write; it must not exist.
+
+    Attributes:
+        writer: what was written so far.
+        lost: messages that came faster than they could be written.
+        invalid: messages that could not be understood.
+
+    Raises:
+        ServiceUnreachableError: HLI or SIM is not there.
+        RecordingError: the file exists or cannot be written.
+    """
+
+    def __init__(self, cell: CellDescription, path: Path) -> None:
+        with connect(cell.hli, "recorder") as running:
+            description = running.description
+        if description.cell != cell.cell:
+            raise OtherCellRunsError(f"{cell.hli} serves cell {description.cell}, not {cell.cell}")
+        self.lost = 0
+        self.invalid = 0
+        self._came: queue.SimpleQueue[tuple[topics.Topic, bytes, int]] = queue.SimpleQueue()
+        self._session: Any = open_session(connect=[cell.hli, cell.sim], must_connect=True)
+        try:
+            self.writer = RecordingWriter(path, description, "live")
+        except DeltaqError:
+            self._session.close()
+            raise
+        for topic in TOPICS:
+            if topic.realm is Realm.OPEN and topic.kind is Kind.STREAM and topic.recorded:
+                self._session.declare_subscriber(topic.key(cell.cell), lambda s, t=topic: self._put(t, s))
+        # one subscriber for both, so that a memory keeps its place among the entries
+        self._session.declare_subscriber(topics.GATE_KEYS.format(cell=cell.cell), self._put_gate)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()
+        self.writer.close()
+
+    def run(self, duration_s: float | None = None, on_progress: Callable[[], None] | None = None) -> None:
+        """Write what comes, for ever or for `duration_s`.
+
+        Raises:
+            RecordingError: the file cannot be written to any more.
+        """
+        end_s = None if duration_s is None else time.monotonic() + duration_s
+        while end_s is None or time.monotonic() < end_s:
+            try:
+                topic, payload, time_ns = self._came.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            finally:
+                if on_progress is not None:
+                    on_progress()
+            try:
+                self._write(topic, payload, time_ns)
+            except InvalidMessageError:
+                self.invalid += 1
+
+    def _put(self, topic: topics.Topic, sample: Any) -> None:
+        if self._came.qsize() < _MOST_WAITING:
+            self._came.put((topic, sample.payload.to_bytes(), time.time_ns()))
+        else:
+            self.lost += 1
+
+    def _put_gate(self, sample: Any) -> None:
+        is_memory = str(sample.key_expr).endswith("/memory")
+        self._put(topics.GATE_MEMORY if is_memory else topics.GATE_LOG, sample)
+
+    def _write(self, topic: topics.Topic, payload: bytes, time_ns: int) -> None:
+        message = unpack(topic.message, payload)
+        if isinstance(message, GateMemory):
+            self.writer.gate_remembers(message, time_ns)
+        elif isinstance(message, GateEntry):
+            taken = _BY_NAME[message.topic]
+            outputs = [
+                (_BY_NAME[name], unpack(_BY_NAME[name].message, data)) for name, data in message.outputs
+            ]
+            self.writer.gate_took(
+                taken, unpack(taken.message, message.payload), outputs, message.number, time_ns
+            )
+        else:
+            self.writer.publish(topic, message, time_ns)

@@ -1,0 +1,163 @@
+"""Writes a recording: an MCAP file of protobuf messages, one channel a topic and robot.
+
+What the gate took in and gave out stands in the gate's own order: each message taken in, then what answered it,
+all with its number as the MCAP sequence number. `deltaq replay` depends on that order; viewers sort by time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType
+from mcap_protobuf.writer import Writer
+
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.guarded import GateMemory
+from deltaq_protocol.messages import Description, Message, RobotState
+from deltaq_protocol.topics import GATE_MEMORY, STATE, Topic
+from deltaq_services.recorder.frames import Frames
+from deltaq_services.recorder.protobuf import recorded_schema
+
+METADATA = "deltaq"
+CELL_FILE = "cell.yaml"
+TRANSFORMS = "/tf"
+
+_CHUNK_BYTES = 256 * 1024
+"""What is lost at most when the recorder is killed, uncompressed."""
+
+_TRANSFORMS_PERIOD_NS = 33_000_000
+
+
+class RecordingError(DeltaqError):
+    """A recording that cannot be written."""
+
+
+class RecordingWriter:
+    """A recording in the making; a context manager that completes the file.
+
+    Args:
+        path: file to write; it must not exist.
+        description: of the cell, as the HLI tells it.
+        source: `live` or `virtual time`.
+
+    Attributes:
+        messages: written so far.
+        gate_messages: of which the gate took in.
+
+    Raises:
+        RecordingError: if the file exists or cannot be written.
+    """
+
+    def __init__(self, path: Path, description: Description, source: str) -> None:
+        self.messages = 0
+        self.gate_messages = 0
+        self._path = path
+        self._cell = description.cell
+        self._schema = recorded_schema()
+        self._frames = Frames(description)
+        self._fingerprint: str | None = None
+        self._next_transforms_ns = dict.fromkeys(description.robots, 0)
+        try:
+            self._file = path.open("xb" if not path.is_char_device() else "wb")
+        except FileExistsError:
+            raise RecordingError(
+                f"{path} is there already; a recording is never written over, name another file"
+            ) from None
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be written: {error.strerror}") from error
+        self._open = True
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        about = {
+            "cell": description.cell,
+            "cycle_s": repr(description.cycle_s),
+            "protocol": str(description.protocol),
+            "source": source,
+            "robots": " ".join(description.robots),
+        }
+        self._carefully(self._begin, about, description)
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def publish(self, topic: Topic, message: Message, time_ns: int) -> None:
+        """Write a message of a stream, with joint states and transforms where it is a robot's state.
+
+        Args:
+            topic: its row of the table.
+            message: of the topic's type.
+            time_ns: when it was seen [ns].
+
+        Raises:
+            RecordingError: if the file cannot be written to; what was written before stays.
+        """
+        self._carefully(self._put, topic, message, time_ns, 0)
+        if topic is STATE and isinstance(message, RobotState):
+            self._carefully(self._put_frames, message, time_ns)
+
+    def gate_took(
+        self,
+        topic: Topic,
+        message: Message,
+        outputs: Iterable[tuple[Topic, Message]],
+        number: int,
+        time_ns: int,
+    ) -> None:
+        """Write a message that the gate took in, and what it gave out; raises as `publish` does."""
+        self.gate_messages += 1
+        self._carefully(self._put, topic, message, time_ns, number)
+        for output_topic, output in outputs:
+            self._carefully(self._put, output_topic, output, time_ns, number)
+
+    def gate_remembers(self, memory: GateMemory, time_ns: int) -> None:
+        """Write the gate's memory, from which a replay can begin; raises as `publish` does."""
+        if self._fingerprint != memory.fingerprint:
+            self._fingerprint = memory.fingerprint
+            self._carefully(self._writer.add_metadata, "gate", {"fingerprint": memory.fingerprint})
+        self._carefully(self._put, GATE_MEMORY, memory, time_ns, memory.number)
+        self._carefully(self._file.flush)
+
+    def close(self) -> None:
+        """Complete the file; raises as `publish` does."""
+        if self._open:
+            self._carefully(self._writer.finish)
+            self._carefully(self._file.close)
+            self._open = False
+
+    def _begin(self, about: dict[str, str], description: Description) -> None:
+        self._writer.add_metadata(METADATA, about)
+        texts = {CELL_FILE: description.yaml} | {f"{k}.urdf": v for k, v in description.urdf.items()}
+        for name, text in texts.items():
+            media_type = "application/yaml" if name == CELL_FILE else "application/xml"
+            self._writer.add_attachment(0, 0, name, media_type, text.encode())
+
+    def _put(self, topic: Topic, message: Message, time_ns: int, number: int) -> None:
+        robot = getattr(message, "robot", None) or ""
+        key = topic.key(self._cell, robot=robot)
+        self._write(key, self._schema.encode(message), time_ns, number)
+
+    def _put_frames(self, state: RobotState, time_ns: int) -> None:
+        self._write(f"/{state.robot}/joint_states", self._frames.joint_states(state, time_ns), time_ns)
+        if time_ns >= self._next_transforms_ns[state.robot]:
+            self._next_transforms_ns[state.robot] = time_ns + _TRANSFORMS_PERIOD_NS
+            self._write(TRANSFORMS, self._frames.transforms(state, time_ns), time_ns)
+
+    def _write(self, key: str, message: Any, time_ns: int, number: int = 0) -> None:
+        self.messages += 1
+        self._writer.write_message(key, message, time_ns, time_ns, number % 2**32)
+
+    def _carefully(self, write: Any, *arguments: Any) -> None:
+        try:
+            write(*arguments)
+        except OSError as error:
+            self._open = False
+            with contextlib.suppress(OSError):  # what is still buffered is lost with the rest
+                self._file.close()
+            raise RecordingError(
+                f"{self._path} cannot be written to any more: {error.strerror}; what was written so far can be read"
+            ) from error

@@ -1,0 +1,1 @@
+"""The Robot Server: one process a robot, the last program before the drives."""

@@ -1,0 +1,225 @@
+"""The Robot Server's decisions: what setpoint each cycle gets, and in which phase the robot is.
+
+Pure: no clock, no socket. One call of `cycle` is one telegram of the KRC. It takes what has arrived from the
+gate by then and returns at once the setpoint to send: the admitted increment, or the next step of the
+brake that was verified with the last one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol.brake import brake_increment
+from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.phases import MAY_MOVE, Event, next_phase
+from deltaq_services.robot_server.guards import Bounds, refusal
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a robot's driver reports at the start of a cycle.
+
+    Attributes:
+        ipoc: the KRC's stamp of this cycle.
+        q: (n,) measured configuration [rad or m].
+        q_start: (n,) configuration to hold on a new session; None while the session goes on.
+        missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
+        inputs: digital inputs by name.
+    """
+
+    ipoc: int
+    q: Array
+    q_start: Array | None = None
+    missed_last: bool = False
+    inputs: Mapping[str, bool] = field(default_factory=dict)
+
+
+class RobotServer:
+    """The state of one robot's server, advanced by one telegram at a time.
+
+    Attributes:
+        state: what is published after each cycle; None before the first telegram.
+        outputs: digital outputs to be set, by name.
+        counters: how often what happened.
+    """
+
+    def __init__(self, cell: CellDescription, robot: str) -> None:
+        self.robot = robot
+        self.state: ServerState | None = None
+        self.outputs: dict[str, bool] = dict.fromkeys(cell.robots[robot].outputs, False)
+        self.counters: Counter[str] = Counter()
+        self._bounds = Bounds.of(cell.robots[robot], cell.cycle_s)
+        self._gate_timeout_cycles = math.ceil(cell.gate.gate_timeout_s / cell.cycle_s)
+        self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
+        self._cycles_without_gate = 0
+        self._cycles_missed = 0
+        self._q_cmd = np.zeros(0)
+        self._dq = np.zeros(0)
+        self._plan = Plan(dq=(0.0,), brake_cycles=1, step=1)
+        self._plan_dq = np.zeros(0)
+        self._epoch = 0
+        self._sequence = 0
+        self._resets = 0
+        self._phase = Phase.OFFLINE
+        self._reason: ReasonCode | None = None
+        self._cycle = 0
+
+    def cycle(
+        self,
+        measured: Measurement,
+        time_s: float,
+        admission: Admission | None = None,
+        supervision: Supervision | None = None,
+    ) -> Array:
+        """Answer one telegram.
+
+        Args:
+            measured: what the KRC reported.
+            time_s: time of arrival, for the published state only.
+            admission: the newest admission since the last cycle, if any.
+            supervision: the newest sign of life of the gate since the last cycle, if any.
+
+        Returns:
+            (n,) setpoint to send now [rad or m].
+        """
+        if measured.q_start is not None:
+            self._begin_session(measured.q_start)
+        self._cycle += 1
+        self._supervise(supervision)
+        if measured.missed_last:
+            # the KRC still stands at the setpoint before: send the missed one again instead of a double step
+            self._cycles_missed += 1
+            self.counters["reply_missed"] += 1
+            if self._cycles_missed > self._krc_timeout_cycles:
+                self._stop(ReasonCode.KRC_LOST)
+        else:
+            self._cycles_missed = 0
+            self._advance(admission)
+        self.state = self._publishable(measured, time_s)
+        return self._q_cmd
+
+    def krc_silent(self, time_s: float) -> None:
+        """The KRC sent nothing for longer than it may: hold, until it is back and someone resets."""
+        self.counters["krc_silent"] += 1
+        if self.state is not None:
+            self._stop(ReasonCode.KRC_LOST)
+            if self._phase is Phase.HELD:
+                self._reason = ReasonCode.KRC_LOST  # of several causes this one stands
+            # the KRC has held its last correction by now: what is left of a brake would set the robot in motion
+            self._dq = np.zeros_like(self._q_cmd)
+            self._rest()
+            self.state = self.state.model_copy(
+                update={
+                    "phase": self._phase,
+                    "reason": self._reason,
+                    "time_s": time_s,
+                    "dq": self._plan.dq,
+                    "plan": self._plan,
+                }
+            )
+
+    def _begin_session(self, q_start: Array) -> None:
+        if self.state is not None:
+            self.counters["session_restarted"] += 1
+            self._stop(ReasonCode.KRC_LOST)
+        self._q_cmd = q_start.copy()
+        self._dq = np.zeros_like(q_start)
+        self._rest()
+
+    def _rest(self) -> None:
+        self._plan_dq = np.zeros_like(self._q_cmd)
+        self._plan = Plan(dq=tuple(self._plan_dq.tolist()), brake_cycles=1, step=1)
+
+    def _supervise(self, supervision: Supervision | None) -> None:
+        if supervision is None:
+            self._cycles_without_gate += 1
+            if self._cycles_without_gate > self._gate_timeout_cycles:
+                self._stop(ReasonCode.GATE_LOST)
+            return
+        self._cycles_without_gate = 0
+        if self._phase is Phase.OFFLINE:
+            self._epoch = supervision.epoch
+            self._resets = supervision.resets  # those were given to an earlier process
+            self._enter(Event.LINKED)
+        at_rest = self._plan.step >= self._plan.brake_cycles
+        if self._phase is Phase.HELD and supervision.resets > self._resets and at_rest:
+            self._resets = supervision.resets
+            self._epoch = supervision.epoch
+            self._sequence = 0
+            self._cycles_missed = 0
+            self._reason = None
+            self._enter(Event.RESET)
+        if supervision.epoch != self._epoch:
+            self._stop(ReasonCode.GATE_LOST)
+        elif supervision.stop is not None:
+            self._stop(supervision.stop)
+        self.outputs.update({k: v for k, v in supervision.outputs.items() if k in self.outputs})
+
+    def _advance(self, admission: Admission | None) -> None:
+        if admission is not None and self._take(admission):
+            self._enter(Event.ADMITTED)
+        else:
+            self._plan = self._plan.model_copy(update={"step": self._plan.step + 1})
+            self._enter(Event.STARVED)
+            if self._phase in (Phase.ENGAGED, Phase.BRAKING) or self._plan.step <= self._plan.brake_cycles:
+                self.counters["braked_cycles"] += 1
+        self._dq = brake_increment(self._plan_dq, self._plan.brake_cycles, self._plan.step)
+        self._q_cmd = self._q_cmd + self._dq
+        if self._plan.step >= self._plan.brake_cycles and self._plan.step > 0:
+            self._rest()
+            self._enter(Event.RESTED)
+
+    def _take(self, admission: Admission) -> bool:
+        if self._phase not in MAY_MOVE or self.state is None:
+            self.counters["admission_while_not_ready"] += 1
+            return False
+        why = refusal(admission, self.state, self._bounds)
+        if why is not None:
+            self.counters[why] += 1
+            return False
+        self.counters["admissions"] += 1
+        self._sequence = admission.sequence
+        self._plan = Plan(dq=admission.dq, brake_cycles=admission.brake_cycles, step=0)
+        self._plan_dq = np.array(admission.dq)
+        return True
+
+    def _stop(self, reason: ReasonCode) -> None:
+        was = self._phase
+        self._enter(Event.STOPPED)
+        if self._phase is Phase.HELD and was is not Phase.HELD:
+            self._reason = reason
+            self.counters[f"held_{reason}"] += 1
+
+    def _enter(self, event: Event) -> None:
+        self._phase = next_phase(self._phase, event)
+
+    def _publishable(self, measured: Measurement, time_s: float) -> ServerState:
+        return ServerState(
+            robot=self.robot,
+            cycle=self._cycle,
+            ipoc=measured.ipoc,
+            time_s=time_s,
+            q=tuple(measured.q.tolist()),
+            q_cmd=tuple(self._q_cmd.tolist()),
+            dq=tuple(self._dq.tolist()),
+            plan=self._plan,
+            epoch=self._epoch,
+            sequence=self._sequence,
+            phase=self._phase,
+            reason=self._reason,
+            resets=self._resets,
+            inputs=dict(measured.inputs),
+            outputs=self.outputs,
+            counters=dict(self.counters),
+        )

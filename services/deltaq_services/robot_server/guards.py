@@ -1,0 +1,96 @@
+"""Guards of the Robot Server's own, behind the gate: it is the last program before the drives.
+
+They know nothing of bodies. They hold that an admission follows what the robot is doing, that no joint is
+asked to move or to change speed faster than it may, and that its brake can be driven and ends inside the
+limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.description import RobotDescription
+from deltaq_protocol.brake import brake_travel
+from deltaq_protocol.guarded import Admission, ServerState
+
+Array = NDArray[np.float64]
+
+_SLACK = 1.0 + 1e-6
+"""Rounding that a bound forgives."""
+
+
+class Refusal(StrEnum):
+    """Why the Robot Server did not take an admission; counted under these names."""
+
+    WRONG_EPOCH = "admission_wrong_epoch"
+    WRONG_SHAPE = "admission_wrong_shape"
+    LATE = "admission_late"
+    REPLAYED = "admission_replayed"
+    UNCHAINED = "admission_unchained"
+    TOO_FAST = "admission_too_fast"
+    TOO_ABRUPT = "admission_too_abrupt"
+    BRAKE_TOO_ABRUPT = "admission_brake_too_abrupt"
+    LEAVES_LIMITS = "admission_leaves_limits"
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of one robot over one cycle, each (n,) [rad or m]."""
+
+    lower: Array
+    upper: Array
+    max_dq: Array
+    max_dv: Array
+
+    @classmethod
+    def of(cls, description: RobotDescription, cycle_s: float) -> Bounds:
+        """Bounds of a robot with sample time `cycle_s`."""
+        return cls(
+            description.lower,
+            description.upper,
+            description.max_velocity * cycle_s,
+            description.max_acceleration * cycle_s**2,
+        )
+
+
+def refusal(admission: Admission, state: ServerState, bounds: Bounds) -> Refusal | None:
+    """Why `admission` must not be taken by a robot in `state`, or None if it may.
+
+    Args:
+        admission: finite numbers, as the message type guarantees.
+        state: the state last published, on which the gate must have decided.
+        bounds: the robot's bounds.
+    """
+    if admission.epoch != state.epoch:
+        return Refusal.WRONG_EPOCH
+    if len(admission.dq) != len(state.q_cmd):
+        return Refusal.WRONG_SHAPE
+    if admission.cycle != state.cycle:
+        return Refusal.LATE
+    if admission.sequence <= state.sequence:
+        return Refusal.REPLAYED
+    follows = (admission.follows_sequence, admission.follows_q_cmd, admission.follows_dq)
+    if follows != (state.sequence, state.q_cmd, state.dq):
+        return Refusal.UNCHAINED
+    return _motion_refusal(admission, state, bounds)
+
+
+def _motion_refusal(admission: Admission, state: ServerState, bounds: Bounds) -> Refusal | None:
+    dq, last_dq, q_cmd = np.array(admission.dq), np.array(state.dq), np.array(state.q_cmd)
+    if np.any(np.abs(dq) > bounds.max_dq * _SLACK):
+        return Refusal.TOO_FAST
+    if np.any(np.abs(dq - last_dq) > bounds.max_dv * _SLACK):
+        return Refusal.TOO_ABRUPT
+    if np.any(np.abs(dq) > admission.brake_cycles * bounds.max_dv * _SLACK):
+        return Refusal.BRAKE_TOO_ABRUPT
+    end = q_cmd + dq + brake_travel(dq, admission.brake_cycles, 0)
+    outside = np.maximum(bounds.lower - end, end - bounds.upper)
+    outside_now = np.maximum(bounds.lower - q_cmd, q_cmd - bounds.upper)
+    # a robot that starts outside its limits may come back, and may not go further out
+    if np.any(outside > np.maximum(outside_now, 0.0) + 1e-9):
+        return Refusal.LEAVES_LIMITS
+    return None

@@ -1,0 +1,74 @@
+"""The Robot Server's end of the guarded realm: ring channels in, publishers out, no Python callback."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, TypeVar
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError, pack, unpack
+from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
+from deltaq_protocol.messages import Message
+from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
+
+M = TypeVar("M", bound=Message)
+
+_HEALTH_PERIOD_S = 0.5
+
+
+class Link:
+    """zenoh session of one Robot Server.
+
+    Args:
+        cell: the cell.
+        robot: the robot's name.
+        counters: where messages that are none are counted.
+    """
+
+    def __init__(self, cell: CellDescription, robot: str, counters: Counter[str]) -> None:
+        self._counters = counters
+        self._service = f"robot-server-{robot}"
+        self._session: Any = open_session(listen=[cell.robots[robot].server])
+        self._admissions = subscribe_newest(self._session, topics.ADMISSION.key(cell.cell, robot=robot))
+        self._supervisions = subscribe_newest(self._session, topics.SUPERVISION.key(cell.cell, robot=robot))
+        self._state = declare_publisher(self._session, topics.SERVER_STATE.key(cell.cell, robot=robot))
+        self._health = declare_publisher(self._session, topics.HEALTH.key(cell.cell, service=self._service))
+        self._next_health_s = 0.0
+
+    def admission(self) -> Admission | None:
+        """The newest admission since the last call, if any."""
+        return self._newest(self._admissions, Admission)
+
+    def supervision(self) -> Supervision | None:
+        """The newest sign of life of the gate since the last call, if any."""
+        return self._newest(self._supervisions, Supervision)
+
+    def publish(self, state: ServerState | None, time_s: float, detail: str = "") -> None:
+        """Publish the state, and twice a second a sign of life."""
+        if state is not None:
+            self._state.put(pack(state))
+        if time_s >= self._next_health_s:
+            self._next_health_s = time_s + _HEALTH_PERIOD_S
+            health = Health(
+                service=self._service,
+                healthy=True,
+                detail=detail,
+                time_s=time_s,
+                counters=dict(self._counters),
+            )
+            self._health.put(pack(health))
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _newest(self, subscriber: Any, message_type: type[M]) -> M | None:
+        sample = subscriber.try_recv()
+        if sample is None:
+            return None
+        try:
+            return unpack(message_type, sample.payload.to_bytes())
+        except InvalidMessageError:
+            self._counters[f"invalid_{message_type.__name__.lower()}"] += 1
+            return None

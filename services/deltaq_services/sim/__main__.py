@@ -1,0 +1,18 @@
+"""`python -m deltaq_services.sim --cell lab`."""
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_services.process import arguments, run
+from deltaq_services.sim.shell import Shell
+
+
+def main() -> None:
+    """Serve the gate of a cell."""
+    options = arguments("System Integrity Module: the gate that admits only what can still be braked")
+    cell = CellModel.load(options.cell)
+    shell = Shell(cell)
+    print(f"ready: sim gates {', '.join(cell.robots)} on {cell.description.sim}", flush=True)
+    shell.run()
+
+
+if __name__ == "__main__":
+    run(main)

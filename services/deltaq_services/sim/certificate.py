@@ -1,0 +1,134 @@
+"""I2: proof that no body of a tube comes nearer to another than the stop distance.
+
+A box around windows of a tube is certified at its middle, with every body inflated by how far it can travel
+within the box (`deltaq_cell.proximity`). Where that is too coarse the windows are halved, for those groups
+of bodies only that failed. Halving ends at single windows, where the inflation is what the drives' lag makes
+uncertain, or, where a window is a straight line, at a length that no drive resolves. A budget bounds the work,
+and running out of it means no.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deltaq_cell.group import Group, Nearest
+from deltaq_cell.proximity import Proximity
+from deltaq_services.sim.tube import Piece
+
+NUMERICAL_TOLERANCE_M = 1e-5
+"""Added to every stop distance: ten times what coal's iterations may be off."""
+
+BUDGET = 150
+"""Pieces of tubes that may be measured for one decision."""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """The pair of bodies with the least room left, where a tube was first looked at or where it failed."""
+
+    nearest: Nearest
+    stop_distance_m: float
+
+    @property
+    def room_m(self) -> float:
+        """Swept distance beyond the stop distance; negative where the proof failed."""
+        return self.nearest.swept_m - self.stop_distance_m
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Whether a tube is certified, and the pair with the least room."""
+
+    holds: bool
+    binding: Binding | None
+
+
+class Certifier:
+    """Certifies tubes within a budget; make one for each decision."""
+
+    def __init__(self, proximity: Proximity, budget: int = BUDGET) -> None:
+        self._proximity = proximity
+        self._left = budget
+        self._without: frozenset[Group] = frozenset()
+
+    def certify(
+        self,
+        robot: str,
+        tube: Piece,
+        others: Sequence[tuple[str, Piece]],
+        without: frozenset[Group] = frozenset(),
+    ) -> Certificate:
+        """Certify one robot's tube against the structure, itself and the tubes of others.
+
+        Args:
+            robot: name of the robot.
+            tube: its tube.
+            others: names of other robots with each tube that they may be in.
+            without: groups that the caller answers for.
+        """
+        self._without = without
+        certificates = [self._alone(robot, tube)]
+        for other, other_tube in others:
+            if certificates[-1].holds:
+                certificates.append(self._between(robot, tube, other, other_tube))
+        if not certificates[-1].holds:
+            return certificates[-1]
+        bindings = [item.binding for item in certificates if item.binding is not None]
+        return Certificate(True, min(bindings, key=lambda item: item.room_m, default=None))
+
+    def _alone(self, robot: str, tube: Piece) -> Certificate:
+        groups = self._groups(self._proximity.alone[robot])
+        least: Binding | None = None
+        stack: list[tuple[Piece, list[Group]]] = [(tube, groups)] if groups else []
+        while stack:
+            piece, groups = stack.pop()
+            self._proximity.place(robot, *piece.box())
+            failing, binding = self._measure(groups)
+            least = least or binding
+            if not failing:
+                continue
+            halves = () if self._hopeless(binding) else piece.halves()
+            if not halves:
+                return Certificate(False, binding)
+            stack += [(half, failing) for half in halves]
+        return Certificate(True, least)
+
+    def _between(self, robot: str, tube: Piece, other: str, other_tube: Piece) -> Certificate:
+        groups = self._groups(self._proximity.between[robot, other])
+        least: Binding | None = None
+        stack: list[tuple[Piece, Piece, list[Group]]] = [(tube, other_tube, groups)] if groups else []
+        while stack:
+            mine, theirs, groups = stack.pop()
+            my_travel = self._proximity.place(robot, *mine.box(), among_themselves=False)
+            their_travel = self._proximity.place(other, *theirs.box(), among_themselves=False)
+            failing, binding = self._measure(groups)
+            least = least or binding
+            if not failing:
+                continue
+            if self._hopeless(binding):
+                return Certificate(False, binding)
+            # the one that travels further is divided first
+            my_halves, their_halves = mine.halves(), theirs.halves()
+            if my_halves and (my_travel >= their_travel or not their_halves):
+                stack += [(half, theirs, failing) for half in my_halves]
+            elif their_halves:
+                stack += [(mine, half, failing) for half in their_halves]
+            else:
+                return Certificate(False, binding)
+        return Certificate(True, least)
+
+    def _hopeless(self, binding: Binding) -> bool:
+        """The budget is spent, or the bodies are too near even at the middle of the box, which no halving mends."""
+        return self._left < 0 or binding.nearest.distance_m < binding.stop_distance_m
+
+    def _groups(self, groups: list[Group]) -> list[Group]:
+        if not self._without:
+            return groups
+        return [group for group in groups if group not in self._without]
+
+    def _measure(self, groups: Sequence[Group]) -> tuple[list[Group], Binding]:
+        """The groups that fail at the present placement, and the pair with the least room; `groups` is not empty."""
+        self._left -= 1
+        look = self._proximity.look(groups, NUMERICAL_TOLERANCE_M)
+        return look.failing, Binding(look.tightest, look.stop_distance_m)

@@ -1,0 +1,308 @@
+"""The SIM's decisions: states, requests and commands in; admissions, supervision, verdicts and replies out.
+
+Pure: no clock, no wire. Time is counted in cycles of the robots. Each robot is decided at most once for
+each of its states, one request after the other, so that a decision always sees what the last one admitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.group import Nearest
+from deltaq_cell.proximity import Proximity
+from deltaq_protocol import topics
+from deltaq_protocol.guarded import (
+    Admission,
+    Command,
+    CommandReply,
+    GateMemory,
+    Request,
+    RobotMemory,
+    ServerState,
+    Supervision,
+)
+from deltaq_protocol.messages import Message, NearestPair, Outcome, Reason, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.receipts import first_receipt, with_receipt
+from deltaq_protocol.topics import Topic
+from deltaq_services.sim.fingerprint import fingerprint
+from deltaq_services.sim.gate import Decision, Gate
+from deltaq_services.sim.inbox import Inbox
+from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.orders import Orders
+from deltaq_services.sim.tracker import Tracker
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Output:
+    """A message to publish, and the robot whose key it goes to ("" for keys without one)."""
+
+    topic: Topic
+    robot: str
+    message: Message
+
+
+class Decider(Protocol):
+    """What decides a request: the gate, or a stopwatch around it."""
+
+    def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
+        """Decide one request."""
+        ...
+
+
+class Sim:
+    """The gate's process without its process.
+
+    Attributes:
+        gate: what decides.
+        counters: outcomes and reasons so far.
+        fingerprint: tells the gate's code and configuration.
+        taken: messages taken so far.
+    """
+
+    def __init__(self, cell: CellModel, epoch: int) -> None:
+        description = cell.description
+        cycle_s = description.cycle_s
+        self.epoch = epoch
+        self.fingerprint = fingerprint(cell)
+        self.taken = 0
+        self._receipt = first_receipt(self.fingerprint, epoch)
+        self.counters: Counter[str] = Counter()
+        self._proximity = Proximity(cell)
+        lag_cycles = math.ceil(description.gate.servo_lag_s / cycle_s)
+        self._robots = {name: Tracker(name, robot, lag_cycles) for name, robot in description.robots.items()}
+        self.gate: Decider = Gate(
+            self._proximity,
+            {name: Limits.of(robot, cycle_s) for name, robot in description.robots.items()},
+            description.gate,
+        )
+        self._orders = {
+            name: Orders(self._robots[name], math.ceil(description.gate.hli_timeout_s / cycle_s))
+            for name in description.robots
+        }
+        max_age_cycles = math.ceil(description.gate.max_request_age_s / cycle_s)
+        self._joints = {name: len(robot.joints) for name, robot in description.robots.items()}
+        self._inboxes = {name: Inbox(joints, max_age_cycles) for name, joints in self._joints.items()}
+        self._sequence = 0
+
+    def take(self, message: Message) -> list[Output]:
+        """Take in a state, a request or a command; their order determines everything that is decided."""
+        if isinstance(message, ServerState):
+            return self.on_state(message)
+        if isinstance(message, Request):
+            return self.on_request(message)
+        if isinstance(message, Command):
+            return self.on_command(message)
+        raise TypeError(f"the gate takes states, requests and commands, got a {type(message).__name__}")
+
+    def on_state(self, state: ServerState) -> list[Output]:
+        """A Robot Server published its state."""
+        self.taken += 1
+        if state.robot not in self._robots or len(state.q) != self._joints[state.robot]:
+            self.counters["unknown_state"] += 1
+            return []
+        robot = self._robots[state.robot]
+        orders = self._orders[state.robot]
+        if not robot.observe(state):
+            orders.repeated(state)
+            return [*self._supervise(robot), *self._answered(robot)]
+        self.counters[f"missed_admissions_{robot.name}"] = robot.missed
+        orders.cycle_passed()
+        return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
+
+    def on_request(self, request: Request) -> list[Output]:
+        """The HLI sent an increment, or a sign of life."""
+        self.taken += 1
+        robot = self._robots.get(request.robot)
+        if robot is None:
+            self.counters["unknown_request"] += 1
+            return []
+        self._orders[robot.name].hli_heard()
+        if request.dq is None:
+            return []
+        inbox = self._inboxes[robot.name]
+        reason = inbox.fault(request)
+        if reason is not None:
+            return [self._refuse(request, reason)]
+        replaced = inbox.put(request)
+        outputs = [] if replaced is None else [self._refuse(replaced, Reason(code=ReasonCode.SUPERSEDED))]
+        return outputs + self._decide(robot)
+
+    def on_command(self, command: Command) -> list[Output]:
+        """The HLI passed on a stop, a reset or digital outputs."""
+        self.taken += 1
+        names = list(self._robots) if command.robot is None else [command.robot]
+        if not set(names) <= set(self._robots):
+            return [_reply(command.id, ReasonCode.UNKNOWN_ROBOT, f"no robot {command.robot!r} here")]
+        self.counters[f"command_{command.kind}"] += 1
+        if command.kind == "reset":
+            refused = [self._orders[name].reset(command.id) for name in names]
+            return [_reply(command.id, *item) for item in refused if item is not None]
+        outputs = [_reply(command.id)]
+        for name in names:
+            if command.kind == "stop":
+                self._orders[name].stop(command.reason)
+                waiting = self._inboxes[name].take()
+                if waiting is not None:
+                    outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
+            else:
+                self._orders[name].outputs.update(command.outputs)
+        return outputs
+
+    def memory(self) -> GateMemory:
+        """All that decisions depend on, for `recall`."""
+        return GateMemory(
+            epoch=self.epoch,
+            number=self.taken,
+            sequence=self._sequence,
+            receipt=self._receipt,
+            fingerprint=self.fingerprint,
+            robots={name: self._robot_memory(name) for name in self._robots},
+        )
+
+    def recall(self, memory: GateMemory) -> None:
+        """Go on from where another gate of this cell was, counters excepted."""
+        self.epoch, self.taken = memory.epoch, memory.number
+        self._sequence, self._receipt = memory.sequence, memory.receipt
+        for name, robot in memory.robots.items():
+            self._robots[name].recall(robot.tracker)
+            self._orders[name].recall(robot.orders)
+            inbox = self._inboxes[name]
+            inbox.waiting, inbox.decided_cycle = robot.waiting, robot.decided_cycle
+            inbox.lease_epoch, inbox.seq = robot.lease_epoch, robot.seq
+
+    def _robot_memory(self, name: str) -> RobotMemory:
+        inbox = self._inboxes[name]
+        return RobotMemory(
+            tracker=self._robots[name].memory(),
+            orders=self._orders[name].memory(),
+            waiting=inbox.waiting,
+            decided_cycle=inbox.decided_cycle,
+            lease_epoch=inbox.lease_epoch,
+            seq=inbox.seq,
+        )
+
+    def nearest(self) -> NearestPair | None:
+        """The nearest two bodies of different robots, or of a robot and the structure or itself, now."""
+        known = [robot for robot in self._robots.values() if robot.state is not None]
+        for robot in known:
+            self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
+        lists = [self._proximity.alone[robot.name] for robot in known]
+        if len(known) > 1:
+            lists.append(self._proximity.between[known[0].name, known[1].name])
+        looks = [self._proximity.look(groups, 0.0).tightest for groups in lists if groups]
+        return _message(min(looks, key=lambda near: near.distance_m)) if looks else None
+
+    def _supervise(self, robot: Tracker) -> list[Output]:
+        orders = self._orders[robot.name]
+        orders.judge()
+        assert robot.state is not None  # called with a state just observed
+        message = Supervision(
+            robot=robot.name,
+            epoch=self.epoch,
+            cycle=robot.state.cycle,
+            stop=orders.standing_stop,
+            resets=orders.resets,
+            outputs=orders.outputs,
+        )
+        return [Output(topics.SUPERVISION, robot.name, message)]
+
+    def _answered(self, robot: Tracker) -> list[Output]:
+        return [_reply(id_) for id_ in self._orders[robot.name].fulfilled()]
+
+    def _decide(self, robot: Tracker) -> list[Output]:
+        inbox, state = self._inboxes[robot.name], robot.state
+        if state is None or not inbox.due(state):
+            return []
+        reason = inbox.fault_on(state, self._orders[robot.name].standing_stop is not None)
+        others = [other for other in self._robots.values() if other is not robot]
+        unheard = [other.name for other in others if other.state is None]
+        if reason is None and unheard:  # nobody knows where it is, so nothing can be kept clear of it
+            reason = Reason(code=ReasonCode.NOT_READY, what=unheard[0])
+        if reason is None and state.epoch != self.epoch:
+            reason = Reason(code=ReasonCode.NOT_READY, what="gate epoch")
+        request = inbox.take()
+        assert request is not None  # it is due
+        assert request.dq is not None  # signs of life are not put there
+        if reason is not None:
+            return [self._refuse(request, reason)]
+        inbox.decided_cycle = state.cycle
+        decision = self.gate.decide(robot, others, np.array(request.dq))
+        outputs = [self._verdict(request, state.cycle, decision)]
+        if decision.outcome is not Outcome.HELD:
+            outputs.insert(0, self._admit(robot, state, decision))
+        return outputs
+
+    def _admit(self, robot: Tracker, state: ServerState, decision: Decision) -> Output:
+        self._sequence += 1
+        admission = Admission(
+            robot=robot.name,
+            epoch=self.epoch,
+            sequence=self._sequence,
+            cycle=state.cycle,
+            follows_sequence=state.sequence,
+            follows_q_cmd=state.q_cmd,
+            follows_dq=state.dq,
+            dq=tuple(decision.dq.tolist()),
+            brake_cycles=decision.brake_cycles,
+        )
+        robot.in_flight = admission
+        return Output(topics.ADMISSION, robot.name, admission)
+
+    def _verdict(self, request: Request, cycle: int, decision: Decision) -> Output:
+        self.counters[decision.outcome] += 1
+        for reason in decision.reasons[:1]:
+            self.counters[f"reason_{reason.code}"] += 1
+        near = decision.binding.nearest if decision.binding is not None else None
+        verdict = Verdict(
+            robot=request.robot,
+            cycle=cycle,
+            seq=request.seq,
+            outcome=decision.outcome,
+            scale=decision.scale,
+            dq=tuple(decision.dq.tolist()),
+            reasons=decision.reasons,
+            clearance_m=near.distance_m if near is not None else None,
+            pair=near.pair if near is not None else None,
+        )
+        if decision.outcome is Outcome.HELD:
+            verdict = self._with_receipt(verdict)
+        return Output(topics.GATE_VERDICT, request.robot, verdict)
+
+    def _refuse(self, request: Request, reason: Reason) -> Output:
+        self.counters[Outcome.REFUSED] += 1
+        self.counters[f"reason_{reason.code}"] += 1
+        verdict = Verdict(
+            robot=request.robot,
+            cycle=request.cycle,
+            seq=request.seq,
+            outcome=Outcome.REFUSED,
+            reasons=(reason,),
+        )
+        return Output(topics.GATE_VERDICT, request.robot, self._with_receipt(verdict))
+
+    def _with_receipt(self, verdict: Verdict) -> Verdict:
+        signed = with_receipt(self._receipt, verdict)
+        assert signed.receipt is not None  # that is what it was given
+        self._receipt = signed.receipt
+        return signed
+
+
+def _reply(id_: int, code: ReasonCode | None = None, message: str = "") -> Output:
+    reply = CommandReply(id=id_, accepted=code is None, code=code, message=message)
+    return Output(topics.COMMAND_REPLY, "", reply)
+
+
+def _message(near: Nearest) -> NearestPair:
+    first, second = (tuple(point.tolist()) for point in near.points_m)
+    return NearestPair(pair=near.pair, distance_m=near.distance_m, points_m=(first, second))

@@ -1,0 +1,68 @@
+"""The gate's fingerprint: one hash of its code and one of its configuration.
+
+Two gates with the same fingerprint give the same verdicts for the same messages, so it shows that an emulated
+and a real cell pass the same gate. Where services listen and how a robot is reached belong to neither hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+from deltaq_cell.cell_model import CellModel
+
+_CODE = (
+    "deltaq_services.sim",
+    "deltaq_services.phases",
+    "deltaq_cell",
+    "deltaq_protocol.brake",
+    "deltaq_protocol.guarded",
+    "deltaq_protocol.messages",
+    "deltaq_protocol.receipts",
+)
+"""Packages and modules that decide."""
+
+_LIBRARIES = ("coal", "pin", "numpy")
+"""Libraries whose arithmetic verdicts depend on."""
+
+_ELSEWHERE = {"hli", "sim", "tcp_address", "tcp_port", "lease_s"}
+_ELSEWHERE_OF_ROBOT = {"server", "driver", "servo_lag", "camera", "model"}
+
+
+def fingerprint(cell: CellModel) -> str:
+    """`CODE-CONFIGURATION`, each sixteen hexadecimal digits."""
+    return f"{_code_hash()}-{_configuration_hash(cell)}"
+
+
+@cache
+def _code_hash() -> str:
+    digest = hashlib.sha256()
+    for name in _CODE:
+        spec = find_spec(name)
+        assert spec is not None
+        assert spec.origin is not None  # this very package
+        origin = Path(spec.origin)
+        files = sorted(origin.parent.glob("*.py")) if origin.name == "__init__.py" else [origin]
+        for file in files:
+            digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    for library in _LIBRARIES:
+        digest.update(f"{library} {version(library)}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def _configuration_hash(cell: CellModel) -> str:
+    digest = hashlib.sha256()
+    left_out = _ELSEWHERE | {"robots"}
+    digest.update(cell.description.model_dump_json(exclude=left_out).encode())
+    for name, robot in cell.robots.items():
+        digest.update(name.encode())
+        digest.update(robot.description.model_dump_json(exclude=_ELSEWHERE_OF_ROBOT).encode())
+        digest.update(robot.urdf.encode())
+        for body in robot.geometry.geometryObjects:
+            mesh = Path(body.meshPath)
+            if mesh.is_file():
+                digest.update(mesh.read_bytes())
+    return digest.hexdigest()[:16]

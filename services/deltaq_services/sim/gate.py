@@ -1,0 +1,131 @@
+"""The gate's decision on one request: how much of it can still be braked without harm.
+
+A request is blended with the brake, `dq(s) = (1 - s) * brake + s * request`, with the largest s found for which
+the tube of `dq(s)` and the brake after it keeps I1 (position limits), I2 (clearance) and I3 (velocity and
+acceleration). The brake itself was certified with the last admission, so s = 0 is always there (I4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.description import GateDescription
+from deltaq_cell.proximity import Proximity
+from deltaq_protocol.messages import Outcome, Reason
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.certificate import Binding, Certificate, Certifier
+from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.retreat import Retreat
+from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import Branch
+
+Array = NDArray[np.float64]
+
+_HALVINGS = 5
+"""How finely s is searched where clearance binds: 1/32 of what the limits leave."""
+
+_LEAST_SCALE = 1e-3
+"""Below this a blend is the brake in all but name."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The gate's answer to one request.
+
+    Attributes:
+        outcome: admitted, scaled or held.
+        scale: s of the blend.
+        dq: (n,) increment admitted; the brake's if held.
+        brake_cycles: length of the brake after it.
+        reasons: what bound the request, tightest first.
+        binding: the pair of bodies with the least room.
+    """
+
+    outcome: Outcome
+    scale: float
+    dq: Array
+    brake_cycles: int
+    reasons: tuple[Reason, ...]
+    binding: Binding | None
+
+
+class Gate:
+    """Decides requests; knows the bodies and the limits, and nothing of clocks or wires."""
+
+    def __init__(self, proximity: Proximity, limits: dict[str, Limits], margins: GateDescription) -> None:
+        self._proximity = proximity
+        self._limits = limits
+        self._retreat = Retreat(proximity, margins)
+
+    def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
+        """Decide one request.
+
+        Args:
+            robot: the robot that shall move, with a known state.
+            others: the other robots with known states.
+            request: (n,) finite increment [rad or m].
+        """
+        limits = self._limits[robot.name]
+        brake = robot.brake()
+        assert robot.state is not None  # the caller decides only for robots that have been heard
+        scale, reasons = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
+        scale, tighter = limits.position_scale(brake, request, robot.q_cmd, scale)
+        reasons = tighter or reasons
+        tubes = [(other.name, tube) for other in others for tube in other.tubes()]
+        certifier = Certifier(self._proximity)
+
+        def certify(s: float) -> Certificate:
+            dq = brake + s * (request - brake)
+            tube = robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
+            return certifier.certify(robot.name, tube, tubes)
+
+        certificate = certify(scale)
+        if not certificate.holds:
+            reasons = [_clearance_reason(certificate)]
+            limit_scale = scale
+            stands = certifier.certify(robot.name, robot.standing(), tubes).holds
+            scale = _largest(certify, limit_scale) if stands else 0.0
+            if scale < _LEAST_SCALE:
+                out, near = self._retreat.find(robot, tubes, limits, brake, request, limit_scale)
+                if out > 0 or not stands:
+                    scale, reasons = out, near
+        return _decision(limits, brake, request, scale, reasons, certificate.binding)
+
+
+def _largest(certify: Callable[[float], Certificate], refused: float) -> float:
+    """Largest scale found below `refused` that is certified; 0 is the brake, which always is."""
+    certified = 0.0
+    for _ in range(_HALVINGS):
+        middle = (certified + refused) / 2
+        if certify(middle).holds:
+            certified = middle
+        else:
+            refused = middle
+    return certified
+
+
+def _decision(
+    limits: Limits, brake: Array, request: Array, scale: float, reasons: list[Reason], binding: Binding | None
+) -> Decision:
+    if scale >= 1.0:
+        return Decision(Outcome.ADMITTED, 1.0, request, limits.brake_cycles(request), (), binding)
+    if scale < _LEAST_SCALE:
+        return Decision(Outcome.HELD, 0.0, brake, limits.brake_cycles(brake), tuple(reasons), binding)
+    dq = brake + scale * (request - brake)
+    return Decision(Outcome.SCALED, scale, dq, limits.brake_cycles(dq), tuple(reasons), binding)
+
+
+def _clearance_reason(certificate: Certificate) -> Reason:
+    binding = certificate.binding
+    if binding is None:
+        return Reason(code=ReasonCode.CLEARANCE)
+    return Reason(
+        code=ReasonCode.CLEARANCE,
+        what=" ".join(binding.nearest.pair),
+        value=binding.nearest.swept_m,
+        bound=binding.stop_distance_m,
+    )

@@ -1,0 +1,115 @@
+"""Standing orders of the gate to one Robot Server: stop, reset, digital outputs.
+
+Orders are levels that every supervision message repeats, so that a lost message costs one cycle.
+"""
+
+from __future__ import annotations
+
+from deltaq_protocol.guarded import OrdersMemory, ServerState
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.phases import MAY_MOVE
+from deltaq_services.sim.tracker import Tracker
+
+
+class Orders:
+    """What one robot is ordered to do, and when such orders are given or refused.
+
+    Attributes:
+        standing_stop: reason of a stop that the robot has not shown yet.
+        resets: the count of resets that the Robot Server shall reach.
+        outputs: digital outputs by name.
+    """
+
+    def __init__(self, robot: Tracker, hli_timeout_cycles: int) -> None:
+        self.standing_stop: ReasonCode | None = None
+        self.resets = 0
+        self.outputs: dict[str, bool] = {}
+        self._robot = robot
+        self._hli_timeout_cycles = hli_timeout_cycles
+        self._cycles_without_hli: int | None = None
+        self._krc_silent = False
+        self._awaited_resets: list[int] = []
+
+    def memory(self) -> OrdersMemory:
+        """What `recall` needs to go on from here."""
+        return OrdersMemory(
+            standing_stop=self.standing_stop,
+            resets=self.resets,
+            outputs=dict(self.outputs),
+            cycles_without_hli=self._cycles_without_hli,
+            krc_silent=self._krc_silent,
+            awaited_resets=tuple(self._awaited_resets),
+        )
+
+    def recall(self, memory: OrdersMemory) -> None:
+        """Go on from where other orders to this robot were."""
+        self.standing_stop, self.resets = memory.standing_stop, memory.resets
+        self.outputs = dict(memory.outputs)
+        self._cycles_without_hli, self._krc_silent = memory.cycles_without_hli, memory.krc_silent
+        self._awaited_resets = list(memory.awaited_resets)
+
+    def hli_heard(self) -> None:
+        """The HLI gave a sign of life."""
+        self._cycles_without_hli = 0
+
+    def cycle_passed(self) -> None:
+        """The robot's KRC began another cycle."""
+        self._krc_silent = False
+        if self._cycles_without_hli is not None:
+            self._cycles_without_hli += 1
+
+    def repeated(self, state: ServerState) -> None:
+        """The Robot Server spoke though no cycle has passed: its KRC is silent."""
+        if state is self._robot.state:  # one that was overtaken says nothing
+            self._krc_silent = state.reason is ReasonCode.KRC_LOST
+
+    def judge(self) -> None:
+        """Order a stop where the newest state or the HLI's silence calls for one; drop a stop that is done."""
+        state = self._robot.state
+        assert state is not None  # judged on a state
+        self.resets = max(self.resets, state.resets)
+        if state.phase is Phase.HELD:
+            # while a reset is on its way, this is the hold that it ends, and no answer to a stop taken since
+            if state.resets >= self.resets:
+                self.standing_stop = None
+        elif state.phase in MAY_MOVE:
+            if self._robot.off_path() is not None:
+                self.stop(ReasonCode.TRACKING_ERROR)
+            if self._cycles_without_hli is not None and self._cycles_without_hli > self._hli_timeout_cycles:
+                self.stop(ReasonCode.HLI_LOST)
+
+    def stop(self, reason: ReasonCode) -> None:
+        """Order the robot to brake and hold; the first reason stands."""
+        self.standing_stop = self.standing_stop or reason
+
+    def reset(self, command_id: int) -> tuple[ReasonCode, str] | None:
+        """Order a reset, to be answered once the robot shows it; returns why not if it is refused."""
+        state = self._robot.state
+        if state is None:
+            return ReasonCode.UNREACHABLE, f"no state from the Robot Server of {self._robot.name}"
+        if self._krc_silent:
+            return ReasonCode.CAUSE_STANDS, f"the KRC of {self._robot.name} is silent"
+        if self.standing_stop is not None:
+            return ReasonCode.NOT_AT_REST, f"{self._robot.name} is only now being stopped"
+        if state.phase is Phase.HELD:
+            if not self._robot.at_rest():
+                return ReasonCode.NOT_AT_REST, f"{self._robot.name} is still coming to rest"
+            off_path = self._robot.off_path()
+            if off_path is not None:
+                joint, distance, tolerance = off_path
+                return ReasonCode.CAUSE_STANDS, (
+                    f"joint {joint + 1} of {self._robot.name} is {distance:.4f} off its setpoint, "
+                    f"at most {tolerance:.4f} is allowed (rad or m)"
+                )
+            self.resets = state.resets + 1
+        self._awaited_resets.append(command_id)
+        return None
+
+    def fulfilled(self) -> list[int]:
+        """Ids of the reset commands that the newest state shows as done."""
+        state = self._robot.state
+        if state is None or state.phase is Phase.HELD or state.resets < self.resets:
+            return []
+        done, self._awaited_resets = self._awaited_resets, []
+        return done

@@ -1,0 +1,140 @@
+"""Retreat: the only motion that is admitted while bodies are nearer than the stop distance.
+
+Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and a gate
+that knew nothing else would never let go. Retreat admits slow motion on which no violated pair comes
+nearer at any setpoint, and every other pair keeps the stop distance as always.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.description import GateDescription
+from deltaq_cell.group import Group
+from deltaq_cell.proximity import Proximity
+from deltaq_protocol.messages import Reason
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Certifier
+from deltaq_services.sim.limits import Limits, share_within
+from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import Branch, Piece, Windows
+
+Array = NDArray[np.float64]
+Others = Sequence[tuple[str, Piece]]
+
+_BRINK_M = 1e-3
+"""Pairs within this of the stop distance are led out too: there the certificate's bound on travel is too coarse for
+a motion of many joints that hardly parts the bodies."""
+
+_NEARER_M = 1e-6
+"""What rounding may make of a distance that does not change."""
+
+
+@dataclass(frozen=True)
+class _Violation:
+    """Pairs of one group, by index, that are nearer than the stop distance, with their distances [m]."""
+
+    group: Group
+    distances: dict[int, float]
+
+
+class Retreat:
+    """Finds the motion that leads out of a violation."""
+
+    def __init__(self, proximity: Proximity, margins: GateDescription) -> None:
+        self._proximity = proximity
+        self._speed = margins.retreat_speed
+
+    def find(
+        self, robot: Tracker, others: Others, limits: Limits, brake: Array, request: Array, at_most: float
+    ) -> tuple[float, list[Reason]]:
+        """The scale at which a request leads out of a violation, or away from the brink of one.
+
+        Returns:
+            The scale, 0 if the request brings a violated pair nearer, and the reasons.
+        """
+        violations = self._violations(robot, others)
+        reasons = [
+            Reason(
+                code=ReasonCode.RETREAT,
+                what=" ".join(body.name for body in item.group.pairs[index]),
+                value=distance,
+                bound=item.group.stop_distance_m,
+            )
+            for item in violations
+            for index, distance in item.distances.items()
+        ]
+        scale = min(at_most, self._slow_scale(limits, brake, request))
+        dq = brake + scale * (request - brake)
+        tube = robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
+        leads_out = scale > 0 and self._leads_out(robot.name, tube, others, violations)
+        return (scale if leads_out else 0.0), reasons
+
+    def _slow_scale(self, limits: Limits, brake: Array, request: Array) -> float:
+        allowed = self._speed * limits.max_dq
+        if np.any(np.abs(brake) > allowed):
+            return 0.0
+        return share_within(brake, request, -allowed, allowed)
+
+    def _violations(self, robot: Tracker, others: Others) -> list[_Violation]:
+        # what fails already where the robot stands, with all that the drives' lag leaves uncertain ...
+        standing = robot.standing()
+        self._proximity.place(robot.name, *standing.box())
+        near: list[tuple[Group, list[int]]] = []
+        for group in self._groups(robot.name, others):
+            bound = group.stop_distance_m + NUMERICAL_TOLERANCE_M + _BRINK_M
+            if self._proximity.least(group) < bound:
+                near.append((group, [i for i, pair in enumerate(group.all_pairs()) if pair.swept_m < bound]))
+        # ... is judged by its distance at the setpoint
+        self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
+        found = []
+        for group, indices in near:
+            self._proximity.least(group)
+            pairs = group.all_pairs()
+            found.append(_Violation(group, {i: pairs[i].swept_m for i in indices}))
+        return found
+
+    def _groups(self, robot: str, others: Others) -> Iterator[Group]:
+        yield from self._proximity.alone[robot]
+        for other, tube in others:
+            self._proximity.place(other, *tube.box())
+            yield from self._proximity.between[robot, other]
+
+    def _leads_out(self, robot: str, tube: Windows, others: Others, violations: list[_Violation]) -> bool:
+        with _set_aside(violations) as emptied:
+            certificate = Certifier(self._proximity).certify(robot, tube, others, without=emptied)
+        if not certificate.holds:
+            return False
+        for point in tube.points[tube.first + 1 :]:
+            self._proximity.place(robot, point, np.zeros_like(point))
+            for group in self._groups(robot, others):
+                for item in violations:
+                    if item.group is group and self._nearer(item):
+                        return False
+        return True
+
+    def _nearer(self, violation: _Violation) -> bool:
+        self._proximity.least(violation.group)
+        pairs = violation.group.all_pairs()
+        return any(
+            pairs[index].swept_m < distance - _NEARER_M for index, distance in violation.distances.items()
+        )
+
+
+@contextmanager
+def _set_aside(violations: list[_Violation]) -> Iterator[frozenset[Group]]:
+    """Leave the violated pairs out of their groups; yields the groups that have no other pair."""
+    for item in violations:
+        for index in item.distances:
+            item.group.data.deactivateCollisionPair(index)
+    try:
+        yield frozenset(item.group for item in violations if len(item.distances) == len(item.group.pairs))
+    finally:
+        for item in violations:
+            for index in item.distances:
+                item.group.data.activateCollisionPair(index)

@@ -1,0 +1,101 @@
+"""The loop of the SIM: one blocking read of a ring channel, decide, publish.
+
+There is one Python thread and one channel for everything that comes in, so nothing is decided out of turn.
+Robot Servers and the HLI speak at least twice a second, so the loop never sleeps for long.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from typing import Any
+
+import zenoh
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError, pack, unpack
+from deltaq_protocol.guarded import Health
+from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_services.sim.core import Sim
+from deltaq_services.sim.gate_log import GateLog
+
+_RING = 256
+"""Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
+still answers every request, if only to say that it is stale."""
+
+_HEALTH_PERIOD_S = 0.1
+
+_TAKEN = {"state": topics.SERVER_STATE, "request": topics.REQUEST, "command": topics.COMMAND}
+"""What the gate takes in, by the end of the key."""
+
+
+class Shell:
+    """The SIM's session and the core behind it."""
+
+    def __init__(self, cell: CellModel) -> None:
+        description = cell.description
+        self._name = description.cell
+        self.sim = Sim(cell, epoch=secrets.randbits(62))
+        self._session: Any = open_session(
+            listen=[description.sim], connect=[robot.server for robot in description.robots.values()]
+        )
+        self._incoming = self._session.declare_subscriber(
+            f"deltaq-guarded/{self._name}/**",
+            zenoh.handlers.RingChannel(_RING),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        self._log = GateLog(self._session, self._name, self.sim)
+        self._publishers: dict[tuple[str, str], Any] = {}
+        self._next_health_s = 0.0
+        for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
+            for robot in description.robots:
+                self._publisher(topic, robot)
+
+    def run(self) -> None:
+        """Serve until the process is told to end."""
+        try:
+            while True:
+                sample = self._incoming.recv()
+                self._handle(str(sample.key_expr), sample.payload.to_bytes())
+                self._say_healthy()
+        finally:
+            self._session.close()
+
+    def _handle(self, key: str, payload: bytes) -> None:
+        topic = _TAKEN.get(key.rpartition("/")[2])
+        if topic is None:
+            return  # a sign of life of the others
+        try:
+            message = unpack(topic.message, payload)
+        except InvalidMessageError as error:
+            self.sim.counters["invalid_messages"] += 1
+            print(f"{key}: {error}", flush=True)
+            return
+        outputs = []
+        for output in self.sim.take(message):
+            packed = pack(output.message)
+            self._publisher(output.topic, output.robot).put(packed)
+            outputs.append((output.topic.name, packed))
+        self._log.took(topic, payload, outputs)
+
+    def _publisher(self, topic: topics.Topic, robot: str) -> Any:
+        if (topic.name, robot) not in self._publishers:
+            key = topic.key(self._name, robot=robot)
+            self._publishers[topic.name, robot] = declare_publisher(self._session, key)
+        return self._publishers[topic.name, robot]
+
+    def _say_healthy(self) -> None:
+        now_s = time.monotonic()
+        if now_s < self._next_health_s:
+            return
+        self._next_health_s = now_s + _HEALTH_PERIOD_S
+        health = Health(
+            service="sim",
+            healthy=True,
+            time_s=now_s,
+            counters=dict(self.sim.counters),
+            nearest=self.sim.nearest(),
+            fingerprint=self.sim.fingerprint,
+        )
+        self._session.put(topics.HEALTH.key(self._name, service="sim"), pack(health))

@@ -1,0 +1,122 @@
+"""What the gate knows of one robot: its newest state, the setpoints behind it, and what it may do next.
+
+Until a state shows which admission the Robot Server follows, the old brake and the admission in flight are
+both courses that the robot may take.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.description import RobotDescription
+from deltaq_protocol.brake import brake_increment
+from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
+from deltaq_services.sim.tube import Branch, Windows, tube
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 2e-5
+"""What a telegram's decimals may make of a measured joint that is on its path [rad or m]."""
+
+
+class Tracker:
+    """Follows one robot by its states and the admissions sent to it.
+
+    Attributes:
+        state: the newest state; None before the first.
+        in_flight: an admission that no state has confirmed or outdated yet.
+        missed: admissions that the Robot Server did not take.
+    """
+
+    def __init__(self, name: str, description: RobotDescription, lag_cycles: int) -> None:
+        self.name = name
+        self.state: ServerState | None = None
+        self.in_flight: Admission | None = None
+        self.missed = 0
+        self._lag = max(2, lag_cycles)
+        self._tolerance = description.tracking_tolerance
+        self._history: deque[Array] = deque(maxlen=self._lag)
+
+    def observe(self, state: ServerState) -> bool:
+        """Take a state in; returns False if no cycle of the robot has passed since the last."""
+        if self.state is not None:
+            restarted = state.time_s > self.state.time_s and state.cycle <= self.state.cycle
+            if state.cycle == self.state.cycle:
+                if state.time_s >= self.state.time_s:
+                    self.state = state  # the KRC is silent, but phase and reason may have changed
+                return False
+            if state.cycle < self.state.cycle and not restarted:
+                return False
+            if restarted:
+                self._history.clear()
+                self.in_flight = None
+        self.state = state
+        if self.in_flight is not None:
+            if (state.epoch, state.sequence) != (self.in_flight.epoch, self.in_flight.sequence):
+                self.missed += 1
+            self.in_flight = None
+        self._history.append(np.array(state.q_cmd))
+        return True
+
+    def memory(self) -> TrackerMemory:
+        """What `recall` needs to go on from here."""
+        history = tuple(tuple(setpoint.tolist()) for setpoint in self._history)
+        return TrackerMemory(state=self.state, in_flight=self.in_flight, missed=self.missed, history=history)
+
+    def recall(self, memory: TrackerMemory) -> None:
+        """Go on from where another tracker of this robot was."""
+        self.state, self.in_flight, self.missed = memory.state, memory.in_flight, memory.missed
+        self._history.clear()
+        self._history.extend(np.array(setpoint) for setpoint in memory.history)
+
+    @property
+    def q_cmd(self) -> Array:
+        """(n,) present setpoint [rad or m]."""
+        return self._history[-1]
+
+    def brake(self) -> Array:
+        """(n,) next increment of the brake that the Robot Server will send unless told otherwise."""
+        branch = self._planned()
+        return brake_increment(branch.dq, branch.brake_cycles, branch.step + 1)
+
+    def _planned(self) -> Branch:
+        assert self.state is not None  # asked only of robots that have been heard
+        plan = self.state.plan
+        return Branch(np.array(plan.dq), plan.brake_cycles, plan.step)
+
+    def tube(self, branch: Branch) -> Windows:
+        """The tube of one course from the present setpoint."""
+        assert self.state is not None  # asked only of robots that have been heard
+        history, q = np.array(self._history), np.array(self.state.q)
+        beyond = np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
+        return tube(history, branch, self._lag, q if np.any(beyond > _ROUNDING) else None)
+
+    def tubes(self) -> list[Windows]:
+        """The tubes of every course that the robot may take."""
+        branches = [self._planned()]
+        if self.in_flight is not None:
+            branches.append(Branch(np.array(self.in_flight.dq), self.in_flight.brake_cycles, -1))
+        return [self.tube(branch) for branch in branches]
+
+    def standing(self) -> Windows:
+        """The tube of a robot that is sent nothing more: where the drives may be now."""
+        return self.tube(Branch(np.zeros_like(self.q_cmd), 1, 0))
+
+    def at_rest(self) -> bool:
+        """Nothing is left to send and the drives have caught up."""
+        settled = all((setpoint == self.q_cmd).all() for setpoint in self._history)
+        return settled and len(self._history) == self._lag and not self._planned().setpoints(self.q_cmd).size
+
+    def off_path(self) -> tuple[int, float, float] | None:
+        """The joint that left the commanded path by more than its tolerance: index, distance, tolerance."""
+        assert self.state is not None  # asked only of robots that have been heard
+        history = np.array(self._history)
+        q = np.array(self.state.q)
+        distance = np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
+        joint = int(np.argmax(distance / self._tolerance))
+        if distance[joint] <= self._tolerance[joint]:
+            return None
+        return joint, float(distance[joint]), float(self._tolerance[joint])

@@ -1,0 +1,122 @@
+"""A controller that means harm: every drive at full speed is stopped short, and may retreat.
+
+The whole stack runs in virtual time; an oracle that shares no bound with the gate judges the emulated
+controllers' own records.
+"""
+
+import numpy as np
+import pytest
+
+from deltaq_experiments.lockstep import Lockstep
+from deltaq_experiments.oracle import ClearanceOracle, limit_violations
+from deltaq_protocol.messages import Outcome, Phase
+
+
+@pytest.fixture(scope="module")
+def oracle():
+    return ClearanceOracle(Lockstep("lab").cell)
+
+
+class Attack:
+    """Drives FR with one request after the other and keeps what the emulated controllers did."""
+
+    def __init__(self, oracle):
+        self.stack = Lockstep("lab")
+        self.stack.run_until_ready()
+        self.stack.acquire("fr", "attacker")
+        self.fr = self.stack.cell.robots["fr"]
+        self.full_speed = self.fr.max_velocity * self.stack.cell.description.cycle_s
+        self.oracle = oracle
+        self.setpoints = []
+        self.least = np.inf
+        self.verdicts = []
+
+    def drive(self, request, cycles):
+        """`request` is an increment (6,), or a function that gives one."""
+        for _ in range(cycles):
+            self.stack.cycle()
+            dq = request() if callable(request) else request
+            self.verdicts.append(self.stack.ask("fr", dq))
+            self.setpoints.append(self.stack.arms["fr"].krc.sample.q_setpoint)
+            actual = {name: arm.krc.sample.q for name, arm in self.stack.arms.items()}
+            self.least = min(self.least, self.oracle.between_robots_and_structure(actual).distance_m)
+
+    def q(self):
+        return self.stack.arms["fr"].krc.sample.q
+
+    def violations(self):
+        cycle_s = self.stack.cell.description.cycle_s
+        return limit_violations(self.fr, np.array(self.setpoints), cycle_s)
+
+    def towards(self, point):
+        """Full speed of the tool towards a point of the world."""
+
+        def request():
+            q = np.array(self.stack.arms["fr"].state.q_cmd)
+            J = self.fr.jacobian(q)[:3]
+            direction = np.asarray(point) - self.fr.forward(q)[:3, 3]
+            dq = J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), direction)
+            return dq / np.max(np.abs(dq) / self.full_speed)
+
+        return request
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("joint", range(6))
+def test_full_speed_at_a_joint_limit_ends_inside_it_and_retreats(oracle, joint, sign):
+    attack = Attack(oracle)
+    request = np.zeros(6)
+    request[joint] = sign * attack.full_speed[joint]
+    attack.drive(request, 260)
+    assert attack.violations().total == 0
+    assert attack.least >= 0.05
+    assert attack.verdicts[-1].outcome is Outcome.HELD
+    stopped = attack.q()[joint]
+    attack.drive(-request * 0.2, 20)
+    assert sign * (stopped - attack.q()[joint]) > np.deg2rad(1)
+    assert attack.violations().total == 0
+
+
+def test_full_speed_at_the_floor_is_stopped_short_and_retreats(oracle):
+    attack = Attack(oracle)
+    attack.drive(attack.towards((-1.0, -0.2, -1.0)), 150)
+    assert_stopped_short_and_retreats(attack)
+
+
+def test_full_speed_at_the_other_robot_is_stopped_short_and_retreats(oracle):
+    attack = Attack(oracle)
+    gr = attack.stack.cell.robots["gr"]
+    attack.drive(attack.towards(gr.forward(gr.home)[:3, 3]), 150)
+    assert_stopped_short_and_retreats(attack)
+
+
+def test_full_speed_at_a_pipe_is_stopped_short_and_retreats(oracle):
+    attack = Attack(oracle)
+    pipes = [body for body in attack.stack.cell.structure if "pipe" in body.name]
+    lens = attack.fr.forward(attack.fr.home)[:3, 3]
+    nearest = min(pipes, key=lambda pipe: np.linalg.norm(pipe.placement.translation - lens))
+    attack.drive(attack.towards(nearest.placement.translation), 150)
+    assert_stopped_short_and_retreats(attack)
+
+
+def assert_stopped_short_and_retreats(attack):
+    last = attack.verdicts[-1]
+    assert last.outcome is not Outcome.ADMITTED
+    assert last.reasons[0].code in ("clearance", "position_limit")
+    assert attack.least >= 0.05
+    if last.reasons[0].code == "clearance":
+        assert attack.least < 0.05 + 0.02  # and not timid: it comes within 2 cm of the stop distance
+    assert attack.violations().total == 0
+    stopped = attack.setpoints[-1]
+    way = np.max(np.abs(np.array(attack.setpoints) - stopped), axis=1)
+    earlier = attack.setpoints[np.flatnonzero(way > 0.1)[-1]]
+
+    def back():
+        q_cmd = np.array(attack.stack.arms["fr"].state.q_cmd)
+        return np.clip(0.05 * (earlier - q_cmd), -0.2 * attack.full_speed, 0.2 * attack.full_speed)
+
+    attack.drive(back, 40)
+    assert attack.stack.arms["fr"].state.phase is Phase.ENGAGED
+    assert np.max(np.abs(attack.q() - earlier)) < 0.05
+    assert attack.least >= 0.05
+    assert attack.violations().total == 0

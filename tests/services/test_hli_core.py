@@ -1,0 +1,438 @@
+"""The core of the HLI in virtual time: what is refused, what is passed on, and when."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import pytest
+from small_cell import server_state, small_cell, told, tool_pose
+
+from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError, from_map, to_line
+from deltaq_protocol.guarded import Command, CommandReply, Health, Request
+from deltaq_protocol.messages import (
+    Done,
+    Error,
+    Increment,
+    IoReply,
+    IoRequest,
+    LeaseAction,
+    LeaseReply,
+    LeaseRequest,
+    Message,
+    NearestPair,
+    Outcome,
+    Phase,
+    Proximity,
+    ResetRequest,
+    RobotState,
+    Verdict,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.core import HliCore
+from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToOpen, ToSender
+
+CYCLE_S = 0.012
+
+
+class Client(Sender):
+    lasting = True
+
+
+class Bench:
+    """A core, a clock, and what came out of it since it was last asked."""
+
+    def __init__(self, operator_token: str | None = None) -> None:
+        cell = small_cell()
+        tokens = (f"token-{k}" for k in itertools.count())
+        self.core = HliCore(cell, told(cell), tool_pose, lambda: next(tokens), 1000, operator_token)
+        self.now = 50.0
+        self.client = Client()
+        self.token: str | None = None
+
+    def state(self, cycle: int = 100, robot: str = "fr", **changes: Any) -> list[Output]:
+        return self.core.on_server_state(server_state(robot, cycle, **changes), self.now)
+
+    def lease(self, action: str = "acquire", robot: str = "fr", **fields: Any) -> LeaseReply:
+        request = LeaseRequest(robot=robot, action=LeaseAction(action), **fields)
+        reply = only(LeaseReply, self.core.requests.on_lease(request, self.client, self.now))
+        if reply.granted and action != "release":
+            self.token = reply.lease
+        return reply
+
+    def move(self, seq: int, cycle: int = 100, **changes: Any) -> list[Output]:
+        fields = {"robot": "fr", "seq": seq, "cycle": cycle, "dq": (0.001,) * 6, "lease": self.token}
+        try:
+            increment = from_map(Increment, fields | changes)
+        except InvalidMessageError as error:
+            return self.core.increments.on_bad_increment(error, self.client, self.now)
+        return self.core.increments.on_increment(increment, self.client, self.now)
+
+    def ready(self) -> Bench:
+        self.state(100)
+        self.lease(client="octave")
+        return self
+
+
+def sent(kind: type[Message], outputs: list[Output]) -> list[Any]:
+    return [output.message for output in outputs if isinstance(output.message, kind)]
+
+
+def only(kind: type[Message], outputs: list[Output]) -> Any:
+    found = [o.message for o in outputs if isinstance(o.message, kind) and not isinstance(o, ToOpen)]
+    assert len(found) == 1, outputs
+    return found[0]
+
+
+def refused(outputs: list[Output]) -> Any:
+    """The reason of the one refusal that the sender was told of; nothing went to the gate."""
+    assert not [o for o in outputs if isinstance(o, ToGuarded)]
+    verdict = only(Verdict, outputs)
+    assert verdict.outcome is Outcome.REFUSED
+    assert verdict.dq == ()
+    return verdict.reasons[0]
+
+
+# --- increments: the bad cases first ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, None])
+def test_an_element_that_is_not_finite_is_refused_and_the_joint_is_named(bad: float | None) -> None:
+    bench = Bench().ready()
+    reason = refused(bench.move(1, dq=[0.0, 0.0, bad, 0.0, 0.0, 0.0]))
+    assert (reason.code, reason.what) == (ReasonCode.NOT_FINITE, "a3")
+    assert bench.core.counters["refused_not_finite"] == 1
+
+
+@pytest.mark.parametrize("length", [0, 5, 7, 33])
+def test_a_dq_of_the_wrong_length_is_refused_with_both_lengths(length: int) -> None:
+    bench = Bench().ready()
+    reason = refused(bench.move(1, dq=[0.0] * length))
+    assert (reason.code, reason.value, reason.bound) == (ReasonCode.BAD_SHAPE, length, 6)
+
+
+def test_an_increment_that_answers_a_cycle_more_than_ten_old_is_stale() -> None:
+    bench = Bench().ready()
+    reason = refused(bench.move(1, cycle=89))
+    assert (reason.code, reason.value, reason.bound) == (ReasonCode.STALE_CYCLE, 89, 90)
+    assert only(Request, bench.move(2, cycle=90)).seq == 2
+
+
+def test_an_increment_that_answers_a_cycle_to_come_is_refused() -> None:
+    reason = refused(Bench().ready().move(1, cycle=101))
+    assert (reason.code, reason.value, reason.bound) == (ReasonCode.FUTURE_CYCLE, 101, 100)
+
+
+@pytest.mark.parametrize("seq", [4, 5])
+def test_a_sequence_number_that_is_not_greater_than_the_last_is_refused(seq: int) -> None:
+    bench = Bench().ready()
+    bench.move(5)
+    bench.state(101)
+    reason = refused(bench.move(seq, cycle=101))
+    assert (reason.code, reason.bound) == (ReasonCode.REPLAYED_SEQUENCE, 5)
+
+
+def test_a_sequence_number_is_used_up_even_by_an_increment_that_is_refused_for_something_else() -> None:
+    bench = Bench().ready()
+    refused(bench.move(1, dq=[math.nan] * 6))
+    assert refused(bench.move(1)).code is ReasonCode.REPLAYED_SEQUENCE
+
+
+def test_a_robot_that_the_cell_does_not_have_is_refused_by_name() -> None:
+    reason = refused(Bench().ready().move(1, robot="ghost"))
+    assert (reason.code, reason.what) == (ReasonCode.UNKNOWN_ROBOT, "ghost")
+
+
+@pytest.mark.parametrize("token", [None, "", "token-7"])
+def test_without_the_lease_an_increment_is_refused(token: str | None) -> None:
+    assert refused(Bench().ready().move(1, lease=token)).code is ReasonCode.LEASE_NOT_HELD
+
+
+def test_the_lease_of_one_robot_does_not_move_the_other() -> None:
+    bench = Bench().ready()
+    bench.state(100, "gr")
+    assert refused(bench.move(1, robot="gr", dq=[0.0] * 9)).code is ReasonCode.LEASE_NOT_HELD
+
+
+def test_even_a_damaged_increment_needs_the_lease_before_it_is_looked_at() -> None:
+    assert refused(Bench().ready().move(1, lease="x", dq=[math.nan])).code is ReasonCode.LEASE_NOT_HELD
+
+
+@pytest.mark.parametrize(
+    ("phase", "code"), [(Phase.OFFLINE, ReasonCode.NOT_READY), (Phase.HELD, ReasonCode.STOPPED)]
+)
+def test_a_robot_that_is_offline_or_held_takes_no_increment(phase: Phase, code: ReasonCode) -> None:
+    bench = Bench().ready()
+    bench.state(101, phase=phase, reason=ReasonCode.OPERATOR_STOP)
+    assert refused(bench.move(1, cycle=101)).code is code
+
+
+def test_a_robot_that_was_never_heard_is_not_ready() -> None:
+    bench = Bench()
+    bench.lease()
+    assert refused(bench.move(1)).code is ReasonCode.NOT_READY
+
+
+def test_a_robot_whose_states_stopped_coming_is_not_ready_and_the_age_is_named() -> None:
+    bench = Bench().ready()
+    bench.now += 0.2
+    reason = refused(bench.move(1))
+    assert (reason.code, reason.bound) == (ReasonCode.NOT_READY, 0.12)
+    assert reason.value == pytest.approx(0.2)
+
+
+def test_an_increment_that_is_malformed_gets_an_error_not_a_verdict() -> None:
+    bench = Bench().ready()
+    outputs = bench.move(1, extra=1)
+    error = only(Error, outputs)
+    assert error.code is ReasonCode.MALFORMED
+    assert "extra" in error.message
+    assert not sent(Verdict, outputs)
+
+
+def test_what_is_refused_is_shown_to_everybody_who_watches_too() -> None:
+    outputs = Bench().ready().move(1, cycle=101)
+    shown = [o for o in outputs if isinstance(o, ToOpen)]
+    assert [(o.topic, o.robot) for o in shown] == [(topics.VERDICT, "fr")]
+
+
+# --- one increment a robot and cycle ----------------------------------------------------------------
+
+
+def test_an_increment_goes_to_the_gate_at_once_under_the_epoch_of_its_lease() -> None:
+    bench = Bench().ready()
+    request = only(Request, bench.move(1))
+    assert request == Request(robot="fr", cycle=100, lease_epoch=1001, seq=1, dq=(0.001,) * 6)
+
+
+def test_a_second_increment_in_a_cycle_waits_for_the_next_state_and_takes_the_place_of_the_sign_of_life() -> (
+    None
+):
+    bench = Bench().ready()
+    bench.move(1)
+    assert bench.move(2) == []
+    requests = sent(Request, bench.state(101))
+    assert [(r.seq, r.dq is None) for r in requests] == [(2, False)]
+
+
+def test_of_several_that_wait_the_newest_is_sent_and_the_others_are_told_that_they_were_superseded() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    told_of_2 = refused(bench.move(3))
+    assert told_of_2.code is ReasonCode.SUPERSEDED
+    assert bench.core.counters["refused_superseded"] == 1
+    assert [r.seq for r in sent(Request, bench.state(101))] == [3]
+
+
+def test_never_more_than_one_increment_goes_to_the_gate_for_a_cycle() -> None:
+    bench = Bench().ready()
+    outputs = [output for seq in range(1, 40) for output in bench.move(seq)]
+    outputs += bench.state(101)
+    outputs += [output for seq in range(40, 80) for output in bench.move(seq, cycle=101)]
+    assert len(sent(Request, outputs)) == 2
+
+
+def test_every_state_brings_a_sign_of_life_when_nothing_waits() -> None:
+    bench = Bench()
+    request = only(Request, bench.state(100))
+    assert request == Request(robot="fr", cycle=100, lease_epoch=0)
+
+
+def test_an_increment_that_went_stale_while_it_waited_is_refused_and_the_gate_gets_a_sign_of_life() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    outputs = bench.state(200)
+    assert [r.dq for r in sent(Request, outputs)] == [None]
+    assert only(Verdict, outputs).reasons[0].code is ReasonCode.STALE_CYCLE
+
+
+def test_an_increment_that_waits_when_the_robot_is_held_is_refused() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    outputs = bench.state(101, phase=Phase.HELD)
+    assert [r.dq for r in sent(Request, outputs)] == [None]
+    assert only(Verdict, outputs).reasons[0].code is ReasonCode.STOPPED
+
+
+def test_a_robot_server_that_starts_again_from_zero_is_followed() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    assert only(Verdict, bench.state(0)).reasons[0].code is ReasonCode.FUTURE_CYCLE
+    assert only(Request, bench.move(3, cycle=0)).cycle == 0
+
+
+def test_a_state_that_comes_twice_lets_nothing_more_through() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    assert [r.dq for r in sent(Request, bench.state(100))] == [None]
+    assert [r.seq for r in sent(Request, bench.state(101))] == [2]
+
+
+def test_a_state_of_a_robot_or_shape_that_the_cell_does_not_have_is_ignored_and_counted() -> None:
+    bench = Bench()
+    assert bench.state(100, "ghost") == []
+    assert bench.state(100, q=(0.0,) * 7) == []
+    assert bench.core.counters["states_ignored"] == 2
+
+
+def test_a_state_is_told_with_the_pose_of_the_tool() -> None:
+    state = next(o for o in Bench().state(100) if isinstance(o, ToOpen))
+    assert isinstance(state.message, RobotState)
+    assert state.message.tool.position == (0.0, 0.0, 0.1)
+
+
+# --- verdicts ---------------------------------------------------------------------------------------
+
+
+def verdict(seq: int, outcome: Outcome = Outcome.ADMITTED) -> Verdict:
+    return Verdict(robot="fr", cycle=100, seq=seq, outcome=outcome, scale=1.0, dq=(0.001,) * 6)
+
+
+def test_a_verdict_goes_to_the_one_who_asked_and_to_everybody_who_watches() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    outputs = bench.core.on_gate_verdict(verdict(1))
+    assert outputs == [ToSender(bench.client, verdict(1)), ToOpen(topics.VERDICT, "fr", verdict(1))]
+
+
+def test_a_late_verdict_goes_to_who_asked_not_to_who_took_the_lease_since() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    first, bench.client = bench.client, Client()
+    bench.lease("take")
+    told_to = [o.sender for o in bench.core.on_gate_verdict(verdict(1)) if isinstance(o, ToSender)]
+    assert told_to == [first]
+
+
+def test_a_verdict_on_a_robot_that_the_cell_does_not_have_is_ignored() -> None:
+    assert Bench().core.on_gate_verdict(verdict(1).model_copy(update={"robot": "ghost"})) == []
+
+
+# --- stop, reset, outputs ---------------------------------------------------------------------------
+
+
+def test_a_stop_is_commanded_at_once_and_done_when_the_gate_says_so() -> None:
+    bench = Bench()
+    command = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    assert (command.kind, command.robot, command.reason) == ("stop", None, ReasonCode.OPERATOR_STOP)
+    done = bench.core.on_command_reply(CommandReply(id=command.id, accepted=True))
+    assert done == [ToSender(bench.client, Done(what="stop"))]
+
+
+def test_a_stop_drops_the_increment_that_waits() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    outputs = bench.core.requests.on_stop(bench.client, bench.now)
+    assert only(Verdict, outputs).reasons[0].code is ReasonCode.STOPPED
+    assert [r.dq for r in sent(Request, bench.state(101))] == [None]
+
+
+def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unreachable() -> None:
+    bench = Bench()
+    bench.core.requests.on_stop(bench.client, bench.now)
+    assert bench.core.on_tick(bench.now + 0.49) == []
+    assert only(Error, bench.core.on_tick(bench.now + 0.5)).code is ReasonCode.UNREACHABLE
+    assert bench.core.counters["commands_unanswered"] == 1
+
+
+def test_a_reply_that_comes_after_the_deadline_answers_nobody_twice() -> None:
+    bench = Bench()
+    command = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    bench.core.on_tick(bench.now + 1.0)
+    assert bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)) == []
+
+
+@pytest.mark.parametrize("code", [ReasonCode.CAUSE_STANDS, ReasonCode.NOT_AT_REST])
+def test_a_reset_that_the_gate_refuses_comes_back_with_its_reason_and_a_hint(code: ReasonCode) -> None:
+    bench = Bench()
+    outputs = bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now)
+    command = only(Command, outputs)
+    error = only(Error, bench.core.on_command_reply(CommandReply(id=command.id, accepted=False, code=code)))
+    assert error.code is code
+    assert "reset of fr refused" in error.message
+    assert "reset again" in error.hint
+
+
+def test_a_reset_of_a_robot_that_the_cell_does_not_have_names_those_it_has() -> None:
+    bench = Bench()
+    error = only(Error, bench.core.requests.on_reset(ResetRequest(robot="ghost"), bench.client, bench.now))
+    assert (error.code, error.hint) == (ReasonCode.UNKNOWN_ROBOT, "it has fr, gr")
+
+
+def test_where_an_operators_token_is_set_reset_and_take_need_it_and_stop_does_not() -> None:
+    bench = Bench(operator_token="s3cret")
+    bench.lease(client="octave")
+    bench.token = None
+    for token in (None, "", "wrong", "\ud800"):
+        error = only(
+            Error,
+            bench.core.requests.on_reset(ResetRequest(robot="fr", token=token), bench.client, bench.now),
+        )
+        assert error.code is ReasonCode.NOT_PERMITTED
+        assert bench.lease("take", token=token).code is ReasonCode.NOT_PERMITTED
+    assert only(Command, bench.core.requests.on_stop(bench.client, bench.now)).kind == "stop"
+    right = ResetRequest(robot="fr", token="s3cret")
+    assert only(Command, bench.core.requests.on_reset(right, bench.client, bench.now)).kind == "reset"
+    assert bench.lease("take", token="s3cret").granted
+
+
+def io(bench: Bench, **fields: Any) -> list[Output]:
+    return bench.core.requests.on_io(IoRequest(robot="gr", **fields), bench.client, bench.now)
+
+
+def test_an_output_that_the_robot_does_not_have_is_an_error_that_names_those_it_has() -> None:
+    error = only(Error, io(Bench(), outputs={"grip": True}))
+    assert error.message == "outputs: 'grip' is not an output of gr; it has gripper"
+
+
+def test_a_name_that_is_no_text_is_answered_in_text() -> None:
+    error = only(Error, io(Bench(), outputs={"\ud800": True}))
+    assert error.code is ReasonCode.MALFORMED
+    assert to_line(error)
+
+
+def test_while_a_robot_is_leased_only_the_holder_sets_its_outputs_and_anybody_reads_them() -> None:
+    bench = Bench()
+    bench.state(100, "gr")
+    bench.lease(robot="gr", client="octave")
+    assert only(Error, io(bench, outputs={"gripper": True})).code is ReasonCode.LEASE_NOT_HELD
+    assert only(IoReply, io(bench)) == IoReply(
+        robot="gr", outputs={"gripper": False}, inputs={"closed": True}
+    )
+    command = only(Command, io(bench, outputs={"gripper": True}, lease=bench.token))
+    assert (command.kind, command.robot, command.outputs) == ("io", "gr", {"gripper": True})
+    reply = only(IoReply, bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)))
+    assert reply.outputs == {"gripper": True}
+
+
+# --- looking on -------------------------------------------------------------------------------------
+
+
+def test_the_nearest_pair_is_published_when_the_gate_tells_it_and_only_then() -> None:
+    bench = Bench()
+    pair = NearestPair(pair=("fr/link_5", "floor"), distance_m=0.4, points_m=((0, 0, 0), (0, 0, 0.4)))
+    health = Health(service="sim", healthy=True, time_s=1.0, nearest=pair, counters={"admitted": 3})
+    other = health.model_copy(update={"service": "robot-server-fr"})
+    assert bench.core.on_health(other, bench.now) == []
+    published = bench.core.on_health(health, bench.now)
+    assert published == [ToOpen(topics.PROXIMITY, "", Proximity(time_s=1.0, pairs=(pair,)))]
+    status = bench.core.status(bench.now + 0.5, bench.core.counters)
+    assert (status.gate, status.gate_age_s, status.nearest) == ({"admitted": 3}, 0.5, pair)
+
+
+def test_the_status_shows_a_robot_that_fell_silent_as_offline_with_the_age_of_its_state() -> None:
+    bench = Bench().ready()
+    status = bench.core.status(bench.now + 0.3, bench.core.counters)
+    robot = status.robots["fr"]
+    assert (robot.phase, robot.cycle, robot.lease.holder) == (Phase.OFFLINE, 100, "octave")
+    assert robot.state_age_s == pytest.approx(0.3)
+    assert status.robots["gr"].state_age_s is None
+    assert bench.core.unheard(bench.now, 2.0) == ["robot gr", "gate"]

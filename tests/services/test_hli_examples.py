@@ -1,0 +1,71 @@
+"""The examples run as they are, each against a running HLI, and do what they say."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from served import Server
+
+from deltaq_protocol.blocking import connect
+from deltaq_protocol.guarded import Request
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server() as running:
+        yield running
+
+
+def arguments(example: str, server: Server) -> list[str]:
+    cell = server.description
+    return [cell.tcp_address, str(cell.tcp_port)] if example == "over_a_socket.py" else [cell.hli]
+
+
+def run(example: str, *given: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(EXAMPLES / example), *given]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
+def test_the_example_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, server: Server) -> None:
+    before = server.peer.q_cmd["fr"]
+    done = run(example, *arguments(example, server))
+    assert (done.returncode, done.stderr) == (0, "")
+    turned = [math.degrees(q - q0) for q, q0 in zip(server.peer.q_cmd["fr"], before, strict=True)]
+    assert turned == pytest.approx([10.0, 0, 0, 0, 0, 0], abs=0.1)
+    assert "A1 is at 15." in done.stdout  # it began at 0.1 rad
+    assert server.hli.status().robots["fr"].lease.holder is None
+    assert server.peer.commands.empty()
+    largest = max(abs(request.dq[0]) for request in drained(server) if request.dq)
+    assert largest <= math.radians(30) * server.description.cycle_s + 1e-12
+
+
+def drained(server: Server) -> Iterator[Request]:
+    while not server.peer.increments.empty():
+        yield server.peer.increments.get_nowait()
+
+
+@pytest.mark.live
+def test_the_socket_example_is_refused_while_another_holds_the_lease(server: Server) -> None:
+    with connect(server.description.hli, client="first") as cell, cell.lease("fr"):
+        done = run("over_a_socket.py", *arguments("over_a_socket.py", server))
+    assert done.returncode == 1
+    assert "lease_taken" in done.stderr
+
+
+@pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
+def test_the_example_says_what_it_needs_in_inline_script_metadata(example: str) -> None:
+    lines = (EXAMPLES / example).read_text().splitlines()
+    block = lines[lines.index("# /// script") + 1 : lines.index("# ///")]
+    metadata = tomllib.loads("\n".join(line.removeprefix("# ") for line in block))
+    assert metadata["requires-python"] == ">=3.11"
+    assert metadata["dependencies"] == ([] if example == "over_a_socket.py" else ["deltaq"])

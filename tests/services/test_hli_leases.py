@@ -1,0 +1,156 @@
+"""Who may write to a robot, and what happens when the one who may is gone."""
+
+from __future__ import annotations
+
+import pytest
+from test_hli_core import Bench, only, refused, sent
+
+from deltaq_protocol.guarded import Command, Request
+from deltaq_protocol.messages import Phase, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.outputs import Output
+
+
+def controller_lost(outputs: list[Output]) -> bool:
+    commands = sent(Command, outputs)
+    assert all((c.kind, c.robot, c.reason) == ("stop", "fr", ReasonCode.CONTROLLER_LOST) for c in commands)
+    return len(commands) == 1
+
+
+def test_a_second_client_is_refused_and_told_who_holds_the_lease_and_for_how_long() -> None:
+    bench = Bench().ready()
+    bench.now += 0.25
+    reply = bench.lease(client="intruder")
+    assert (reply.granted, reply.code, reply.holder) == (False, ReasonCode.LEASE_TAKEN, "octave")
+    assert reply.expires_s == pytest.approx(0.75)
+    assert reply.lease is None
+
+
+def test_the_lease_of_a_robot_that_the_cell_does_not_have_is_refused() -> None:
+    assert Bench().lease(robot="ghost").code is ReasonCode.UNKNOWN_ROBOT
+
+
+@pytest.mark.parametrize("action", ["renew", "release"])
+def test_only_the_holder_renews_and_releases(action: str) -> None:
+    bench = Bench().ready()
+    reply = bench.lease(action, lease="token-of-another")
+    assert (reply.granted, reply.code, reply.holder) == (False, ReasonCode.LEASE_NOT_HELD, "octave")
+
+
+def test_a_lease_runs_out_when_nothing_renews_it() -> None:
+    bench = Bench().ready()
+    bench.now += 1.0
+    assert bench.lease("renew", lease=bench.token).code is ReasonCode.LEASE_NOT_HELD
+    assert bench.core.counters["leases_expired"] == 1
+
+
+def test_a_renewal_and_an_accepted_increment_both_let_the_lease_last_from_now() -> None:
+    bench = Bench().ready()
+    bench.now += 0.9
+    assert bench.lease("renew", lease=bench.token).expires_s == pytest.approx(1.0)
+    bench.now += 0.9
+    bench.state(101)
+    assert only(Request, bench.move(1, cycle=101)).seq == 1
+    bench.now += 0.9
+    assert bench.lease("renew", lease=bench.token).granted
+
+
+def test_an_increment_that_is_refused_does_not_renew_the_lease() -> None:
+    bench = Bench().ready()
+    bench.now += 0.9
+    refused(bench.move(1))  # its robot is not heard any more
+    bench.now += 0.1
+    assert not bench.lease("renew", lease=bench.token).granted
+
+
+def test_acquiring_again_with_the_token_is_a_renewal_and_keeps_the_epoch() -> None:
+    bench = Bench().ready()
+    assert bench.lease(lease=bench.token).granted
+    assert only(Request, bench.move(1)).lease_epoch == 1001
+
+
+def test_every_grant_has_an_epoch_and_a_token_of_its_own_and_begins_with_any_sequence_number() -> None:
+    bench = Bench().ready()
+    tokens, epochs = {bench.token}, []
+    for cycle in (101, 102, 103):
+        bench.state(cycle)
+        epochs.append(only(Request, bench.move(7, cycle=cycle)).lease_epoch)
+        bench.lease("release", lease=bench.token)
+        bench.lease()
+        tokens.add(bench.token)
+    assert epochs == [1001, 1002, 1003]
+    assert len(tokens) == 4
+
+
+def test_whoever_takes_a_lease_has_it_and_the_former_holder_is_told_with_the_next_increment() -> None:
+    bench = Bench().ready()
+    former = bench.token
+    bench.token = None
+    assert bench.lease("take", client="operator").holder == "operator"
+    assert bench.core.counters["leases_taken"] == 1
+    assert refused(bench.move(1, lease=former)).code is ReasonCode.LEASE_NOT_HELD
+    assert only(Request, bench.move(1)).lease_epoch == 1002
+
+
+def test_taking_a_lease_does_not_stop_the_robot() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.token = None
+    bench.lease("take")
+    assert not sent(Command, bench.core.on_tick(bench.now))
+
+
+def test_releasing_a_lease_stops_nothing_and_the_increment_that_waited_is_dropped() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    reply = bench.lease("release", lease=bench.token)
+    assert (reply.granted, reply.holder, reply.lease) == (True, None, None)
+    outputs = bench.state(101, phase=Phase.ENGAGED)
+    assert [r.dq for r in sent(Request, outputs)] == [None]
+    assert not sent(Command, outputs)
+
+
+def test_a_holder_that_moved_the_robot_and_falls_silent_stops_it_for_controller_lost() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    bench.now += 1.0
+    outputs = bench.core.on_tick(bench.now)
+    assert controller_lost(outputs)
+    assert only(Verdict, outputs).reasons[0].code is ReasonCode.LEASE_NOT_HELD
+    assert [r.dq for r in sent(Request, bench.state(101))] == [None]
+
+
+@pytest.mark.parametrize("phase", [Phase.ENGAGED, Phase.BRAKING])
+def test_a_holder_that_sent_nothing_but_whose_robot_moves_stops_it_when_its_connection_breaks(
+    phase: Phase,
+) -> None:
+    bench = Bench().ready()
+    bench.state(101, phase=phase)
+    assert bench.token is not None
+    assert controller_lost(bench.core.requests.on_connection_lost([("fr", bench.token)], bench.now))
+
+
+def test_a_holder_that_never_moved_its_robot_at_rest_may_vanish() -> None:
+    bench = Bench().ready()
+    assert bench.token is not None
+    assert bench.core.requests.on_connection_lost([("fr", bench.token)], bench.now) == []
+    assert bench.lease(client="next").granted
+
+
+def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    former, bench.token = bench.token, None
+    bench.lease("take")
+    assert former is not None
+    assert bench.core.requests.on_connection_lost([("fr", former)], bench.now) == []
+
+
+def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.core.on_tick(bench.now + 1.0)
+    assert bench.core.on_tick(bench.now + 1.5) == []
+    assert bench.core.counters["commands_unanswered"] == 1

@@ -1,0 +1,101 @@
+"""The HLI as a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from json_client import json_client
+from small_cell import endpoint, free_port
+
+from deltaq_protocol import connect
+
+pytestmark = pytest.mark.live
+
+
+def cell_file(folder: Path, tcp_port: int) -> tuple[Path, str]:
+    """The lab cell on ports that nobody listens on."""
+    hli = endpoint()
+    file = folder / "here.yaml"
+    file.write_text(
+        f"extends: lab\nhli: {hli}\nsim: {endpoint()}\ntcp_port: {tcp_port}\n"
+        f"robots:\n  fr:\n    server: {endpoint()}\n  gr:\n    server: {endpoint()}\n"
+    )
+    return file, hli
+
+
+@asynccontextmanager
+async def process(*arguments: str, **environment: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    started = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "deltaq_services.hli",
+        *arguments,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env=os.environ | environment,
+    )
+    try:
+        yield started
+    finally:
+        if started.returncode is None:
+            started.kill()
+        await started.communicate()
+
+
+async def test_it_says_when_it_is_ready_serves_both_fronts_and_ends_cleanly(tmp_path: Path) -> None:
+    port = free_port()
+    file, hli = cell_file(tmp_path, port)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        async with process("--cell", str(file)) as started:
+            assert started.stdout is not None
+            line = (await asyncio.wait_for(started.stdout.readline(), 60)).decode()
+            assert line.startswith("ready: hli of lab")
+            async with connect(hli) as cell, json_client(port) as client:
+                assert set(cell.robots) == {"fr", "gr"}
+                assert "<robot" in cell.description.urdf["fr"]
+                welcome = await client.ask("welcome", type="hello", protocol=1, client="again")
+                assert welcome["robots"]["gr"]["units"][:3] == ["m"] * 3
+                description = await client.ask("description", type="describe")
+                assert description["yaml"] == cell.description.yaml
+                started.send_signal(number)
+                out, err = await asyncio.wait_for(started.communicate(), 20)
+            assert (started.returncode, out, err) == (0, b"", b"")
+
+
+async def test_the_operators_token_comes_from_the_environment(tmp_path: Path) -> None:
+    port = free_port()
+    file, _ = cell_file(tmp_path, port)
+    async with process("--cell", str(file), DELTAQ_OPERATOR_TOKEN="s3cret") as started:
+        assert started.stdout is not None
+        await asyncio.wait_for(started.stdout.readline(), 60)
+        async with json_client(port) as client, json_client(port, "operator", token="s3cret") as operator:
+            assert (await client.ask("done", type="reset", robot="fr"))["code"] == "not_permitted"
+            assert (await operator.ask("done", type="reset", robot="fr"))["code"] == "unreachable"
+
+
+async def test_a_port_that_is_taken_ends_it_with_status_3_and_says_which(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        async with process("--cell", str(cell_file(tmp_path, port)[0])) as started:
+            _, err = await asyncio.wait_for(started.communicate(), 60)
+    assert started.returncode == 3
+    assert str(port).encode() in err
+    assert b"Traceback" not in err
+
+
+async def test_a_cell_that_does_not_exist_ends_it_with_status_2() -> None:
+    async with process("--cell", "nowhere") as started:
+        _, err = await asyncio.wait_for(started.communicate(), 60)
+    assert started.returncode == 2
+    assert b"nowhere" in err
+    assert b"Traceback" not in err

@@ -1,0 +1,185 @@
+"""What the recorder writes, and what of it can be read when it was cut off or damaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol import topics
+from deltaq_protocol.messages import Description, Phase, RobotState
+from deltaq_services.recorder.reader import Recording, UnreadableRecordingError
+from deltaq_services.recorder.writer import RecordingError, RecordingWriter
+
+CYCLE_NS = 12_000_000
+STATES = 400
+
+
+@pytest.fixture(scope="module")
+def cell() -> CellModel:
+    return CellModel.load("lab")
+
+
+@pytest.fixture(scope="module")
+def description(cell: CellModel) -> Description:
+    return cell.description_message()
+
+
+def state(cell: CellModel, cycle: int) -> RobotState:
+    # joints that look random, so that chunks do not shrink to nothing
+    robot = cell.robots["fr"]
+    q = robot.home + 0.1 * np.sin(np.arange(6) + 1.7 * cycle)
+    return RobotState(
+        robot="fr",
+        cycle=cycle,
+        ipoc=12 * cycle,
+        time_s=0.012 * cycle,
+        q=tuple(q.tolist()),
+        q_cmd=tuple(q.tolist()),
+        tool=robot.tool_pose(q),
+        phase=Phase.READY,
+    )
+
+
+def write(path: Path, cell: CellModel, count: int = STATES) -> Path:
+    with RecordingWriter(path, cell.description_message(), "virtual time") as writer:
+        for cycle in range(count):
+            writer.publish(topics.STATE, state(cell, cycle), cycle * CYCLE_NS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recorded(cell: CellModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("recorded") / "run.mcap", cell)
+
+
+def cycles(recording: Recording) -> list[int]:
+    return [item.message.cycle for item in recording.messages()]
+
+
+def test_a_file_that_is_there_is_never_written_over(tmp_path: Path, description: Description) -> None:
+    file = tmp_path / "run.mcap"
+    file.write_text("something dear")
+    with pytest.raises(RecordingError, match="name another file"):
+        RecordingWriter(file, description, "live")
+    assert file.read_text() == "something dear"
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path: Path, description: Description) -> None:
+    with pytest.raises(RecordingError, match="No such file"):
+        RecordingWriter(tmp_path / "nowhere" / "run.mcap", description, "live")
+
+
+def test_a_full_disk_is_told_and_ends_the_recording(cell: CellModel) -> None:
+    with pytest.raises(RecordingError, match=r"/dev/full cannot be written to any more: No space left"):
+        write(Path("/dev/full"), cell)
+
+
+def test_what_was_written_comes_back_in_order(recorded: Path, cell: CellModel) -> None:
+    recording = Recording.open(recorded)
+    read = list(recording.messages())
+    assert [item.message for item in read] == [state(cell, cycle) for cycle in range(STATES)]
+    assert read[7].time_ns == 7 * CYCLE_NS
+    assert recording.about["cell"] == "lab"
+    assert recording.robots == ("fr", "gr")
+    assert recording.notices == []
+
+
+def test_the_cell_is_modelled_from_the_recording_alone(recorded: Path, cell: CellModel) -> None:
+    model = Recording.open(recorded).cell()
+    assert model.description == cell.description
+    np.testing.assert_array_equal(
+        model.robots["gr"].forward(model.robots["gr"].home), cell.robots["gr"].forward(cell.robots["gr"].home)
+    )
+
+
+def test_a_file_that_is_no_recording_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("not a recording")
+    for path in (file, tmp_path / "missing.mcap"):
+        with pytest.raises(UnreadableRecordingError, match=path.name):
+            Recording.open(path)
+
+
+def test_wherever_a_file_is_cut_off_what_stands_before_is_read(recorded: Path, tmp_path: Path) -> None:
+    data, cut = recorded.read_bytes(), tmp_path / "cut.mcap"
+    lengths = []
+    for share in (0.5, 0.7, 0.9):
+        cut.write_bytes(data[: int(len(data) * share)])
+        recording = Recording.open(cut)
+        read = cycles(recording)
+        assert read == list(range(len(read)))
+        assert len(recording.notices) == 1
+        assert "was read as far as it goes" in recording.notices[0] or "left out" in recording.notices[0]
+        lengths.append(len(read))
+    assert lengths == sorted(lengths)
+
+
+def test_a_file_cut_off_in_its_beginning_is_no_recording(recorded: Path, tmp_path: Path) -> None:
+    data, cut = recorded.read_bytes(), tmp_path / "cut.mcap"
+    for length in (0, 4, 8, 100, 3000):
+        cut.write_bytes(data[:length])
+        with pytest.raises(UnreadableRecordingError):
+            Recording.open(cut)
+
+
+def test_every_single_damaged_byte_is_survived(recorded: Path, tmp_path: Path) -> None:
+    data, damaged = recorded.read_bytes(), tmp_path / "damaged.mcap"
+    random = np.random.default_rng(5)
+    for place in random.integers(0, len(data), 60).tolist():
+        changed = bytearray(data)
+        changed[place] ^= 0xFF
+        damaged.write_bytes(changed)
+        try:
+            read = cycles(Recording.open(damaged))
+        except UnreadableRecordingError:
+            continue  # the damage is in what a recording begins with
+        assert set(read) <= set(range(STATES))
+
+
+def test_a_damaged_chunk_is_left_out_and_the_others_are_read(cell: CellModel, tmp_path: Path) -> None:
+    file = write(tmp_path / "run.mcap", cell, 1500)
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) >= 3
+    # the first chunk holds the schemas and channels of all the others
+    first, second = summary.chunk_indexes[0], summary.chunk_indexes[1]
+    data = bytearray(file.read_bytes())
+    data[first.chunk_start_offset + first.chunk_length // 2] ^= 0xFF
+    file.write_bytes(data)
+    recording = Recording.open(file)
+    read = cycles(recording)
+    assert read == list(range(read[0], 1500))
+    assert 0 < read[0] * CYCLE_NS <= second.message_start_time + CYCLE_NS
+    assert ["damaged and was left out" in notice for notice in recording.notices] == [True]
+
+
+def test_other_programs_read_joint_states_and_transforms(recorded: Path, cell: CellModel) -> None:
+    robot, seen = cell.robots["fr"], set()
+    with recorded.open("rb") as stream:
+        for schema, channel, message, decoded in make_reader(
+            stream, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
+            seen.add((channel.topic, schema.name))
+            cycle = message.log_time // CYCLE_NS
+            if schema.name == "foxglove.JointStates":
+                joints = {joint.name: joint.position for joint in decoded.joints}
+                assert tuple(joints) == robot.joint_names
+                assert tuple(joints.values()) == state(cell, cycle).q
+            elif schema.name == "foxglove.FrameTransforms":
+                frames = {item.child_frame_id: item for item in decoded.transforms}
+                assert {item.parent_frame_id for item in decoded.transforms} == {"world"}
+                at = frames["fr/link_2"].translation
+                np.testing.assert_allclose(
+                    (at.x, at.y, at.z), robot.joint_origins(state(cell, cycle).q)[1], atol=1e-12
+                )
+    assert seen == {
+        ("deltaq/lab/fr/state", "deltaq.RobotState"),
+        ("/fr/joint_states", "foxglove.JointStates"),
+        ("/tf", "foxglove.FrameTransforms"),
+    }
