@@ -1,0 +1,1 @@
+"""Controllers: clients of the HLI like any other."""

@@ -1,0 +1,1 @@
+"""The configuration advisor: ranked ways to hold the hands where they shall be."""

@@ -1,0 +1,56 @@
+"""Clearance by the exact shapes that the gate uses, for what is shown to people and driven."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.proximity import Proximity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The tightest pair of one configuration.
+
+    Attributes:
+        room_m: distance beyond the stop distance; negative is too near.
+        distance_m: distance.
+        pair: names of the two bodies.
+    """
+
+    room_m: float
+    distance_m: float
+    pair: tuple[str, str]
+
+
+class ExactClearance:
+    """Measures one robot of a cell, the others standing still.
+
+    Args:
+        cell: model of the cell.
+        robot: name of the robot.
+        others: (n,) configuration of each other robot; at home if not given.
+    """
+
+    def __init__(self, cell: CellModel, robot: str, others: Mapping[str, Array] | None = None) -> None:
+        self._proximity = Proximity(cell)
+        self._robot = robot
+        self._groups = list(self._proximity.alone[robot])
+        for name, model in cell.robots.items():
+            if name != robot:
+                self._proximity.place(name, (others or {}).get(name, model.home), np.zeros(model.n))
+                self._groups += self._proximity.between[robot, name]
+
+    def measure(self, q: Array) -> Clearance:
+        """The tightest pair at configuration `q` (n,)."""
+        self._proximity.place(self._robot, q, np.zeros(len(q)))
+        rooms = [self._proximity.least(group) - group.stop_distance_m for group in self._groups]
+        tightest = int(np.argmin(rooms))
+        nearest = self._groups[tightest].nearest()
+        return Clearance(rooms[tightest], nearest.distance_m, nearest.pair)

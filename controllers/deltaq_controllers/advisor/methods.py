@@ -1,0 +1,139 @@
+"""The global methods of Hooper and Noakes, Table 3, behind one interface.
+
+A method is a generator: it yields what it has found, with how far it is, as often as somebody might want to look or to
+stop it; whoever stops asking has cancelled it. Effort 1 is what an operator waits for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.advisor.descent import descend
+from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.seeding import feasible
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a method has found since it was last asked.
+
+    Attributes:
+        q: (M, n) feasible configurations.
+        energy: (M,) their energies.
+        done: share of the work that is done, 0 to 1.
+    """
+
+    q: Array
+    energy: Array
+    done: float
+
+
+Method = Callable[[Problem, np.random.Generator, float], Iterator[Found]]
+
+CHAINS, CHAIN_STEPS = 64, 50
+FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.05, 5e-4
+FIRST_STEP, LAST_STEP = 0.12, 0.01
+
+
+def annealing(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+    """Simulated annealing in many short chains.
+
+    III-C with the acceptance `exp(-(E_trial - E) / kT)` that the print leaves out, see the errata. One long chain that
+    cools slowly ends in one option; short ones end in several.
+    """
+    q, energy = _start(problem, generator, CHAINS)
+    yield Found(q, energy, 0.1)
+    steps = max(1, round(CHAIN_STEPS * effort))
+    extent, base = problem.upper - problem.lower, problem.tracker.base
+    for step in range(steps if len(q) else 0):
+        share = step / steps
+        temperature = FIRST_TEMPERATURE * (LAST_TEMPERATURE / FIRST_TEMPERATURE) ** share
+        size = FIRST_STEP * (LAST_STEP / FIRST_STEP) ** share
+        change = generator.normal(size=(len(q), problem.free)) * size * extent
+        change *= generator.random(change.shape) < 0.6  # some joints at a time
+        trial, trial_energy = problem.try_best(q[:, base] + change)
+        accepted = generator.random(len(q)) < np.exp(-np.maximum(trial_energy - energy, 0.0) / temperature)
+        accepted &= np.isfinite(trial_energy)
+        q, energy = np.where(accepted[:, None], trial, q), np.where(accepted, trial_energy, energy)
+        yield Found(q, energy, 0.1 + 0.9 * (step + 1) / steps)
+
+
+def shotgun(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+    """Gradient tracking from many starts."""
+    rounds = max(1, round(2 * effort))
+    for number in range(rounds):
+        q, energy = _start(problem, generator, 24)
+        for part in range(4):
+            q, energy = descend(problem, q, energy, generator, 6)
+            yield Found(q, energy, (number + 0.25 * (part + 1)) / rounds)
+
+
+def genetic(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+    """A genetic algorithm: tournaments, blended parents, mutation, and the best of old and new survive."""
+    q, energy = _start(problem, generator, CHAINS)
+    yield Found(q, energy, 0.1)
+    generations = max(1, round(CHAIN_STEPS * effort))
+    extent, base = problem.upper - problem.lower, problem.tracker.base
+    for generation in range(generations if len(q) else 0):
+        size = FIRST_STEP * (LAST_STEP / FIRST_STEP) ** (generation / generations)
+        contest = generator.integers(len(q), size=(2, 2, len(q)))
+        winners = np.where(energy[contest[:, 0]] < energy[contest[:, 1]], contest[:, 0], contest[:, 1])
+        blend = generator.uniform(-0.25, 1.25, (len(q), problem.free))
+        children = blend * q[winners[0]][:, base] + (1.0 - blend) * q[winners[1]][:, base]
+        mutated = generator.random(children.shape) < 0.3
+        children += mutated * generator.normal(size=children.shape) * size * extent
+        trial, trial_energy = problem.try_best(children)
+        q, energy = np.concatenate([q, trial]), np.concatenate([energy, trial_energy])
+        kept = np.argsort(energy, kind="stable")[: min(CHAINS, int(np.isfinite(energy).sum()))]
+        q, energy = q[kept], energy[kept]
+        yield Found(q, energy, 0.1 + 0.9 * (generation + 1) / generations)
+
+
+def monte_carlo(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+    """Trials drawn evenly over the free joints' ranges."""
+    rounds = max(1, round(20 * effort))
+    for number in range(rounds):
+        trials = problem.try_all(generator.uniform(problem.lower, problem.upper, (1000, problem.free)))
+        yield Found(trials.q, trials.energy, (number + 1) / rounds)
+
+
+def brute_force(problem: Problem, _generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+    """Every point of a coarse grid."""
+    side = max(2, int((20_000 * effort) ** (1.0 / problem.free)))
+    axes = [
+        np.linspace(low, high, side + 2)[1:-1] for low, high in zip(problem.lower, problem.upper, strict=True)
+    ]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, problem.free)
+    for start in range(0, len(points), 1000):
+        trials = problem.try_all(points[start : start + 1000])
+        yield Found(trials.q, trials.energy, min(1.0, (start + 1000) / len(points)))
+
+
+METHODS: dict[str, Method] = {
+    "annealing": annealing,
+    "shotgun": shotgun,
+    "genetic": genetic,
+    "monte-carlo": monte_carlo,
+    "brute-force": brute_force,
+}
+"""All methods by name."""
+
+
+def _start(problem: Problem, generator: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """At most `count` feasible configurations, drawn until there are enough or few can be hoped for."""
+    q, energy = np.empty((0, problem.robot.n)), np.empty(0)
+    for attempt in range(6):
+        drawn = feasible(problem, generator, 96 * (attempt + 1), 32, 4 * count)
+        tried, energies = problem.try_best(drawn)
+        good = np.isfinite(energies)
+        q, energy = np.concatenate([q, tried[good]]), np.concatenate([energy, energies[good]])
+        if len(q) >= count:
+            break
+    kept = generator.permutation(len(q))[:count]
+    return q[kept], energy[kept]

@@ -1,0 +1,172 @@
+"""What the advisor minimises: a weighted sum of criteria over the free joints, the hands kept where they shall be.
+
+Hooper and Noakes, III-B and III-C: constraint tracking leaves the base joints free (5 of 17 on a DAWM), and a trial
+that exceeds a limit, cannot reach or collides is rejected at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.criteria import TABLE, Normalised, Postures, RobotData
+from deltaq_controllers.criteria.normalised import reference
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+WEIGHTS = {"travel": 1.0, "clearance": 1.0}
+"""The two criteria of the paper's own application: joint limits and collisions."""
+
+
+class AdvisorError(DeltaqError):
+    """A task that the advisor cannot work on."""
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Feasible configurations among those tried.
+
+    Attributes:
+        q: (M, n) configurations.
+        energy: (M,) their energies.
+        row: (M,) which of the trials each belongs to; one trial may have several branches, or none.
+    """
+
+    q: Array
+    energy: Array
+    row: Indices
+
+
+class Problem:
+    """One task of one robot.
+
+    Args:
+        cell: model of the cell.
+        robot: name of the robot.
+        T_world_hands: (h, 4, 4) where its hands shall be.
+        weights: of the criteria.
+        tracker: of the robot, where there is one already.
+
+    Attributes:
+        tracker: of the robot.
+        data: what criteria know of it.
+        energy: the weighted sum.
+        lower: (m,) lower limits of the free joints.
+        upper: (m,) their upper limits.
+        count: trials so far.
+
+    Raises:
+        AdvisorError: the robot is unknown, has no free joint, or the poses are none.
+        TrackingError: its arms have no closed form.
+        CriterionError: an unknown criterion.
+    """
+
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        T_world_hands: Array,
+        weights: Mapping[str, float] | None = None,
+        tracker: ConstraintTracker | None = None,
+    ) -> None:
+        if robot not in cell.robots:
+            raise AdvisorError(f"the cell has no robot {robot!r}; it has {', '.join(cell.robots)}")
+        self.cell, self.robot = cell, cell.robots[robot]
+        self.tracker = tracker or ConstraintTracker(self.robot)
+        self.data = RobotData(cell, robot, kinematics=self.tracker.kinematics)
+        if not len(self.tracker.base):
+            raise AdvisorError(f"robot '{robot}' has no joint to spare: there is nothing to advise on")
+        self.poses = _checked(T_world_hands, len(self.robot.hands))
+        self.energy = Normalised(self.data, WEIGHTS if weights is None else weights)
+        self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
+        self.count = 0
+
+    @property
+    def free(self) -> int:
+        """Number m of free joints."""
+        return len(self.tracker.base)
+
+    @cached_property
+    def references(self) -> dict[str, float]:
+        """The value of every criterion that costs one half."""
+        return {criterion.name: reference(self.data, criterion) for criterion in TABLE}
+
+    def try_all(self, base: Array) -> Trials:
+        """Every feasible branch of every trial.
+
+        Args:
+            base: (N, m) values of the free joints.
+        """
+        self.count += len(base)
+        within = np.flatnonzero(((base >= self.lower) & (base <= self.upper)).all(axis=1))
+        arms = []
+        for arm, branches in zip(
+            self.tracker.arms, self.tracker.solve(base[within], self.poses), strict=True
+        ):
+            lower, upper = self.robot.lower[arm.joints], self.robot.upper[arm.joints]
+            arms.append((arm.joints, *branches.fitted(0.5 * (lower + upper), lower, upper)))
+        found_q, found_row = [], []
+        for combination in product(range(8), repeat=len(arms)):
+            rows = np.flatnonzero(
+                np.logical_and.reduce(
+                    [inside[:, b] for (_, _, inside), b in zip(arms, combination, strict=True)]
+                )
+            )
+            if len(rows):
+                q = np.empty((len(rows), self.robot.n))
+                q[:, self.tracker.base] = base[within[rows]]
+                for (joints, solutions, _), branch in zip(arms, combination, strict=True):
+                    q[:, joints] = solutions[rows, branch]
+                found_q.append(q)
+                found_row.append(within[rows])
+        if not found_q:
+            return Trials(np.empty((0, self.robot.n)), np.empty(0), np.empty(0, dtype=np.intp))
+        q, row = np.concatenate(found_q), np.concatenate(found_row)
+        energy = self.energies(q)
+        kept = np.isfinite(energy)
+        return Trials(q[kept], energy[kept], row[kept])
+
+    def try_best(self, base: Array) -> tuple[Array, Array]:
+        """(N, n) best branch of every trial, NaN where none is feasible, and (N,) energies, infinite there."""
+        trials = self.try_all(base)
+        q, energy = np.full((len(base), self.robot.n), np.nan), np.full(len(base), np.inf)
+        worst_first = np.argsort(-trials.energy, kind="stable")
+        q[trials.row[worst_first]] = trials.q[worst_first]
+        energy[trials.row[worst_first]] = trials.energy[worst_first]
+        return q, energy
+
+    def follow(self, base: Array, reference: Array) -> tuple[Array, Array]:
+        """Like `try_best`, but each on the branch nearest to a reference (n,) or (N, n)."""
+        self.count += len(base)
+        q = self.tracker.track(base, self.poses, reference)
+        energy = np.full(len(base), np.inf)
+        there = np.isfinite(q[:, 0]) & np.isfinite(q).all(axis=1)
+        if there.any():
+            energy[there] = self.energies(q[there])
+        return q, energy
+
+    def energies(self, q: Array) -> Array:
+        """(N,) energies of configurations (N, n); infinite in collision."""
+        postures = Postures(self.data, q)
+        clear = postures.nearest.room > 0.0
+        energy: Array = np.where(clear, self.energy.total(postures), np.inf)
+        return energy
+
+
+def _checked(poses: Array, hands: int) -> Array:
+    poses = np.asarray(poses, dtype=np.float64)
+    if poses.shape != (hands, 4, 4) or not np.isfinite(poses).all():
+        raise AdvisorError(f"the hands' poses must be finite and of shape ({hands}, 4, 4), got {poses.shape}")
+    turned = np.einsum("hij,hkj->hik", poses[:, :3, :3], poses[:, :3, :3])
+    if np.abs(turned - np.eye(3)).max() > 1e-6 or np.any(np.linalg.det(poses[:, :3, :3]) < 0.0):
+        raise AdvisorError("the hands' poses must be rotations and positions; their rotations are none")
+    return poses

@@ -1,0 +1,74 @@
+"""The camera follower as a controller: what it looks at and keeps clear of comes out of the view."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera_error import view_angle
+from deltaq_controllers.follower import CameraFollower
+from deltaq_controllers.interface import LastIncrement, View
+
+Array = NDArray[np.float64]
+
+
+class CameraController:
+    """Looks at the leader's tool, or at a fixed point, from a desired distance.
+
+    Until the leader has been heard of the robot is brought to rest.
+
+    Args:
+        follower: the follower.
+        leader: model of the leader.
+        desired_distance_m: desired view distance; may be changed at any time [m].
+        focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
+
+    Attributes:
+        follower, desired_distance_m, focus: as given.
+        evades_below_m: clearance below which the repulsion (12) acts [m].
+    """
+
+    def __init__(
+        self,
+        follower: CameraFollower,
+        leader: RobotModel,
+        desired_distance_m: float,
+        focus: Array | None = None,
+    ) -> None:
+        self.follower = follower
+        self.desired_distance_m = desired_distance_m
+        self.focus = focus
+        self.evades_below_m = follower.gains.repulsion_range_m
+        self._leader = leader
+        self._last = LastIncrement(follower.limits.max_ddq)
+
+    def increment(self, view: View) -> Array:
+        """The increment for this cycle, (n,) [rad or m]."""
+        own, leader = view.own, view.others.get(self._leader.name)
+        dq_last = self._last.update(own)
+        if leader is None:
+            return self.follower.limits.admissible(np.zeros_like(own.q_cmd), own.q_cmd, dq_last)
+        return self.follower.increment(
+            own.q_cmd,
+            dq_last,
+            self.focus_at(leader.q),
+            leader.q,
+            self.desired_distance_m,
+            leader.time_s,
+        )
+
+    def focus_at(self, q_leader: Array) -> Array:
+        """(3,) the focus in the world for a configuration of the leader [m]."""
+        return self.focus if self.focus is not None else self._leader.forward(q_leader)[:3, 3]
+
+    def clearance(self, q: Array, q_leader: Array) -> float:
+        """Least clearance of bounding spheres from the leader's and from the floor [m]."""
+        return self.follower.clearance_at(q, q_leader)
+
+    def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
+        """View angle error [rad] and view distance less the desired one [m], at measured configurations."""
+        T_world_camera = self.follower.robot.camera_pose(q)
+        focus, lens = self.focus_at(q_leader), T_world_camera[:3, 3]
+        distance = float(np.linalg.norm(focus - lens))
+        return view_angle(T_world_camera[:3, :3], lens, focus), distance - self.desired_distance_m

@@ -1,0 +1,85 @@
+"""Camera controllers by name: the paper's law and its variants, the quadratic programme, and one's own.
+
+All of them answer a `View` with an increment, and let their focus and view distance be set.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.camera_controller import CameraController
+from deltaq_controllers.follower import CameraFollower, FollowerGains
+from deltaq_controllers.gains import BY_NAME
+from deltaq_controllers.interface import Controller, ControllerError
+from deltaq_controllers.qp_follower import QpFollower
+from deltaq_controllers.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+class FocusController(Controller, Protocol):
+    """A controller that points a camera.
+
+    Attributes:
+        desired_distance_m: desired view distance; may be changed at any time [m].
+        evades_below_m: clearance below which it moves out of the way [m].
+    """
+
+    desired_distance_m: float
+    evades_below_m: float
+
+    def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
+        """View angle error [rad] and view distance less the desired one [m]."""
+        ...
+
+    def clearance(self, q: Array, q_leader: Array) -> float:
+        """Least distance of what the controller keeps apart, as it measures it [m]."""
+        ...
+
+
+Maker = Callable[[Scene, float, Array | None], FocusController]
+"""Makes a controller for a scene, a desired view distance [m] and a fixed focus (3,), None for the leader's tool."""
+
+NAMES = (*BY_NAME, "qp")
+"""The controllers that come with the project."""
+
+
+def camera_controller_named(
+    name: str, scene: Scene, distance_m: float, focus: Array | None = None
+) -> FocusController:
+    """A camera controller by its name.
+
+    Args:
+        name: one of `NAMES`, or `package.module:function` of a `Maker`.
+        scene: what it is for.
+        distance_m: desired view distance [m].
+        focus: (3,) fixed point to look at in place of the leader's tool [m].
+
+    Raises:
+        ControllerError: there is none of that name.
+    """
+    if name in BY_NAME:
+        gains = FollowerGains(latency_s=scene.latency_s)
+        follower = CameraFollower(scene.robot, scene.leader, scene.cycle_s, gains, BY_NAME[name])
+        return CameraController(follower, scene.leader, distance_m, focus)
+    if name == "qp":
+        return QpFollower(scene, distance_m, focus)
+    return _imported(name)(scene, distance_m, focus)
+
+
+def _imported(name: str) -> Maker:
+    module, colon, attribute = name.partition(":")
+    if not colon:
+        raise ControllerError(
+            f"no controller {name!r}; there are {', '.join(NAMES)}, and package.module:function for one's own"
+        )
+    try:
+        maker: Maker = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ControllerError(f"controller {name!r} cannot be imported: {error}") from None
+    return maker

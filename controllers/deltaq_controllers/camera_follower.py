@@ -1,0 +1,103 @@
+"""The camera follower as a process: `python -m deltaq_controllers.camera_follower --url tcp/127.0.0.1:7447`."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import math
+from typing import Any
+
+from deltaq_controllers.camera_controllers import NAMES, camera_controller_named
+from deltaq_controllers.gains import FollowerGains
+from deltaq_controllers.interface import View
+from deltaq_controllers.live import cell_model, drive, model_of, run
+from deltaq_controllers.scene import Scene
+from deltaq_controllers.tally import ErrorFigures, Tally
+from deltaq_protocol import connect
+from deltaq_protocol.client import DEFAULT_ADDRESS
+
+
+class FollowerProcess:
+    """Connects, follows, and keeps the figures.
+
+    Args:
+        options: the command line.
+    """
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._options = options
+        self._tally = Tally()
+        self._angle, self._distance = ErrorFigures(), ErrorFigures()
+
+    async def follow(self) -> None:
+        """Follow for as long as asked."""
+        options = self._options
+        async with connect(options.url, client="camera-follower") as cell:
+            model = cell_model(cell.description)
+            for name in (options.robot, options.leader):
+                model_of(model.robots, name)
+            scene = Scene(model, options.robot, options.leader, options.latency_s)
+            controller = camera_controller_named(options.controller, scene, options.distance_m)
+            loop = asyncio.get_running_loop()
+            begin_s = loop.time()
+
+            def watch(view: View) -> None:
+                other = view.others.get(options.leader)
+                if other is None:
+                    return
+                angle, distance = controller.errors(view.own.q, other.q)
+                settled = loop.time() - begin_s >= options.settle_s
+                self._angle.add(angle, settled)
+                self._distance.add(distance, settled)
+
+            print(f"ready: {options.robot} follows {options.leader}", flush=True)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(options.duration_s):
+                    await drive(cell, options.robot, controller, self._tally, watch)
+
+    def summary(self) -> dict[str, Any]:
+        """The figures as one JSON object."""
+        return {
+            "controller": self._options.controller,
+            "robot": self._options.robot,
+            **self._tally.summary(),
+            "angle_deg": self._angle.figures(math.pi / 180.0),
+            "distance_m": self._distance.figures(),
+        }
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_controllers.camera_follower",
+        description="Follow the leader's tool with the camera; one JSON line of figures at the end.",
+    )
+    parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
+    parser.add_argument("--robot", default="fr", help="robot with the camera (default: %(default)s)")
+    parser.add_argument("--leader", default="gr", help="robot to follow (default: %(default)s)")
+    parser.add_argument(
+        "--controller",
+        default="paper",
+        help=f"{', '.join(NAMES)}, or package.module:function of one's own (default: %(default)s)",
+    )
+    parser.add_argument("--distance-m", type=float, default=1.25, help="view distance (default: %(default)s)")
+    parser.add_argument(
+        "--latency-s",
+        type=float,
+        default=FollowerGains().latency_s,
+        help="from the leader's motion to the camera's, which the focus is carried ahead by (default: %(default)s)",
+    )
+    parser.add_argument("--duration-s", type=float, default=None, help="end after this time (default: never)")
+    parser.add_argument(
+        "--settle-s",
+        type=float,
+        default=5.0,
+        help="start-up that rms and max leave out (default: %(default)s)",
+    )
+    process = FollowerProcess(parser.parse_args())
+    return run(process.follow(), process.summary)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,228 @@
+"""Room between bodies, for many configurations at once.
+
+Bodies are taken for capsules and what stands about for capsules and boxes: near enough to search with, and much quicker
+than exact shapes. What a search finds is measured exactly before anybody moves (`deltaq_controllers.advisor`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.batch import Frames
+from deltaq_controllers.criteria.capsules import box_distance, box_points, capsule, segment_points
+from deltaq_controllers.spheres import local_box
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+CHUNK = 128
+"""Configurations that are measured together: their intermediate arrays stay in the processor's cache."""
+
+_ROUNDING_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The tightest pair of each of N configurations.
+
+    Attributes:
+        room: (N,) distance beyond the stop distance [m]; infinite where there is nothing to be near to.
+        first: (N,) index of the robot's capsule.
+        second: (N,) index of the robot's other capsule; -1 where it is something that stands.
+        on_first: (N, 3) the nearest point on the first one's axis, in the world [m].
+        on_second: (N, 3) the nearest point on the other's axis, or on the box [m].
+        away: (N, 3) unit vector along which the first point gains room.
+    """
+
+    room: Array
+    first: Indices
+    second: Indices
+    on_first: Array
+    on_second: Array
+    away: Array
+
+
+class ClearanceField:
+    """Capsules of one robot against each other and against the structure.
+
+    Args:
+        cell: model of the cell.
+        robot: name of the robot.
+
+    Attributes:
+        joints: (c,) which joint carries each capsule; -1 stands still.
+    """
+
+    def __init__(self, cell: CellModel, robot: str) -> None:
+        gate, model = cell.description.gate, cell.robots[robot]
+        bodies = list(model.geometry.geometryObjects)
+        self.joints = np.array([int(body.parentJoint) - 1 for body in bodies], dtype=np.intp)
+        self._carried = [
+            (int(joint), np.flatnonzero(self.joints == joint)) for joint in np.unique(self.joints)
+        ]
+        self._middles, self._halves, radii = _capsules(bodies)
+        lengths = np.linalg.norm(self._halves, axis=1)
+        never = {frozenset(pair) for pair in model.never_checked_pairs()}
+
+        def pairs(others: list[Any], own: bool) -> Indices:
+            found = [
+                (i, j)
+                for i, body in enumerate(bodies)
+                for j, other in enumerate(bodies[:i] if own else others)
+                if (self.joints[i] != self.joints[j] if own else self.joints[i] >= 0)
+                and frozenset((body.name, other.name)) not in never
+            ]
+            return np.array(found, dtype=np.intp).reshape(-1, 2).T
+
+        standing = [body for body in cell.structure if not isinstance(body.geometry, coal.Box)]
+        boxes = [body for body in cell.structure if isinstance(body.geometry, coal.Box)]
+        self._stand_middles, self._stand_halves, stand_radii = _capsules(standing)
+        self._boxes = [_box(body) for body in boxes]
+        own, against, boxed = pairs([], own=True), pairs(standing, own=False), pairs(boxes, own=False)
+        self._own, self._against, self._boxed = own, against, boxed
+        # room is the distance of the axes less `least`; `slack` is how much nearer than their middles axes can be
+        stand_lengths = np.linalg.norm(self._stand_halves, axis=1)
+        self._least = np.concatenate(
+            [
+                radii[own[0]] + radii[own[1]] + gate.self_stop_distance_m,
+                radii[against[0]] + stand_radii[against[1]] + gate.stop_distance_m,
+                radii[boxed[0]] + gate.stop_distance_m,
+            ]
+        )
+        self._slack = np.concatenate(
+            [
+                lengths[own[0]] + lengths[own[1]],
+                lengths[against[0]] + stand_lengths[against[1]],
+                lengths[boxed[0]],
+            ]
+        )
+
+    def nearest(self, frames: Frames, count: int) -> Nearest:
+        """The tightest pair of each configuration.
+
+        Args:
+            frames: all joints placed.
+            count: N.
+        """
+        parts = [
+            self._nearest(*self._placed(frames, slice(start, min(start + CHUNK, count))))
+            for start in range(0, count, CHUNK)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        names = Nearest.__dataclass_fields__
+        if not parts:
+            return self._nothing(0)
+        return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def _nothing(self, count: int) -> Nearest:
+        index, nowhere = np.zeros(count, dtype=np.intp), np.zeros((count, 3))
+        return Nearest(np.full(count, np.inf), index, index - 1, nowhere, nowhere, nowhere)
+
+    def _placed(self, frames: Frames, part: slice) -> tuple[Array, Array]:
+        """(N, c, 3) middles and halves of the capsules in the world."""
+        count = part.stop - part.start
+        middles, halves = np.empty((count, len(self.joints), 3)), np.empty((count, len(self.joints), 3))
+        for joint, which in self._carried:
+            if joint < 0:
+                middles[:, which], halves[:, which] = self._middles[which], self._halves[which]
+                continue
+            turn = frames.rotation[joint][part].transpose(0, 2, 1)
+            middles[:, which] = self._middles[which] @ turn + frames.position[joint][part, None]
+            halves[:, which] = self._halves[which] @ turn
+        return middles, halves
+
+    def _nearest(self, middles: Array, halves: Array) -> Nearest:
+        count = len(middles)
+        if not len(self._least):
+            return self._nothing(count)
+        upper = self._middle_distances(middles) - self._least
+        # only pairs that may be nearer than the pair with the nearest middles are measured
+        rows, pairs = np.nonzero(upper - self._slack <= upper.min(axis=1, keepdims=True) + _ROUNDING_M)
+        measured = self._measured(middles, halves, rows, pairs)
+        order = np.lexsort((measured.room, rows))
+        best = order[np.searchsorted(rows[order], np.arange(count))]
+        return Nearest(*(getattr(measured, name)[best] for name in Nearest.__dataclass_fields__))
+
+    def _middle_distances(self, middles: Array) -> Array:
+        """(N, pairs) distances of the middles: own pairs, standing capsules, boxes."""
+        squares = (middles * middles).sum(axis=2)
+        products = middles @ middles.transpose(0, 2, 1)
+        i, j = self._own
+        own = squares[:, i] + squares[:, j] - 2.0 * products[:, i, j]
+        i, j = self._against
+        stand = (self._stand_middles * self._stand_middles).sum(axis=1)
+        against = squares[:, i] + stand[j] - 2.0 * (middles @ self._stand_middles.T)[:, i, j]
+        distances = [np.sqrt(np.maximum(np.concatenate([own, against], axis=1), 0.0))]
+        for box, (centre, R, half) in enumerate(self._boxes):
+            which = self._boxed[0][self._boxed[1] == box]
+            distances.append(box_distance((middles[:, which] - centre) @ R, half))
+        together = np.concatenate(distances, axis=1)
+        # boxes were measured box by box, pairs are listed capsule by capsule
+        first = len(self._own[0]) + len(self._against[0])
+        order = np.argsort(self._boxed[1], kind="stable")
+        boxed = np.empty_like(together[:, first:])
+        boxed[:, order] = together[:, first:]
+        together[:, first:] = boxed
+        return together
+
+    def _measured(self, middles: Array, halves: Array, rows: Indices, pairs: Indices) -> Nearest:
+        """The pairs asked for, each of one configuration, exactly."""
+        owns, againsts = len(self._own[0]), len(self._against[0])
+        first, second = np.empty_like(pairs), np.full_like(pairs, -1)
+        on_first, on_second = np.empty((len(pairs), 3)), np.empty((len(pairs), 3))
+        distance, sign = np.empty(len(pairs)), np.ones(len(pairs))
+
+        kind = np.flatnonzero(pairs < owns)
+        i, j = self._own[:, pairs[kind]]
+        first[kind], second[kind], row = i, j, rows[kind]
+        on_first[kind], on_second[kind] = segment_points(
+            middles[row, i], halves[row, i], middles[row, j], halves[row, j]
+        )
+
+        kind = np.flatnonzero((pairs >= owns) & (pairs < owns + againsts))
+        i, j = self._against[:, pairs[kind] - owns]
+        first[kind], row = i, rows[kind]
+        on_first[kind], on_second[kind] = segment_points(
+            middles[row, i], halves[row, i], self._stand_middles[j], self._stand_halves[j]
+        )
+        distance[:] = np.linalg.norm(on_first - on_second, axis=1)
+
+        for box, (centre, R, half) in enumerate(self._boxes):
+            boxed = pairs >= owns + againsts
+            kind = np.flatnonzero(boxed)
+            kind = kind[self._boxed[1][pairs[kind] - owns - againsts] == box]
+            i, row = self._boxed[0][pairs[kind] - owns - againsts], rows[kind]
+            first[kind] = i
+            point, on_box, signed = box_points(
+                (middles[row, i] - centre) @ R, halves[row, i] @ R, np.broadcast_to(half, (len(kind), 3))
+            )
+            on_first[kind], on_second[kind] = point @ R.T + centre, on_box @ R.T + centre
+            distance[kind], sign[kind] = signed, np.where(signed < 0.0, -1.0, 1.0)
+
+        away = sign[:, None] * (on_first - on_second)
+        away /= np.maximum(np.abs(distance), 1e-12)[:, None]
+        return Nearest(distance - self._least[pairs], first, second, on_first, on_second, away)
+
+
+def _capsules(bodies: list[Any]) -> tuple[Array, Array, Array]:
+    found = [capsule(body) for body in bodies]
+    middles = np.array([middle for middle, _, _ in found]).reshape(-1, 3)
+    halves = np.array([half for _, half, _ in found]).reshape(-1, 3)
+    return middles, halves, np.array([radius for _, _, radius in found])
+
+
+def _box(body: Any) -> tuple[Array, Array, Array]:
+    """Centre, rotation and half of the size of a box in the world."""
+    low, high = local_box(body)
+    return (
+        np.array(body.placement.act(0.5 * (low + high))),
+        body.placement.rotation.copy(),
+        0.5 * (high - low),
+    )

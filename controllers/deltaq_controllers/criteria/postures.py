@@ -1,0 +1,161 @@
+"""Configurations of a robot with everything that criteria ask of them, computed once and only if asked."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.batch import BatchKinematics, Frames
+from deltaq_controllers.criteria.clearance import ClearanceField, Nearest
+
+Array = NDArray[np.float64]
+
+STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
+"""Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""
+
+ROTOR_RAD, ROTOR_M = 0.05, 1.0
+"""What a joint's drive adds to the mass matrix, seen through its gear: stand-ins [kg m^2 and kg]."""
+
+
+class RobotData:
+    """What criteria know of a robot beyond its configuration.
+
+    Args:
+        cell: model of the cell, for the bodies about.
+        robot: name of the robot.
+        stiffness: (n,) of the joints [N m/rad or N/m]; stand-ins if not given.
+        kinematics: of the robot, where there is one already.
+    """
+
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        stiffness: Array | None = None,
+        kinematics: BatchKinematics | None = None,
+    ) -> None:
+        self.robot = cell.robots[robot]
+        self.kinematics = kinematics or BatchKinematics(self.robot)
+        self.field = ClearanceField(cell, robot)
+        given = np.where(self.robot.revolute, STIFFNESS_RAD, STIFFNESS_M)
+        self.stiffness: Array = given if stiffness is None else np.asarray(stiffness, dtype=np.float64)
+        self.rotors = np.where(self.robot.revolute, ROTOR_RAD, ROTOR_M)
+        inertias = [self.robot.model.inertias[joint + 1] for joint in range(self.robot.n)]
+        self.masses = np.array([float(inertia.mass) for inertia in inertias])
+        self.centres = np.array([inertia.lever for inertia in inertias])
+        self.inertias = np.array([inertia.inertia for inertia in inertias])
+
+
+class Postures:
+    """N configurations.
+
+    Args:
+        data: of the robot.
+        q: (N, n) configurations [rad or m].
+        frames: joints placed at `q`, where somebody has them already.
+    """
+
+    def __init__(self, data: RobotData, q: Array, frames: Frames | None = None) -> None:
+        self.data = data
+        self.q = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        self._frames = frames
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @cached_property
+    def frames(self) -> Frames:
+        """All joints, placed."""
+        return self._frames or self.data.kinematics.frames(self.q)
+
+    @cached_property
+    def nearest(self) -> Nearest:
+        """The tightest pair of bodies of each."""
+        return self.data.field.nearest(self.frames, len(self))
+
+    @cached_property
+    def jacobians(self) -> Array:
+        """(N, h, 6, n) Jacobian of each hand, linear over angular, world axes."""
+        return np.stack([J for J, _ in self._hands], axis=1)
+
+    @cached_property
+    def hessians(self) -> Array:
+        """(N, h, 6, n, n) derivative of each hand's Jacobian, column j by joint i at `[..., j, i]`."""
+        return np.stack([_hessian(J, self.data.kinematics.moves[joint]) for J, joint in self._hands], axis=1)
+
+    @cached_property
+    def masses(self) -> Array:
+        """(N, n, n) mass matrix [kg m^2, kg m, kg]: `sum m J_v^T J_v + J_w^T I J_w` over the links, and the drives."""
+        total = np.tile(np.diag(self.data.rotors), (len(self), 1, 1))
+        for mass, J, I_world, _ in self._links:
+            linear, angular = J[:, :3], J[:, 3:]
+            total += mass * linear.transpose(0, 2, 1) @ linear
+            total += angular.transpose(0, 2, 1) @ I_world @ angular
+        return total
+
+    @cached_property
+    def mass_derivatives(self) -> Array:
+        """(N, n, n, n) derivative of the mass matrix by joint i at `[..., i]`."""
+        n = self.data.robot.n
+        total = np.zeros((len(self), n, n, n))
+        for mass, J, I_world, joint in self._links:
+            H = _hessian(J, self.data.kinematics.moves[joint])
+            linear, angular = J[:, :3], J[:, 3:]
+            half = mass * np.einsum("naj,naki->njki", linear, H[:, :3])
+            half += np.einsum("naj,nab,nbki->njki", angular, I_world, H[:, 3:])
+            # dI/dq_i = [w_i]x I - I [w_i]x, symmetric, so half of it on either side of the transposition
+            turned = np.cross(
+                angular.transpose(0, 2, 1)[:, :, None, :], I_world.transpose(0, 2, 1)[:, None], axis=3
+            )
+            half += np.einsum("naj,nica,nck->njki", angular, turned, angular)
+            total += half + half.transpose(0, 2, 1, 3)
+        return total
+
+    @cached_property
+    def _hands(self) -> list[tuple[Array, int]]:
+        kinematics, frames = self.data.kinematics, self.frames
+        return [
+            (
+                kinematics.jacobian(frames, joint, frames.position[joint] + frames.rotation[joint] @ place),
+                joint,
+            )
+            for joint, _, place in kinematics.hands
+        ]
+
+    @cached_property
+    def _links(self) -> list[tuple[float, Array, Array, int]]:
+        """Of each link with a mass: its mass, Jacobian of its centre, inertia in the world, and its joint."""
+        kinematics, frames, links = self.data.kinematics, self.frames, []
+        for joint in range(self.data.robot.n):
+            mass = float(self.data.masses[joint])
+            if mass <= 0.0:
+                continue
+            R = frames.rotation[joint]
+            J = kinematics.jacobian(frames, joint, frames.position[joint] + R @ self.data.centres[joint])
+            links.append((mass, J, R @ self.data.inertias[joint] @ R.transpose(0, 2, 1), joint))
+        return links
+
+
+def _hessian(J: Array, moves: NDArray[np.bool_]) -> Array:
+    """(N, 6, n, n) derivative of a Jacobian (N, 6, n) of a point on a chain, column j by joint i at `[..., j, i]`.
+
+    For i at or before j on the chain `d v_j = w_i x v_j`, `d w_j = w_i x w_j`; for i after j `d v_j = w_j x v_i`.
+
+    Args:
+        J: Jacobian, linear over angular, world axes.
+        moves: (n,) which joints are on the chain, from the base outwards.
+    """
+    v, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)
+    count, n = v.shape[0], v.shape[1]
+    H = np.zeros((count, 6, n, n))
+    by_inner = np.cross(w[:, None, :, :], v[:, :, None, :])  # w_i x v_j at [j, i]
+    turns = np.cross(w[:, None, :, :], w[:, :, None, :])
+    inner = np.tril(np.ones((n, n), dtype=np.bool_))  # i <= j at [j, i]
+    by_outer = by_inner.transpose(0, 2, 1, 3)  # w_j x v_i at [j, i]
+    H[:, :3] = np.where(inner[None, :, :, None], by_inner, by_outer).transpose(0, 3, 1, 2)
+    H[:, 3:] = np.where(inner[None, :, :, None], turns, 0.0).transpose(0, 3, 1, 2)
+    chain: Array = H * (moves[:, None] & moves[None, :])
+    return chain

@@ -1,0 +1,143 @@
+"""The performance criteria of Hooper and Noakes, Table 2, as one table; each category has at least two.
+
+The paper names the categories; the formulas are from the sources named in each row. Where a robot has several hands, a
+criterion of a hand is the mean over its hands. Speeds are the joints' limits, `D = diag(max_velocity)`; lengths are
+weighed against angles at 1 m to 1 rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.criteria import formulas
+from deltaq_controllers.criteria.postures import Postures
+
+Array = NDArray[np.float64]
+
+
+class Category(StrEnum):
+    """The categories of Table 2."""
+
+    CONSTRAINT = "constraint"
+    GEOMETRIC = "geometric"
+    INERTIAL = "inertial"
+    COMPLIANCE = "compliance"
+    KINETIC_ENERGY = "kinetic energy"
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One row of the table.
+
+    Attributes:
+        name: of the criterion.
+        category: of Table 2.
+        formula: what is computed.
+        source: where it is from.
+        unit: of its value.
+        better: whether less or more of it is better.
+        value: (N,) values of N configurations.
+        gradient: (N, n) their derivatives by the joints.
+        reference: value at which the cost is one half; None takes the median over the robot's workspace.
+    """
+
+    name: str
+    category: Category
+    formula: str
+    source: str
+    unit: str
+    better: Literal["less", "more"]
+    value: Callable[[Postures], Array]
+    gradient: Callable[[Postures], Array]
+    reference: float | None = None
+
+
+TABLE: tuple[Criterion, ...] = (
+    Criterion(
+        "travel", Category.CONSTRAINT,
+        "mean over the joints of ((q - middle) / half range)^2",
+        "Liegeois 1977; joint travel availability of Hooper and Noakes, III-A", "1", "less",
+        formulas.travel, formulas.travel_gradient,
+    ),
+    Criterion(
+        "limits", Category.CONSTRAINT,
+        "mean over the joints of range^2 / (4 (upper - q) (q - lower))",
+        "Chan and Dubey 1995", "1", "less",
+        formulas.limits, formulas.limits_gradient,
+    ),
+    Criterion(
+        "speed", Category.CONSTRAINT,
+        "least singular value of J_v D: the hand's speed in its slowest direction at full joint speed",
+        "Van Doren and Tesar, speed availability", "m/s", "more",
+        formulas.speed, formulas.speed_gradient,
+    ),
+    Criterion(
+        "clearance", Category.CONSTRAINT,
+        "least distance of two bodies beyond their stop distance, bodies taken for capsules",
+        "approach to collisions of Hooper and Noakes, III-C", "m", "more",
+        formulas.clearance, formulas.clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "manipulability", Category.GEOMETRIC,
+        "sqrt(det(J J^T))",
+        "Yoshikawa 1985", "m^3", "more",
+        formulas.manipulability, formulas.manipulability_gradient,
+    ),
+    Criterion(
+        "condition", Category.GEOMETRIC,
+        "least over greatest singular value of J",
+        "Salisbury and Craig 1982", "1", "more",
+        formulas.condition, formulas.condition_gradient,
+    ),
+    Criterion(
+        "smallest_singular_value", Category.GEOMETRIC,
+        "least singular value of J",
+        "Klein and Blaho 1987", "m", "more",
+        formulas.smallest, formulas.smallest_gradient,
+    ),
+    Criterion(
+        "effective_mass", Category.INERTIAL,
+        "3 / tr(J_v M^-1 J_v^T): harmonic mean of the mass felt at the hand over all directions",
+        "Khatib 1995", "kg", "less",
+        formulas.effective_mass, formulas.effective_mass_gradient,
+    ),
+    Criterion(
+        "effective_mass_rate", Category.INERTIAL,
+        "norm of D d(effective_mass)/dq: how fast it can change",
+        "Van Doren and Tesar, rate of change of inertial criteria", "kg/s", "less",
+        formulas.effective_mass_rate, formulas.effective_mass_rate_gradient,
+    ),
+    Criterion(
+        "compliance", Category.COMPLIANCE,
+        "tr(J_v K^-1 J_v^T) / 3: deflection of the hand per force, mean over all directions",
+        "Van Doren and Tesar, potential energy; Salisbury 1980", "m/N", "less",
+        formulas.compliance, formulas.compliance_gradient,
+    ),
+    Criterion(
+        "potential_energy_partition", Category.COMPLIANCE,
+        "sum of p_j^2 with p_j = s_j / sum s, s_j = |column j of J_v|^2 / k_j: 1/n even, 1 all in one joint",
+        "Van Doren and Tesar, potential energy partition values", "1", "less",
+        formulas.potential_partition, formulas.potential_partition_gradient,
+    ),
+    Criterion(
+        "kinetic_energy", Category.KINETIC_ENERGY,
+        "tr(D M D) / 2: energy at full joint speed, mean over the joints' directions",
+        "Van Doren and Tesar, kinetic energy content", "J", "less",
+        formulas.kinetic_energy, formulas.kinetic_energy_gradient,
+    ),
+    Criterion(
+        "kinetic_energy_partition", Category.KINETIC_ENERGY,
+        "sum of p_j^2 with p_j = s_j / sum s, s_j = M_jj D_j^2 / 2: 1/n even, 1 all in one joint",
+        "Van Doren and Tesar, kinetic energy partition values", "1", "less",
+        formulas.kinetic_partition, formulas.kinetic_partition_gradient,
+    ),
+)  # fmt: skip
+"""All criteria."""
+
+BY_NAME = {criterion.name: criterion for criterion in TABLE}

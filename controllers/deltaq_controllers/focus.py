@@ -1,0 +1,63 @@
+"""Where the focus will be once the follower has got there.
+
+The error of a follower that chases the measured focus is pure latency, speed times latency over distance
+(errata on III-F). The focus is therefore carried ahead once by the known latency, along a velocity that an
+alpha-beta filter estimates, and then held during the integration as the paper does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.interface import ControllerError
+
+Array = NDArray[np.float64]
+
+
+class FocusTracker:
+    """An alpha-beta filter of a point.
+
+    Args:
+        alpha: share of the innovation that goes into the position.
+        beta: share of the innovation that goes into the velocity.
+        gap_s: after a longer silence than this the estimate starts anew [s].
+
+    Attributes:
+        velocity: (3,) estimate [m/s].
+    """
+
+    def __init__(self, alpha: float = 0.7, beta: float = 0.4, gap_s: float = 0.5) -> None:
+        self._alpha, self._beta, self._gap_s = alpha, beta, gap_s
+        self._position: Array | None = None
+        self._time_s = 0.0
+        self.velocity: Array = np.zeros(3)
+
+    @property
+    def started(self) -> bool:
+        """Whether anything was measured yet."""
+        return self._position is not None
+
+    def update(self, position: Array, time_s: float) -> None:
+        """Take in a measurement.
+
+        Args:
+            position: (3,) measured point [m].
+            time_s: when it was measured, on any one clock; a stamp seen before changes nothing [s].
+        """
+        elapsed = time_s - self._time_s
+        if self._position is None or elapsed < 0.0 or elapsed > self._gap_s:
+            self._position, self.velocity = position.copy(), np.zeros_like(position)
+        elif elapsed > 0.0:
+            expected = self._position + elapsed * self.velocity
+            innovation = position - expected
+            self._position = expected + self._alpha * innovation
+            self.velocity = self.velocity + (self._beta / elapsed) * innovation
+        self._time_s = time_s
+
+    def ahead(self, time_s: float) -> Array:
+        """(3,) the point expected `time_s` after the last measurement [m]."""
+        if self._position is None:
+            raise ControllerError("no focus was measured yet: call update() first")
+        expected: Array = self._position + time_s * self.velocity
+        return expected

@@ -1,0 +1,125 @@
+"""The camera follower of Bjerkeng et al., III: look at the leader's tool from a desired distance, evading."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera_law import CameraLaw
+from deltaq_controllers.focus import FocusTracker
+from deltaq_controllers.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
+from deltaq_controllers.integrator import integrate
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.redundancy import Emergency
+from deltaq_controllers.spheres import Spheres
+
+__all__ = ["AS_PRINTED", "CORRECTED", "CameraFollower", "FollowerGains", "Variants"]
+
+Array = NDArray[np.float64]
+
+
+class CameraFollower:
+    """Increments that make a robot's camera look at a focus from a desired distance.
+
+    The paper's controller: view direction first, then, in its null space, clearance from the leader and
+    the floor, view distance and camera roll.
+
+    Args:
+        robot: the robot that carries the camera.
+        leader: the robot to keep clear of, None for none.
+        cycle_s: cycle of the robot [s].
+        gains: gains of the law.
+        variants: corrected, or as printed.
+        floor_m: height of the floor to keep clear of, None for none [m].
+
+    Attributes:
+        robot, cycle_s, gains, variants: as given.
+        limits: limits of the increments.
+        clearance_m: least clearance of bounding spheres at the last increment [m].
+
+    Raises:
+        ControllerError: the robot has no camera.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        leader: RobotModel | None,
+        cycle_s: float,
+        gains: FollowerGains | None = None,
+        variants: Variants = CORRECTED,
+        floor_m: float | None = 0.0,
+    ) -> None:
+        gains = gains or FollowerGains()
+        if robot.description.camera is None:
+            raise ControllerError(
+                f"robot {robot.name!r} has no camera to follow with: give it one under "
+                f"robots.{robot.name}.camera in the cell's description, or choose another robot"
+            )
+        self.robot, self.cycle_s, self.gains, self.variants = robot, cycle_s, gains, variants
+        self.limits = IncrementLimits.of(robot, cycle_s)
+        self.clearance_m = np.inf
+        self._law = CameraLaw(robot, cycle_s, self.limits.max_dq, gains, variants, floor_m)
+        self._leader = Kinematics(leader, "tool") if leader is not None else None
+        self._leader_spheres = Spheres.of(leader) if leader is not None else None
+        self._emergency = Emergency(gains.emergency_on_m, gains.emergency_off_m)
+        self._tracker = FocusTracker()
+
+    @property
+    def in_emergency(self) -> bool:
+        """True while the camera task is given up for (13)."""
+        return self._emergency.active
+
+    def increment(
+        self,
+        q_cmd: Array,
+        dq_last: Array,
+        p_focus: Array,
+        q_leader: Array | None,
+        desired_distance: float,
+        time_s: float,
+    ) -> Array:
+        """One increment, III-F.
+
+        Args:
+            q_cmd: (n,) commanded reference: the last setpoint, with all increments under way [rad or m].
+            dq_last: (n,) increment that led to it [rad or m].
+            p_focus: (3,) measured focus in the world [m].
+            q_leader: (m,) measured configuration of the leader, None if it is not known.
+            desired_distance: desired view distance d_r [m].
+            time_s: when focus and leader were measured, on any one clock [s].
+
+        Returns:
+            (n,) increment within the robot's limits of position, speed and acceleration [rad or m].
+        """
+        self._tracker.update(p_focus, time_s)
+        focus = self._tracker.ahead(self.gains.latency_s) if self.variants.extrapolated_focus else p_focus
+        speed = float(np.linalg.norm(self._tracker.velocity))
+        obstacles, radii = self._obstacles(q_leader)
+        self.clearance_m = self._law.aim(q_cmd, focus, speed, desired_distance, obstacles, radii)
+        evading = self._emergency.update(self.clearance_m)
+        dq = integrate(
+            self._law.evasion if evading else self._law.rates,
+            q_cmd,
+            self.gains.horizon_s,
+            self.gains.max_step_s,
+            self.limits.max_dq,
+        )
+        if not evading:
+            dq = self._law.keep_looking(dq, q_cmd, *self.limits.reach(dq_last))
+        return self.limits.admissible(dq, q_cmd, dq_last)
+
+    def clearance_at(self, q: Array, q_leader: Array) -> float:
+        """Least clearance of bounding spheres at two configurations [m]; what repulsion (12) goes by."""
+        obstacles, radii = self._obstacles(q_leader)
+        return self._law.clearance(q, obstacles, radii)
+
+    def _obstacles(self, q_leader: Array | None) -> tuple[Array, Array]:
+        """Centres (k, 3) in the world and radii (k,) of the leader's spheres [m]."""
+        if self._leader is None or self._leader_spheres is None or q_leader is None:
+            return np.zeros((0, 3)), np.zeros(0)
+        self._leader.update(q_leader)
+        return self._leader_spheres.placed(self._leader.data), self._leader_spheres.radii

@@ -1,0 +1,120 @@
+"""What every controller is: a function from what it sees to one increment.
+
+The lockstep runner and the live shell drive any object with this one method, so a controller of one's own
+plugs in without touching either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_protocol.brake import brake_cycles, brake_increment
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import RobotState
+
+Array = NDArray[np.float64]
+
+
+class ControllerError(DeltaqError):
+    """A controller that cannot do what it is asked to."""
+
+
+@dataclass(frozen=True)
+class RobotView:
+    """One robot as a controller sees it.
+
+    Attributes:
+        cycle: number of the robot's cycle.
+        time_s: stamp of the state on the clock of that robot's server [s].
+        q: (n,) measured configuration [rad or m].
+        q_cmd: (n,) setpoint just commanded [rad or m].
+    """
+
+    cycle: int
+    time_s: float
+    q: Array
+    q_cmd: Array
+
+    @classmethod
+    def from_state(cls, state: RobotState) -> Self:
+        """The same from a state message."""
+        return cls(state.cycle, state.time_s, np.array(state.q), np.array(state.q_cmd))
+
+    def after(self, cycle: int, dq: Array) -> RobotView:
+        """The same with an increment (n,) that is under way: it is what the cycle after `cycle` will command.
+
+        A controller that left it out would ask for the same motion twice.
+        """
+        return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq)
+
+
+@dataclass(frozen=True)
+class View:
+    """What a controller sees in one cycle.
+
+    Attributes:
+        own: the robot that the controller moves.
+        others: the newest state of each other robot of the cell, by name.
+    """
+
+    own: RobotView
+    others: Mapping[str, RobotView] = field(default_factory=dict)
+
+
+class Controller(Protocol):
+    """Anything that answers each view with one increment."""
+
+    def increment(self, view: View) -> Array:
+        """The increment for this cycle.
+
+        Args:
+            view: states of the robot and of the others.
+
+        Returns:
+            (n,) joint increment over one cycle [rad or m].
+        """
+        ...
+
+
+class LastIncrement:
+    """What a robot was last commanded, read off its setpoints.
+
+    Verdicts tell the same, but a setpoint cannot get lost on the way. Over a cycle that the controller
+    missed the robot braked, so of a gap the first increment is taken as admitted and the others as its brake.
+
+    Args:
+        max_ddq: (n,) largest change of the increment between two cycles, which the brake makes use of [rad or m].
+    """
+
+    def __init__(self, max_ddq: Array) -> None:
+        self._max_ddq = max_ddq
+        self._cycle = -1
+        self._q_cmd: Array | None = None
+        self._dq: Array = np.zeros_like(max_ddq)
+
+    def update(self, view: RobotView) -> Array:
+        """The (n,) increment that led to this setpoint; zero for the first one [rad or m]."""
+        cycles = view.cycle - self._cycle
+        if self._q_cmd is None or cycles < 0:
+            self._dq = np.zeros_like(self._max_ddq)
+        elif cycles > 0:
+            self._dq = self._last_of(view.q_cmd - self._q_cmd, cycles)
+        self._cycle, self._q_cmd = view.cycle, view.q_cmd
+        return self._dq
+
+    def _last_of(self, moved: Array, cycles: int) -> Array:
+        if cycles == 1:
+            return moved
+        # moved = first * (1 + (N - 1) / N + ... ) for the least N that can brake first; the mean is less than first
+        brake = brake_cycles(moved / cycles, self._max_ddq)
+        while True:
+            steps = min(cycles, brake)
+            first = moved / (steps - steps * (steps - 1) / (2 * brake))
+            if brake_cycles(first, self._max_ddq) <= brake:
+                return brake_increment(first, brake, cycles - 1)
+            brake += 1

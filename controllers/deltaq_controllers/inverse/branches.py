@@ -1,0 +1,146 @@
+"""All solutions of an inverse, and choosing among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+TURN = 2.0 * np.pi
+
+FREE = 1e-13
+"""Below this share of the arm's reach, or of a unit vector, a direction is rounding: the joint is free."""
+
+REACH_TOLERANCE = 1e-12
+"""How far rounding may carry `|cos|` of an elbow beyond 1 with the pose still being reached to 1e-12."""
+
+
+class InverseError(DeltaqError):
+    """Poses that are no poses."""
+
+
+@dataclass(frozen=True)
+class Branches:
+    """All branches for N poses; N is missing from every shape where a single pose was asked for.
+
+    Attributes:
+        q: (N, 8, 6) configurations in (-pi, pi] [rad]; NaN where there is none.
+        exists: (N, 8) whether the branch reaches its pose; False for all eight is out of reach.
+        free: names of joints, or of sums of joints, that the pose may leave free, each with (N,) flags; the
+            solutions there carry the hint's value.
+    """
+
+    q: Array
+    exists: Flags
+    free: dict[str, Flags]
+
+    def fitted(self, reference: Array, lower: Array, upper: Array) -> tuple[Array, Flags]:
+        """Solutions by whole turns as near to a reference as the limits let them be.
+
+        Args:
+            reference: (6,) or (N, 1, 6) configuration to be near to [rad].
+            lower: (6,) lower limits [rad].
+            upper: (6,) upper limits [rad].
+
+        Returns:
+            (N, 8, 6) configurations, and (N, 8) whether they exist inside the limits.
+        """
+        turns = np.rint((reference - self.q) / TURN)
+        # of the turns that the limits allow the one nearest to the reference
+        turns = np.minimum(
+            np.maximum(turns, np.ceil((lower - self.q) / TURN)), np.floor((upper - self.q) / TURN)
+        )
+        q = self.q + turns * TURN
+        inside = self.exists & np.all((q >= lower) & (q <= upper), axis=-1)
+        return q, inside
+
+    def nearest(self, reference: Array, lower: Array, upper: Array) -> Array:
+        """The solution inside the limits whose greatest difference of a joint from a reference is least.
+
+        Args:
+            reference: (6,) configuration [rad].
+            lower: (6,) lower limits [rad].
+            upper: (6,) upper limits [rad].
+
+        Returns:
+            (N, 6) configurations; NaN where no branch is inside the limits.
+        """
+        q, inside = self.fitted(reference, lower, upper)
+        distance = np.where(inside, np.max(np.abs(q - reference), axis=-1), np.inf)
+        best = np.argmin(distance, axis=-1)[..., None]
+        found = np.take_along_axis(inside, best, axis=-1)
+        chosen = np.take_along_axis(q, best[..., None], axis=-2)[..., 0, :]
+        nearest: Array = np.where(found, chosen, np.nan)
+        return nearest
+
+
+def checked_poses(poses: Array) -> Array:
+    """(N, 4, 4) of one pose or many.
+
+    Raises:
+        InverseError: the shape is neither (4, 4) nor (N, 4, 4).
+    """
+    poses = np.asarray(poses, dtype=np.float64)
+    if poses.ndim not in (2, 3) or poses.shape[-2:] != (4, 4):
+        raise InverseError(
+            f"poses must be homogeneous matrices of shape (4, 4) or (N, 4, 4), got {poses.shape}"
+        )
+    return poses.reshape(-1, 4, 4)
+
+
+def checked_hint(hint: Array | None) -> Array:
+    """(6,) configuration that tells free joints; zeros without one.
+
+    Raises:
+        InverseError: another shape, or not finite.
+    """
+    if hint is None:
+        return np.zeros(6)
+    hint = np.asarray(hint, dtype=np.float64)
+    if hint.shape != (6,) or not np.isfinite(hint).all():
+        raise InverseError(f"the hint must be six finite joint angles [rad], got {hint!r}")
+    return hint
+
+
+def wrapped(angle: Array) -> Array:
+    """Angles by whole turns into (-pi, pi]."""
+    angle = angle - TURN * np.rint(angle / TURN)
+    result: Array = np.where(angle <= -np.pi, angle + TURN, angle)
+    return result
+
+
+def two_links(along: Array, across: Array, first: float, second: float) -> tuple[Array, Array, Array, Flags]:
+    """Angles of a planar arm of two links that reaches a point.
+
+    Args:
+        along: coordinate along the arm's zero direction [m].
+        across: coordinate towards positive angles [m].
+        first: length of the first link [m].
+        second: length of the second [m].
+
+    Returns:
+        The first joint's mean over both elbows, half of what the elbows differ by in it, the second joint of the
+        positive elbow, all [rad], and whether the point is in reach: the solutions are
+        `(mean - half, elbow)` and `(mean + half, -elbow)`.
+    """
+    squared = along * along + across * across
+    product = 2.0 * first * second
+    cosine = (squared - (first * first + second * second)) / product
+    reached = np.abs(cosine) <= 1.0 + REACH_TOLERANCE
+    # sin^2 by factors: 1 - cos^2 would lose half of the digits near a stretched elbow
+    distance = np.sqrt(squared)
+    room = (
+        ((first + second) ** 2 - squared)
+        * (distance - abs(first - second))
+        * (distance + abs(first - second))
+    )
+    sine = np.sqrt(np.maximum(room, 0.0)) / product
+    elbow = np.arctan2(sine, cosine)
+    half = np.arctan2(second * sine, first + second * cosine)
+    return np.arctan2(across, along), half, elbow, reached

@@ -1,0 +1,48 @@
+"""The scripted leader as a process: `python -m deltaq_controllers.leader --url tcp/127.0.0.1:7447`."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+
+from deltaq_controllers.live import drive, model_of, robot_models, run
+from deltaq_controllers.scripted_leader import ScriptedLeader, Workspace
+from deltaq_controllers.tally import Tally
+from deltaq_protocol import connect
+from deltaq_protocol.client import DEFAULT_ADDRESS
+
+__all__ = ["ScriptedLeader", "Workspace", "main"]
+
+
+async def lead(options: argparse.Namespace, tally: Tally) -> None:
+    """Connect and lead for as long as asked."""
+    async with connect(options.url, client="scripted-leader") as cell:
+        model = model_of(robot_models(cell.description), options.robot)
+        controller = ScriptedLeader(model, cell.description.cycle_s, options.speed_m_s, options.seed)
+        print(f"ready: {options.robot} leads at {options.speed_m_s:g} m/s", flush=True)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(options.duration_s):
+                await drive(cell, options.robot, controller, tally)
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_controllers.leader",
+        description="Move a robot's tool about like an operator would; one JSON line of counts at the end.",
+    )
+    parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
+    parser.add_argument("--robot", default="gr", help="robot to lead with (default: %(default)s)")
+    parser.add_argument("--speed-m-s", type=float, default=0.25, help="tool speed (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="one seed is one motion (default: %(default)s)")
+    parser.add_argument("--duration-s", type=float, default=None, help="end after this time (default: never)")
+    options, tally = parser.parse_args(), Tally()
+    return run(
+        lead(options, tally),
+        lambda: {"controller": "leader", "robot": options.robot, **tally.summary()},
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,134 @@
+"""Drive a robot of a running cell with a controller: the shell around every controller's core."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import sys
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any
+
+import numpy as np
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.load import parse_cell
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import Controller, ControllerError, RobotView, View
+from deltaq_controllers.tally import Tally
+from deltaq_protocol.client import Cell
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+from deltaq_protocol.messages import Description, RobotState, Verdict
+
+REFUSED, USAGE, UNREACHABLE = 1, 2, 3
+"""Exit statuses for what was refused, asked for wrongly, or not to be reached."""
+
+
+PATIENCE_CYCLES = 4
+"""The robot brakes from the first cycle without an admission: better to answer a newer state than to wait."""
+
+
+def robot_models(description: Description) -> dict[str, RobotModel]:
+    """Models of all robots of a cell, from what its HLI tells; no file is needed."""
+    cell = parse_cell(description.yaml, f"description of cell {description.cell}")
+    return {name: RobotModel(robot, name, urdf=description.urdf[name]) for name, robot in cell.robots.items()}
+
+
+def cell_model(description: Description) -> CellModel:
+    """Model of a cell, structure included, from what its HLI tells."""
+    cell = parse_cell(description.yaml, f"description of cell {description.cell}")
+    return CellModel.of(cell, robot_models(description), description.yaml)
+
+
+def model_of(models: Mapping[str, RobotModel], name: str) -> RobotModel:
+    """The model of a robot.
+
+    Raises:
+        ControllerError: the cell has no robot of that name.
+    """
+    if name not in models:
+        raise ControllerError(f"the cell has no robot {name!r}; it has {', '.join(models)}")
+    return models[name]
+
+
+async def drive(
+    cell: Cell,
+    robot: str,
+    controller: Controller,
+    tally: Tally,
+    watch: Callable[[View], None] | None = None,
+) -> None:
+    """Answer every state of a robot with the controller's increment, until cancelled.
+
+    A verdict that does not come is counted, and the next state is answered as if nothing had been.
+
+    Args:
+        cell: connection to the cell.
+        robot: the robot to move.
+        controller: what decides.
+        tally: counts the verdicts.
+        watch: called with each view.
+
+    Raises:
+        RefusedError: the lease was not granted, or lost.
+        ServiceUnreachableError: the HLI is gone.
+    """
+    verdict: Verdict | None = None
+    async with cell.lease(robot) as leased:
+        async for state in leased.states():
+            view = view_of(cell, state, verdict)
+            if watch is not None:
+                watch(view)
+            increment = controller.increment(view)
+            try:
+                async with asyncio.timeout(PATIENCE_CYCLES * cell.description.cycle_s):
+                    verdict = await leased.move(increment.tolist())
+            except (TimeoutError, ServiceUnreachableError):
+                verdict = None
+            tally.add(verdict)
+
+
+def view_of(cell: Cell, state: RobotState, verdict: Verdict | None = None) -> View:
+    """The state of one robot and the newest states of all others.
+
+    Args:
+        cell: connection to the cell.
+        state: state of the robot that is moved.
+        verdict: the newest verdict on it; what it admitted and the state does not show yet is under way.
+    """
+    own = RobotView.from_state(state)
+    if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:
+        own = own.after(verdict.cycle, np.array(verdict.dq))
+    others = {name: cell.state(name) for name in cell.robots if name != state.robot}
+    return View(
+        own, {name: RobotView.from_state(other) for name, other in others.items() if other is not None}
+    )
+
+
+def run(controller: Coroutine[Any, Any, None], summary: Callable[[], dict[str, Any]]) -> int:
+    """Run a controller's process to its end, print one JSON line, and tell the exit status.
+
+    Args:
+        controller: the coroutine; SIGTERM and SIGINT cancel it, which brings the robot to rest.
+        summary: what to print when it has ended.
+    """
+    try:
+        asyncio.run(_until_told(controller))
+    except DeltaqError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        print(json.dumps(summary()), flush=True)
+        if isinstance(error, ServiceUnreachableError):
+            return UNREACHABLE
+        return REFUSED if isinstance(error, RefusedError) else USAGE
+    print(json.dumps(summary()), flush=True)
+    return 0
+
+
+async def _until_told(controller: Coroutine[Any, Any, None]) -> None:
+    task = asyncio.create_task(controller)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, task.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await task

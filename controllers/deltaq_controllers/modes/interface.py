@@ -1,0 +1,49 @@
+"""What a mode is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.modes.limitation import Limitation
+from deltaq_controllers.modes.motion import ModeName, Motion
+
+Array = NDArray[np.float64]
+
+
+class Mode(Protocol):
+    """Turns a motion of joints and hands into joint displacements.
+
+    Attributes:
+        drives_joints: (n,) which joints an operator drives by name.
+    """
+
+    drives_joints: NDArray[np.bool_]
+
+    @property
+    def name(self) -> ModeName:
+        """As in `--mode`."""
+        ...
+
+    @property
+    def drives_hands(self) -> bool:
+        """Whether an operator drives the hands."""
+        ...
+
+    def enter(self, q: Array) -> None:
+        """The robot stands at `q` (n,) and this mode takes over."""
+        ...
+
+    def bounded(self, q: Array, motion: Motion, /) -> Motion:
+        """The motion, slowed as far as this mode's promise asks for at `q` (n,)."""
+        ...
+
+    def step(self, q: Array, motion: Motion, time_s: float, /) -> Array:
+        """The joint displacement (n,) for a motion over a time from `q` (n,); zero for no motion."""
+        ...
+
+    def limitation(self, q: Array, motion: Motion, /) -> Limitation | None:
+        """What of the robot's geometry limits this motion at `q` (n,)."""
+        ...

@@ -1,0 +1,38 @@
+"""Joint mode: each joint by itself. It needs no inverse, so it leads out of any configuration."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.modes.limitation import Limitation
+from deltaq_controllers.modes.motion import ModeName, Motion
+
+Array = NDArray[np.float64]
+
+
+class JointMode:
+    """Drives joints independently (Hooper & Noakes, section II)."""
+
+    name = ModeName.JOINT
+    drives_hands = False
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.drives_joints = np.ones(robot.n, dtype=np.bool_)
+
+    def enter(self, q: Array) -> None:
+        """Nothing to prepare."""
+
+    def bounded(self, _q: Array, motion: Motion) -> Motion:
+        """The motion as it is."""
+        return motion
+
+    def step(self, _q: Array, motion: Motion, time_s: float) -> Array:
+        """The displacement asked for."""
+        displacement: Array = motion.joints * time_s
+        return displacement
+
+    def limitation(self, _q: Array, _motion: Motion) -> Limitation | None:
+        """None: only the joints' own limits bound this mode."""
+        return None

@@ -1,0 +1,85 @@
+"""What an operator wishes: rates of joints and of hands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HAND_AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Axes of a hand: along x, y, z [m/s] and about them [rad/s]."""
+
+
+class ModeName(StrEnum):
+    """The modes that are driven by hand."""
+
+    JOINT = "joint"
+    DECOUPLED = "decoupled"
+    SELF_MOTION = "self-motion"
+    COUPLED = "coupled"
+
+
+class Frame(StrEnum):
+    """The axes in which a hand is moved."""
+
+    WORLD = "world"
+    TOOL = "tool"
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the operator wishes in this cycle; an empty one is a stick let go.
+
+    Attributes:
+        rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several
+            hands (`left.x`) [m/s, rad/s].
+        mode: the mode wanted from here on; None leaves it as it is.
+        frame: the axes wanted from here on; None leaves them as they are.
+    """
+
+    rates: Mapping[str, float] = field(default_factory=dict)
+    mode: ModeName | None = None
+    frame: Frame | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Rates of all joints and all hands; a mode takes of them what it drives.
+
+    Attributes:
+        joints: (n,) joint rates [rad/s or m/s].
+        hands: (h, 6) velocity [m/s] and angular velocity [rad/s] of each hand, world axes.
+    """
+
+    joints: Array
+    hands: Array
+
+    @classmethod
+    def rest(cls, joints: int, hands: int) -> Motion:
+        """No motion."""
+        return cls(np.zeros(joints), np.zeros((hands, 6)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of joints and of hands."""
+        return len(self.joints), len(self.hands)
+
+    def __bool__(self) -> bool:
+        return bool(self.joints.any() or self.hands.any())
+
+    def scaled(self, share: float) -> Motion:
+        """All rates times `share`."""
+        return Motion(share * self.joints, share * self.hands)
+
+    def towards(self, other: Motion, share: float) -> Motion:
+        """The way from this motion to `other`, at `share` of it."""
+        rest = 1.0 - share
+        return Motion(
+            rest * self.joints + share * other.joints,
+            rest * self.hands + share * other.hands,
+        )

@@ -1,0 +1,164 @@
+"""What an operator wishes, cycle by cycle: the interface behind keyboard, gamepad and script, and the script."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedSeq
+from ruamel.yaml.error import YAMLError
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+
+
+class OperatorInput(Protocol):
+    """Where an operator's wishes come from; a context manager, since some hold a device."""
+
+    def read(self, time_s: float) -> Wish | None:
+        """The wish at a time of the robot's clock [s]; empty while nobody touches anything, None when it is over."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+_UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
+
+
+class ScriptStep(BaseModel):
+    """One step of a script: what to move for how long."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    duration_s: FiniteFloat = Field(gt=0.0)
+    move: dict[str, FiniteFloat] = {}
+    """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
+    mode: ModeName | None = None
+    frame: Frame | None = None
+
+
+@dataclass(frozen=True)
+class _Timed:
+    until_s: float
+    wish: Wish
+
+
+class Script:
+    """Wishes from a list of steps, one after the other on the robot's clock.
+
+    Args:
+        steps: the steps, their wishes in SI units, each with its duration [s].
+    """
+
+    def __init__(self, steps: Sequence[tuple[float, Wish]]) -> None:
+        self._steps: list[_Timed] = []
+        end_s = 0.0
+        for duration_s, wish in steps:
+            end_s += duration_s
+            self._steps.append(_Timed(end_s, wish))
+        self._start_s: float | None = None
+        self._now = 0
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the whole script."""
+        return self._steps[-1].until_s if self._steps else 0.0
+
+    @classmethod
+    def load(cls, path: Path, teleoperator: Teleoperator) -> Self:
+        """Read a YAML file, a list of steps, and check that the robot can do each in its mode.
+
+        Raises:
+            ControllerError: the file cannot be read, a step is not well formed, or it asks for what the robot or the
+                mode has not.
+        """
+        mode, timed = teleoperator.mode, []
+        for where, step in _read(path):
+            duration_s, wish = _parsed(where, step, teleoperator)
+            mode = wish.mode or mode
+            try:
+                teleoperator.check(wish, mode)
+            except ControllerError as error:
+                raise ControllerError(f"{where}: {error}") from None
+            timed.append((duration_s, wish))
+        return cls(timed)
+
+    def read(self, time_s: float) -> Wish | None:
+        """The wish of the step at this time; the first call starts the script."""
+        if self._start_s is None:
+            self._start_s = time_s
+        while self._now < len(self._steps) and time_s - self._start_s >= self._steps[self._now].until_s:
+            self._now += 1
+        return self._steps[self._now].wish if self._now < len(self._steps) else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held."""
+
+
+def _read(path: Path) -> list[tuple[str, Any]]:
+    """The items of a YAML list, each with its place."""
+    try:
+        root = YAML(typ="rt").load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ControllerError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (YAMLError, ValueError, RecursionError) as error:
+        raise ControllerError(f"{path.name}: not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(root, CommentedSeq) or not root:
+        example = "- {duration_s: 1, move: {x_m_s: 0.05}}"
+        raise ControllerError(f"{path.name}: a script is a list of steps such as `{example}`")
+    return [(f"{path.name}:{root.lc.data[index][0] + 1}", step) for index, step in enumerate(root)]
+
+
+def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, Wish]:
+    try:
+        parsed = ScriptStep.model_validate(step)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        given: Any = first["input"]
+        what = f"{where}: {field}" if field else where
+        raise ControllerError(f"{what}: {first['msg']}; got {given!r}") from None
+    units = _axis_units(teleoperator)
+    rates = {}
+    for name, value in parsed.move.items():
+        axis, rate = _rate(name, value, units, where)
+        rates[axis] = rate
+    return parsed.duration_s, Wish(rates, parsed.mode, parsed.frame)
+
+
+def _axis_units(teleoperator: Teleoperator) -> dict[str, str]:
+    description = teleoperator.robot.description
+    units: dict[str, str] = dict(zip(description.joint_names, description.units, strict=True))
+    for prefix in ("", *(f"{hand}." for hand in teleoperator.hand_names)):
+        units |= {prefix + axis: "rad" if axis.startswith("r") else "m" for axis in HAND_AXES}
+    return units
+
+
+def _rate(name: str, value: float, units: Mapping[str, str], where: str) -> tuple[str, float]:
+    """Axis and rate in SI units of a field such as `a1_deg_s`."""
+    for suffix, (unit, factor) in _UNITS.items():
+        axis = name.removesuffix(suffix)
+        if axis != name and axis in units:
+            if units[axis] != unit:
+                fitting = " or ".join(
+                    axis + end for end, (other, _) in _UNITS.items() if other == units[axis]
+                )
+                raise ControllerError(f"{where}: {name}: {axis} is in {units[axis]}; write {fitting}")
+            return axis, factor * value
+    raise ControllerError(
+        f"{where}: {name}: not an axis with its unit; axes are {', '.join(units)}, units {', '.join(_UNITS)}"
+    )

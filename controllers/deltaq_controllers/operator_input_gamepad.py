@@ -1,0 +1,153 @@
+"""A gamepad as an operator's stick, read from Linux' joystick device.
+
+The device gives 8 bytes an event: time, value, type, number (Linux, Documentation/input/joydev). The sticks count
+only while a shoulder button is held, and a device that is gone is the end.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+
+DEVICE = Path("/dev/input/js0")
+
+_EVENT = struct.Struct("=IhBB")
+_BUTTON, _AXIS, _INITIAL = 0x01, 0x02, 0x80
+_FULL = 32767.0
+_DEAD_ZONE = 0.1
+_TURN_RAD_M = 3.5
+
+STICKS: Mapping[int, tuple[str, float]] = {
+    0: ("y", -1.0), 1: ("x", -1.0), 3: ("rz", -1.0), 4: ("z", -1.0), 6: ("rx", 1.0), 7: ("ry", -1.0),
+}  # fmt: skip
+"""Number of a stick's axis, as common pads count them, to axis of the hand and direction."""
+
+HOLD_BUTTONS = (4, 5)
+"""Shoulder buttons: one of them must be held."""
+
+MODE_BUTTONS: Mapping[int, ModeName] = {
+    0: ModeName.COUPLED,
+    1: ModeName.DECOUPLED,
+    2: ModeName.SELF_MOTION,
+    3: ModeName.JOINT,
+}
+"""Face buttons."""
+
+NEXT_BUTTON, QUIT_BUTTON = 7, 6
+"""Start chooses the next joint for the modes that are driven by joints, back ends."""
+
+
+class Gamepad:
+    """Wishes from a gamepad.
+
+    In a mode that drives joints alone the left stick drives the joint chosen, otherwise the sticks move the hand.
+
+    Args:
+        teleoperator: the robot that is driven.
+        device: path of the joystick device.
+        speed_m_s: hand speed at full deflection; other rates follow from it.
+    """
+
+    def __init__(self, teleoperator: Teleoperator, device: Path = DEVICE, speed_m_s: float = 0.1) -> None:
+        self._teleoperator = teleoperator
+        self._device = device
+        self._speed_m_s = speed_m_s
+        self._file: int | None = None
+        self._sticks: dict[int, float] = {}
+        self._held: set[int] = set()
+        self.joint = 0
+
+    @property
+    def status(self) -> str:
+        """What is chosen now."""
+        name = self._teleoperator.robot.joint_names[self.joint]
+        return (
+            f"joint {name}, {'held' if self._held & set(HOLD_BUTTONS) else 'hold a shoulder button to move'}"
+        )
+
+    def read(self, time_s: float) -> Wish | None:
+        """The wish from where sticks and buttons stand; None after the back button or when the device is gone."""
+        del time_s  # a device tells every change
+        try:
+            pressed = self._take_events()
+        except OSError:
+            return None
+        if QUIT_BUTTON in pressed:
+            return None
+        if NEXT_BUTTON in pressed:
+            self.joint = (self.joint + 1) % self._teleoperator.robot.n
+        mode = next((MODE_BUTTONS[button] for button in pressed if button in MODE_BUTTONS), None)
+        return Wish(self._rates() if self._held & set(HOLD_BUTTONS) else {}, self._possible(mode))
+
+    def _possible(self, mode: ModeName | None) -> ModeName | None:
+        try:
+            return mode and self._teleoperator.mode_named(mode).name
+        except ControllerError:
+            return None  # this robot has no joint to spare
+
+    def _rates(self) -> dict[str, float]:
+        driver = self._teleoperator.mode_named(self._teleoperator.mode)
+        if not driver.drives_hands:
+            robot = self._teleoperator.robot
+            factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
+            return {robot.joint_names[self.joint]: -factor * self._speed_m_s * self._sticks.get(1, 0.0)}
+        rates = {}
+        for stick, (axis, sign) in STICKS.items():
+            factor = _TURN_RAD_M if axis.startswith("r") else 1.0
+            rates[axis] = sign * factor * self._speed_m_s * self._sticks.get(stick, 0.0)
+        return rates
+
+    def _take_events(self) -> list[int]:
+        """Take in all events that wait; returns the buttons pressed.
+
+        Raises:
+            OSError: the device is gone.
+        """
+        assert self._file is not None  # within the block
+        pressed: list[int] = []
+        while True:
+            try:
+                data = os.read(self._file, _EVENT.size)
+            except BlockingIOError:
+                return pressed
+            if len(data) < _EVENT.size:
+                raise OSError("the device ended")
+            _, value, kind, number = _EVENT.unpack(data)
+            if kind & _AXIS:
+                share = value / _FULL
+                self._sticks[number] = share if abs(share) > _DEAD_ZONE else 0.0
+            elif kind & _BUTTON and value:
+                self._held.add(number)
+                if not kind & _INITIAL:
+                    pressed.append(number)
+            elif kind & _BUTTON:
+                self._held.discard(number)
+
+    def __enter__(self) -> Self:
+        """Open the device.
+
+        Raises:
+            ControllerError: there is none.
+        """
+        try:
+            self._file = os.open(self._device, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise ControllerError(
+                f"no gamepad at {self._device}: {error.strerror}; plug one in, or use the keyboard or `--script`"
+            ) from None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the device."""
+        if self._file is not None:
+            os.close(self._file)

@@ -1,0 +1,161 @@
+"""The keyboard of a terminal as an operator's stick.
+
+A terminal tells only that a key was pressed, and repeats it while it is held, so each press moves for `HOLD_S` and no
+longer: hands off is rest.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import tty
+from types import TracebackType
+from typing import Any, Self
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.modes.motion import Frame, ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+
+HOLD_S = 0.2
+"""How long a press moves; terminals repeat a held key about 30 times a second, after a first half second."""
+
+HAND_KEYS = {
+    "w": ("x", 1), "s": ("x", -1), "a": ("y", 1), "d": ("y", -1), "r": ("z", 1), "f": ("z", -1),
+    "i": ("ry", 1), "k": ("ry", -1), "j": ("rx", -1), "l": ("rx", 1), "u": ("rz", 1), "o": ("rz", -1),
+}  # fmt: skip
+"""Key to axis of the hand and direction."""
+
+HELP = (
+    "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose; "
+    "m mode, t world/tool, +/- speed, q quit"
+)
+
+_ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
+_STEP = 1.5
+_TURN_RAD_M = 3.5
+_LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
+
+
+class Keyboard:
+    """Wishes from key presses.
+
+    Args:
+        teleoperator: the robot that is driven; tells its joints, hands and mode.
+        file: descriptor of the terminal.
+        speed_m_s: hand speed to begin with; other rates follow from it.
+
+    Attributes:
+        joint: the joint that the arrows drive.
+        hand: the hand that the keys move; None for all.
+    """
+
+    def __init__(self, teleoperator: Teleoperator, file: int | None = None, speed_m_s: float = 0.1) -> None:
+        self._teleoperator = teleoperator
+        self._file = sys.stdin.fileno() if file is None else file
+        self._speed_m_s = speed_m_s
+        self._until_s = 0.0
+        self._rates: dict[str, float] = {}
+        self._saved: list[Any] | None = None
+        self._text = ""
+        self.joint = 0
+        self.hand: str | None = None
+
+    @property
+    def status(self) -> str:
+        """What is chosen now."""
+        name = self._teleoperator.robot.joint_names[self.joint]
+        return f"joint {name}, hand {self.hand or 'all'}, {self._speed_m_s:.3f} m/s"
+
+    def read(self, time_s: float) -> Wish | None:
+        """The wish from the keys pressed since the last call; None after q or at the end of the input."""
+        mode, frame = None, None
+        for key in self._keys():
+            if key in ("q", ""):
+                return None
+            if key == "m":
+                mode = self._next_mode()
+            elif key == "t":
+                frame = Frame.WORLD if self._teleoperator.frame is Frame.TOOL else Frame.TOOL
+            elif key == "h":
+                self._next_hand()
+            elif key in "+-":
+                factor = _STEP if key == "+" else 1.0 / _STEP
+                self._speed_m_s = min(_GREATEST_SPEED_M_S, max(_LEAST_SPEED_M_S, factor * self._speed_m_s))
+            elif key in ("left", "right"):
+                self.joint = (self.joint + (1 if key == "right" else -1)) % self._teleoperator.robot.n
+            elif key in ("up", "down"):
+                self._press(time_s, *self._joint_rate(1.0 if key == "up" else -1.0))
+            elif key in HAND_KEYS:
+                axis, sign = HAND_KEYS[key]
+                rate = sign * self._speed_m_s * (_TURN_RAD_M if axis.startswith("r") else 1.0)
+                self._press(time_s, f"{self.hand}.{axis}" if self.hand else axis, rate)
+            else:
+                self._rates = {}
+        return Wish(self._rates if time_s < self._until_s else {}, mode, frame)
+
+    def _press(self, time_s: float, axis: str, rate: float) -> None:
+        self._rates, self._until_s = {axis: rate}, time_s + HOLD_S
+
+    def _joint_rate(self, sign: float) -> tuple[str, float]:
+        robot = self._teleoperator.robot
+        factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
+        return robot.joint_names[self.joint], sign * factor * self._speed_m_s
+
+    def _next_mode(self) -> ModeName:
+        modes = list(ModeName)
+        place = modes.index(self._teleoperator.mode)
+        for offset in range(1, len(modes)):
+            mode = modes[(place + offset) % len(modes)]
+            try:
+                self._teleoperator.mode_named(mode)
+            except ControllerError:
+                continue  # this robot has no joint to spare
+            return mode
+        return self._teleoperator.mode
+
+    def _next_hand(self) -> None:
+        hands = (None, *self._teleoperator.hand_names)
+        self.hand = hands[(hands.index(self.hand) + 1) % len(hands)]
+
+    def _keys(self) -> list[str]:
+        """Keys pressed, arrows by name; an empty one is the end of the input."""
+        while select.select([self._file], [], [], 0.0)[0]:
+            data = os.read(self._file, 256)
+            if not data:
+                return [""]
+            self._text += data.decode("utf-8", "replace")
+        keys = []
+        while self._text:
+            if self._text.startswith("\x1b"):
+                if len(self._text) < 3 and "\x1b[".startswith(self._text):
+                    break  # the rest of the sequence is on its way
+                keys.append(_ARROWS.get(self._text[:3], " "))
+                self._text = self._text[3:]
+            else:
+                keys.append(self._text[0])
+                self._text = self._text[1:]
+        return keys
+
+    def __enter__(self) -> Self:
+        """Take single keys from the terminal, without echo.
+
+        Raises:
+            ControllerError: there is no terminal.
+        """
+        try:
+            self._saved = termios.tcgetattr(self._file)
+        except termios.error:
+            raise ControllerError(
+                "the keyboard needs a terminal; from a pipe use a script (`--script`)"
+            ) from None
+        tty.setcbreak(self._file)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the terminal as it was."""
+        if self._saved is not None:
+            termios.tcsetattr(self._file, termios.TCSADRAIN, self._saved)

@@ -1,0 +1,284 @@
+"""The camera follower as one quadratic programme per cycle.
+
+What the paper's law (9) does by projection and weights, with what it leaves to gains: limits are constraints
+that know how the robot brakes, clearance is a barrier that knows how the other robot moves, and the view's
+tasks share what is left by their weights (`qp_gains`). In the null space of nothing: every task is a row.
+
+    angle      (J_t / stretch) dq = -step(theta) e - (P p' / stretch) T      (3)-(5), in rad
+    distance   -u . J_v dq        =  step(d) - u . p' T                      (14)
+    roll       (d roll / d q) dq  =  step(roll)                              (15)
+    barrier    n . J dq >= n . v T - gamma (d - barrier) - s
+
+T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a share of an error, but never
+more than leaves room to brake with the acceleration that the joints have in that direction.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.camera_error import Look, easiest_way_round, look, skew, view_angle
+from deltaq_controllers.focus import FocusTracker
+from deltaq_controllers.interface import ControllerError, LastIncrement, View
+from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.neighbours import Near, Neighbours
+from deltaq_controllers.qp_gains import QpGains
+from deltaq_controllers.qp_problem import QuadraticProgram
+from deltaq_controllers.scene import Scene
+from deltaq_controllers.subtasks import roll_effects, turn_to_level
+from deltaq_protocol.brake import brake_cycles
+
+Array = NDArray[np.float64]
+
+LEAST_DISTANCE_WEIGHT = 1e-2
+"""Part of its weight that the view distance keeps while another robot presses."""
+
+MOST_PAIRS = 10
+"""Pairs of bodies that one programme takes into account, the nearest first."""
+
+
+class QpFollower:
+    """Looks at the leader's tool, or at a fixed point, from a desired distance, keeping clear of everything.
+
+    Until the leader has been heard of the robot is brought to rest.
+
+    Args:
+        scene: the cell and who is who in it.
+        desired_distance_m: desired view distance; may be changed at any time [m].
+        focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
+        gains: weights and margins.
+
+    Attributes:
+        desired_distance_m, focus, gains: as given.
+        limits: limits of the increments.
+        evades_below_m: clearance from other robots below which barriers act [m].
+        barrier_m: least distance from other robots, however they stand [m].
+        slack_m: by how much the last increment fell short of a barrier [m].
+        unsolved: cycles in which the solver gave no answer and the robot braked.
+
+    Raises:
+        ControllerError: the robot has no camera.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        desired_distance_m: float,
+        focus: Array | None = None,
+        gains: QpGains | None = None,
+    ) -> None:
+        robot, cycle_s = scene.robot, scene.cycle_s
+        if robot.description.camera is None:
+            raise ControllerError(
+                f"robot {robot.name!r} has no camera to follow with: give it one under "
+                f"robots.{robot.name}.camera in the cell's description, or choose another robot"
+            )
+        self.desired_distance_m, self.focus, self.gains = desired_distance_m, focus, gains or QpGains()
+        self.limits = IncrementLimits.of(robot, cycle_s)
+        self.barrier_m = scene.cell.description.gate.stop_distance_m + self.gains.clear_of_others_m
+        self.evades_below_m = self.barrier_m + self.gains.others_range_m
+        self.slack_m, self.unsolved = 0.0, 0
+        self._scene, self._cycle_s = scene, cycle_s
+        self._last = LastIncrement(self.limits.max_ddq)
+        self._camera = Kinematics(robot, "camera")
+        self._leader = Kinematics(scene.leader, "tool")
+        self._others = {name: FocusTracker() for name in scene.cell.robots if name != scene.robot_name}
+        self._neighbours = Neighbours(scene.cell, scene.robot_name, cycle_s, MOST_PAIRS)
+        self._margins = self._margin_of_pairs()
+        foreign, gains = self._neighbours.foreign, self.gains
+        self._ranges = self._margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
+        self._shares = np.where(foreign, gains.others_share, gains.barrier_share)
+        self._program = QuadraticProgram(
+            self.limits.max_ddq, self.gains.rest_weight, self.gains.barrier_price, MOST_PAIRS
+        )
+
+    def increment(self, view: View) -> Array:
+        """The increment for this cycle, (n,) [rad or m]."""
+        q, dq_last = view.own.q_cmd, self._last.update(view.own)
+        if self._scene.leader_name not in view.others:
+            return self.limits.admissible(np.zeros_like(q), q, dq_last)
+        for name, other in view.others.items():
+            if name in self._others:
+                self._others[name].update(other.q, other.time_s)
+        focus, velocity = self._focus_ahead()
+        barriers, least, room = self._barriers(q, dq_last)
+        rows, wanted, weights = self._tasks(q, focus, velocity)
+        # who is chased from the front backs off: keeping the distance would drive it sideways into a corner
+        weights[2] *= min(max(room / self.gains.give_way_m, LEAST_DISTANCE_WEIGHT), 1.0)
+        slowest, fastest = self._bounds(q, dq_last)
+        solution = self._program.solve(rows, wanted, weights, slowest, fastest, barriers, least)
+        if solution is None:
+            self.unsolved += 1
+            return self.limits.admissible(np.zeros_like(q), q, dq_last)
+        dq, self.slack_m = solution
+        return self.limits.admissible(dq, q, dq_last)
+
+    def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
+        """View angle error [rad] and view distance less the desired one [m], at measured configurations."""
+        T_world_camera = self._scene.robot.camera_pose(q)
+        focus = self.focus if self.focus is not None else self._scene.leader.forward(q_leader)[:3, 3]
+        lens = T_world_camera[:3, 3]
+        distance = float(np.linalg.norm(focus - lens))
+        return view_angle(T_world_camera[:3, :3], lens, focus), distance - self.desired_distance_m
+
+    def clearance(self, q: Array, q_leader: Array) -> float:
+        """Least distance from other robots [m]; `evades_below_m` if they are farther away."""
+        neighbours = self._afterwards
+        near = neighbours.near(
+            self._joined(q, {self._scene.leader_name: q_leader}),
+            np.where(neighbours.foreign, self.evades_below_m, -np.inf),
+        )
+        return float(near.distance.min(initial=self.evades_below_m))
+
+    @cached_property
+    def _afterwards(self) -> Neighbours:
+        """For configurations out of a recording, in any order."""
+        return Neighbours(self._scene.cell, self._scene.robot_name, 0.0, MOST_PAIRS)
+
+    def _focus_ahead(self) -> tuple[Array, Array]:
+        """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
+        if self.focus is not None:
+            return self.focus, np.zeros(3)
+        tracker = self._others[self._scene.leader_name]
+        # the increment asked for now arrives after the latency; what it starts from, a cycle earlier
+        self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
+        focus = self._leader.position
+        return focus, self._leader.jacobian()[:3] @ tracker.velocity
+
+    def _tasks(self, q: Array, focus: Array, velocity: Array) -> tuple[Array, Array, Array]:
+        """Rows (t, n), wanted changes (t,) and weights (t,) of angle, distance and roll."""
+        camera, gains, cycle_s = self._camera, self.gains, self._cycle_s
+        camera.update(q)
+        at_focus = camera.linear - skew(focus) @ camera.angular
+        view = look(camera.rotation, camera.position, focus)
+        if view.undecided:
+            way = easiest_way_round(camera.rotation, at_focus)
+            view = look(camera.rotation, camera.position, focus, way)
+        angle = (-view.P / view.stretch) @ at_focus
+        apart = -(view.u @ camera.linear + (skew(camera.position) @ view.u) @ camera.angular)
+        roll = roll_effects(camera.rotation, camera.angular)
+        rows = np.vstack([angle, apart, roll])
+        turn = self._angle_step(view, angle)
+        drift = (view.P @ velocity) * (cycle_s / view.stretch)
+        wanted = np.array(
+            [
+                *(-turn * view.direction - drift),
+                self._distance_step(view, rows[:3]) - cycle_s * float(view.u @ velocity),
+                self._roll_step(q, roll),
+            ]
+        )
+        weights = np.array([gains.angle_weight] * 2 + [gains.distance_weight, gains.roll_weight])
+        return rows, wanted, weights
+
+    def _angle_step(self, view: Look, rows: Array) -> float:
+        """How far to turn towards the focus in this cycle [rad]."""
+        deceleration = self._available(rows, view.direction)
+        return self._step(view.angle, self.gains.angle_share, deceleration)
+
+    def _distance_step(self, view: Look, rows: Array) -> float:
+        """Wanted change of the view distance in this cycle [m]."""
+        error = view.distance - self.desired_distance_m
+        # with the view direction kept
+        deceleration = min(
+            self._available(rows, np.array([0.0, 0.0, 1.0])), self.gains.zoom_m_s2 * self._cycle_s**2
+        )
+        return -math.copysign(self._step(abs(error), self.gains.distance_share, deceleration), error)
+
+    def _roll_step(self, q: Array, effects: Array) -> float:
+        """Wanted change of the roll in this cycle [rad]."""
+        last = self._camera.last
+        turn = turn_to_level(
+            self._camera.rotation,
+            self._camera.angular[:, last],
+            float(q[last]),
+            float(self.limits.lower[last]),
+            float(self.limits.upper[last]),
+        )
+        wanted = turn * float(effects[last])
+        step = self._step(abs(wanted), self.gains.roll_share, self.gains.spin_rad_s2 * self._cycle_s**2)
+        return math.copysign(step, wanted)
+
+    def _step(self, error: float, share: float, deceleration: float) -> float:
+        """A share of an error, but no more than can be braked within what is left of it."""
+        return min(share * error, math.sqrt(2.0 * self.gains.brake_share * deceleration * error))
+
+    def _available(self, rows: Array, direction: Array) -> float:
+        """Largest change per cycle and cycle along `direction` that the joints' acceleration allows.
+
+        It is what the joints give that share the work by their acceleration limits, least squares.
+        """
+        scaled = rows * self.limits.max_ddq
+        # a direction that no joint moves has no acceleration, and no infinity either
+        square = scaled @ scaled.T + 1e-12 * np.eye(len(rows))
+        busy = np.abs(np.linalg.solve(square, direction) @ scaled).max()
+        return 1.0 / max(float(busy), 1e-9)
+
+    def _bounds(self, q: Array, dq_last: Array) -> tuple[Array, Array]:
+        """Least and greatest increment (n,) of speed, acceleration and room to brake."""
+        slowest, fastest = self.limits.reach(dq_last)
+        cycles = brake_cycles(dq_last, self.limits.max_ddq)
+        # the brake after the increment is at most a cycle longer than the one before it
+        room = 2.0 / (cycles + 2)
+        brake = dq_last * ((cycles - 1) / cycles)
+        slowest = np.minimum(np.maximum(slowest, room * (self.limits.lower - q)), np.maximum(brake, slowest))
+        fastest = np.maximum(np.minimum(fastest, room * (self.limits.upper - q)), np.minimum(brake, fastest))
+        return np.minimum(slowest, brake), np.maximum(fastest, brake)
+
+    def _barriers(self, q: Array, dq_last: Array) -> tuple[Array, Array, float]:
+        """Rows (k, n) and least changes (k,) that keep the distances in range, judged where the brake ends [m].
+
+        Of the brake that follows an increment `dq` the end lies `reach * dq` away, as the gate will see it too. The
+        last value is the least room that another robot leaves beyond its barrier [m].
+        """
+        cycles = brake_cycles(dq_last, self.limits.max_ddq)
+        travel = dq_last * (0.5 * (cycles - 1))
+        # the brake after the increment is at most a cycle longer than the one before it
+        reach = 0.5 * (cycles + 2)
+        near = self._near(q + travel)
+        closing = np.maximum(-(near.others @ self._rates()), 0.0)
+        margins = self._margins[near.pairs] + self._reserve(closing)
+        change = closing * self._cycle_s - self._shares[near.pairs] * (near.distance - margins)
+        room = (near.distance - margins)[self._neighbours.foreign[near.pairs]]
+        return near.own, (change + near.own @ travel) / reach, float(room.min(initial=np.inf))
+
+    def _reserve(self, closing: Array) -> Array:
+        """(k,) what is kept free for others to brake in, by their speed of approach (k,) in m/s [m]."""
+        return closing * (self.gains.reaction_s + closing / (2.0 * self.gains.others_brake_m_s2))
+
+    def _near(self, q: Array) -> Near:
+        expected = {
+            name: tracker.ahead(self._scene.latency_s)
+            for name, tracker in self._others.items()
+            if tracker.started
+        }
+        return self._neighbours.near(self._joined(q, expected), self._ranges)
+
+    def _joined(self, q: Array, others: dict[str, Array]) -> Array:
+        """(m,) joints of all robots of the cell; at home who has not been heard of."""
+        robots = self._scene.cell.robots
+        own = self._scene.robot_name
+        return np.concatenate([q if name == own else others.get(name, robots[name].home) for name in robots])
+
+    def _rates(self) -> Array:
+        """(m,) estimated rates of all joints of the cell, the own ones zero [rad/s or m/s]."""
+        robots = self._scene.cell.robots
+        return np.concatenate(
+            [
+                self._others[name].velocity
+                if name in self._others and self._others[name].started
+                else np.zeros(robot.n)
+                for name, robot in robots.items()
+            ]
+        )
+
+    def _margin_of_pairs(self) -> Array:
+        gains, pairs, gate = self.gains, self._neighbours, self._scene.cell.description.gate
+        other = np.where(pairs.foreign, gains.clear_of_others_m, gains.clear_of_structure_m)
+        stop = np.where(pairs.same, gate.self_stop_distance_m, gate.stop_distance_m)
+        margins: Array = stop + np.where(pairs.same, gains.clear_of_self_m, other)
+        return margins

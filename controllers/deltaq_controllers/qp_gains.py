@@ -1,0 +1,57 @@
+"""What the quadratic programme weighs, and what it keeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class QpGains:
+    """Gains of the programme, most urgent first.
+
+    Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come
+    the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it
+    while there is another way. The tasks are least squares in one sum, each weight a few decades below the one
+    before: angle, distance, roll, and last of all that the joints stand still.
+
+    Attributes:
+        clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
+        clear_of_structure_m: the same from what stands still [m].
+        clear_of_self_m: the same between the robot's own bodies, beyond the gate's for these [m].
+        barrier_range_m: beyond its barrier, how far a pair of bodies is taken into account [m].
+        others_range_m: the same for bodies of other robots [m].
+        barrier_share: part of what is left of a distance that one cycle may take.
+        others_share: the same for other robots; smaller, so that getting out of the way begins early and gently.
+        reaction_s: time for which another robot is expected to come on as it does [s].
+        give_way_m: room beyond another robot's barrier below which the view distance gives way [m].
+        others_brake_m_s2: deceleration that is counted on in another robot [m/s^2].
+        barrier_price: cost of slack per m, on the scale of the tasks' costs.
+        angle_weight, distance_weight, roll_weight, rest_weight: of the squares: per mm of the focus' path
+            at 1 m for angle, per mm for distance, per mrad for roll, per acceleration limit for rest.
+        angle_share, distance_share, roll_share: part of an error that a cycle takes away, near the goal.
+        brake_share: part of the possible deceleration that approaching a goal counts on.
+        zoom_m_s2: largest deceleration of the view distance that is counted on [m/s^2].
+        spin_rad_s2: deceleration of the roll that is counted on [rad/s^2].
+    """
+
+    clear_of_others_m: float = 0.05
+    clear_of_structure_m: float = 0.03
+    clear_of_self_m: float = 0.02
+    barrier_range_m: float = 0.25
+    others_range_m: float = 0.5
+    barrier_share: float = 0.2
+    others_share: float = 0.06
+    reaction_s: float = 0.2
+    give_way_m: float = 0.2
+    others_brake_m_s2: float = 2.0
+    barrier_price: float = 1e6
+    angle_weight: float = 1.0
+    distance_weight: float = 1e-2
+    roll_weight: float = 1e-4
+    rest_weight: float = 1e-5
+    angle_share: float = 0.5
+    distance_share: float = 0.3
+    roll_share: float = 0.15
+    brake_share: float = 0.6
+    zoom_m_s2: float = 3.0
+    spin_rad_s2: float = 30.0

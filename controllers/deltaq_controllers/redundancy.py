@@ -1,0 +1,166 @@
+"""The weighted gradient solution: joint rates from a task rate and a sub-task field.
+
+Bjerkeng et al., III-B and III-C. What differs from the print, see the errata:
+
+- (10) takes an explicit scale, `W_ii = 1 + (limit_scale H_i)^2`: H has the unit 1/angle, so that as printed
+  the weights depend on the unit of angle. pi/180 gives what degrees give.
+- A joint that moves away from its limit has weight 1, as III-B says of Chan and Dubey's rule and (10) forgets.
+- (7) is damped: near limits `J W^-1 J^T` loses rank.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LIMIT_GUARD = 1e-3
+"""Nearer to a limit than this share of the joint's range, (11) is evaluated at this distance."""
+
+_MATTERS = 1e-2
+"""A weight that exceeds 1 by less is not worth a second solution."""
+
+
+def limit_gradient(q: Array, lower: Array, upper: Array) -> Array:
+    """H of (11): positive in the upper half of each range, infinite at the limits but for a guard.
+
+    Args:
+        q: (n,) configuration.
+        lower: (n,) lower limits.
+        upper: (n,) upper limits.
+
+    Returns:
+        (n,) gradient [1/rad or 1/m].
+    """
+    guard = LIMIT_GUARD * (upper - lower)
+    above = np.maximum(q - lower, guard)
+    below = np.maximum(upper - q, guard)
+    gradient: Array = (upper - lower) ** 2 * (above - below) / (above * below) ** 2
+    return gradient
+
+
+def damped_rates(jacobian: Array, inverse_weights: Array, task: Array, field: Array, damping: float) -> Array:
+    """The law (9) for given weights.
+
+    With `g = W^-1 F` the law is `g + W^-1 J^T (J W^-1 J^T + damping I)^-1 (task - J g)`.
+
+    Args:
+        jacobian: (2, n) task Jacobian.
+        inverse_weights: (n,) diagonal of W^-1.
+        task: (2,) wanted task rate.
+        field: (n,) sub-task field F.
+        damping: added to the diagonal of `J W^-1 J^T`, in its unit.
+
+    Returns:
+        (n,) joint rates.
+    """
+    g = inverse_weights * field
+    weighted = jacobian * inverse_weights
+    (a, b), (_, c) = (weighted @ jacobian.T).tolist()
+    a, c = a + damping, c + damping
+    r0, r1 = (task - jacobian @ g).tolist()
+    determinant = a * c - b * b
+    z = np.array([c * r0 - b * r1, a * r1 - b * r0]) / determinant
+    rates: Array = g + z @ weighted
+    return rates
+
+
+class WeightedGradient:
+    """The law (9) with limits of the joints.
+
+    Args:
+        lower: (n,) lower limits [rad or m].
+        upper: (n,) upper limits [rad or m].
+        limit_scale: `s_w` of the weights [rad or m].
+        damping: singular value at which the damping halves the task rate, as a ratio of view angle to
+            joint angle.
+        one_sided: False weighs joints that leave a limit too, as (10) is printed.
+    """
+
+    def __init__(
+        self, lower: Array, upper: Array, limit_scale: float, damping: float, one_sided: bool = True
+    ) -> None:
+        self._lower, self._upper = lower, upper
+        self._limit_scale = limit_scale
+        self._damping = damping
+        self._one_sided = one_sided
+
+    def inverse_weights(self, q: Array, rates: Array | None = None) -> Array:
+        """(n,) diagonal of W^-1; 1 for joints that `rates` (n,) moves away from their nearer limit."""
+        gradient = limit_gradient(q, self._lower, self._upper)
+        inverse: Array = 1.0 / (1.0 + (self._limit_scale * gradient) ** 2)
+        if rates is not None:
+            inverse[gradient * rates < 0.0] = 1.0
+        return inverse
+
+    def rates(self, q: Array, jacobian: Array, task: Array, field: Array, stretch: float = 1.0) -> Array:
+        """Joint rates of (9), every joint that approaches a limit weighed.
+
+        The weights depend on the rates and the rates on the weights. Joints that leave their limit with
+        all weights on are released; those that then turn round are taken back, until none does.
+
+        Args:
+            q: (n,) configuration [rad or m].
+            jacobian: (2, n) task Jacobian.
+            task: (2,) wanted task rate [1/s].
+            field: (n,) sub-task field [rad/s or m/s].
+            stretch: singular values of the task by the view angle, to give the damping its unit.
+
+        Returns:
+            (n,) joint rates [rad/s or m/s].
+        """
+        damping = (self._damping * stretch) ** 2
+        gradient = limit_gradient(q, self._lower, self._upper)
+        weighed = 1.0 / (1.0 + (self._limit_scale * gradient) ** 2)
+        rates = damped_rates(jacobian, weighed, task, field, damping)
+        if not self._one_sided:
+            return rates
+        released = (gradient * rates < 0.0) & (weighed < 1.0 - _MATTERS)
+        while released.any():
+            rates = damped_rates(jacobian, np.where(released, 1.0, weighed), task, field, damping)
+            kept = released & (gradient * rates < 0.0)
+            if (kept == released).all():
+                break
+            released = kept
+            if not released.any():
+                rates = damped_rates(jacobian, weighed, task, field, damping)
+        return rates
+
+
+def emergency_rates(weights: WeightedGradient, q: Array, repulsion: Array) -> Array:
+    """The pure obstacle avoidance (13), with one-sided weights so that limits do not hold an evasion back.
+
+    Args:
+        weights: the joints' weights.
+        q: (n,) configuration [rad or m].
+        repulsion: (n,) F_rep [rad/s or m/s].
+
+    Returns:
+        (n,) joint rates [rad/s or m/s].
+    """
+    return weights.inverse_weights(q, repulsion) * repulsion
+
+
+class Emergency:
+    """Whether the camera task is given up for obstacle avoidance; on and off at different distances.
+
+    Args:
+        on_m: clearance below which the camera task is given up [m].
+        off_m: clearance above which it is taken up again [m].
+    """
+
+    def __init__(self, on_m: float, off_m: float) -> None:
+        self._on_m, self._off_m = on_m, off_m
+        self.active = False
+
+    def update(self, clearance_m: float) -> bool:
+        """Take note of the clearance [m]; True while the camera task is given up."""
+        self.active = clearance_m < (self._off_m if self.active else self._on_m)
+        return self.active
+
+
+DEGREES = math.pi / 180.0
+"""The `limit_scale` that makes (10) what it is when angles are in degrees [rad]."""

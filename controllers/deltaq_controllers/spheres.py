@@ -1,0 +1,100 @@
+"""Bounding spheres of a robot, for the distances of Bjerkeng et al., III-D."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+
+Array = NDArray[np.float64]
+
+SPHERES_PER_WIDTH = 1.0
+"""Spheres along the length of a body, per width of it; more hug it closer and cost more."""
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Spheres that move with the joints of a robot.
+
+    Attributes:
+        joints: (m,) index of the carrying joint, as pinocchio counts: 1 for the first.
+        centres: (m, 3) centres in the frames of these joints [m].
+        radii: (m,) radii [m].
+    """
+
+    joints: NDArray[np.intp]
+    centres: Array
+    radii: Array
+
+    @classmethod
+    def of(cls, robot: RobotModel) -> Self:
+        """Spheres that together contain every moving body of the robot."""
+        joints: list[int] = []
+        centres: list[Array] = []
+        radii: list[float] = []
+        for body in robot.geometry.geometryObjects:
+            if body.parentJoint == 0:
+                continue
+            for centre, radius in cover(*local_box(body)):
+                joints.append(body.parentJoint)
+                centres.append(body.placement.act(centre))
+                radii.append(radius)
+        return cls(np.array(joints, dtype=np.intp), np.array(centres).reshape(-1, 3), np.array(radii))
+
+    @cached_property
+    def _runs(self) -> list[tuple[int, slice, Array]]:
+        """Joint, place in the arrays and centres of each run of spheres that one joint carries."""
+        starts = [0, *(np.flatnonzero(np.diff(self.joints)) + 1).tolist(), len(self.joints)]
+        runs = [slice(start, end) for start, end in pairwise(starts) if end > start]
+        return [(int(self.joints[run.start]), run, self.centres[run]) for run in runs]
+
+    def placed(self, data: Any) -> Array:
+        """(m, 3) centres in the world [m], for the joint placements that pinocchio's `data` holds."""
+        placed = np.empty_like(self.centres)
+        for joint, run, centres in self._runs:
+            carrier = data.oMi[joint]
+            placed[run] = centres @ carrier.rotation.T + carrier.translation
+        return placed
+
+    def take(self, which: NDArray[np.intp]) -> Spheres:
+        """Only the spheres of these indices."""
+        return Spheres(self.joints[which], self.centres[which], self.radii[which])
+
+
+def local_box(body: Any) -> tuple[Array, Array]:
+    """Lowest and highest corner of a pinocchio geometry object, (3,) each, in its own frame [m]."""
+    body.geometry.computeLocalAABB()
+    box = body.geometry.aabb_local
+    return np.array(box.min_).ravel(), np.array(box.max_).ravel()
+
+
+def cover(low: Array, high: Array) -> list[tuple[Array, float]]:
+    """Equal spheres in a row that contain a box.
+
+    Args:
+        low: (3,) lowest corner [m].
+        high: (3,) highest corner [m].
+
+    Returns:
+        Centre (3,) and radius of each sphere [m].
+    """
+    size, middle = high - low, 0.5 * (low + high)
+    along = int(np.argmax(size))
+    width = np.delete(size, along)
+    count = max(1, math.ceil(SPHERES_PER_WIDTH * size[along] / max(float(width.max()), 1e-3)))
+    count = min(count, 8)
+    slice_length = size[along] / count
+    radius = 0.5 * math.sqrt(slice_length**2 + float(width @ width))
+    spheres = []
+    for k in range(count):
+        centre = middle.copy()
+        centre[along] = low[along] + (k + 0.5) * slice_length
+        spheres.append((centre, radius))
+    return spheres

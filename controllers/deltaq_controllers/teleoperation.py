@@ -1,0 +1,142 @@
+"""Drive a robot of a running cell by hand: the shell around the teleoperator."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.operator_input import OperatorInput
+from deltaq_controllers.tally import Tally
+from deltaq_protocol.client import Cell
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.messages import Phase, Verdict
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Leg:
+    """A stretch of driving in one mode.
+
+    Attributes:
+        mode: the mode.
+        cycles: its length.
+        limited: cycles in which something limited the operator, by kind and what.
+        moved: per hand where it ended from where it began [m, rad], and how far it was off at most.
+    """
+
+    mode: ModeName
+    cycles: int = 0
+    limited: Counter[str] = field(default_factory=Counter)
+    moved: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    farthest: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+class DriveLog:
+    """What was driven, as measured.
+
+    Args:
+        teleoperator: the robot's.
+        cycle_s: its cycle [s].
+    """
+
+    def __init__(self, teleoperator: Teleoperator, cycle_s: float) -> None:
+        self._teleoperator = teleoperator
+        self._cycle_s = cycle_s
+        self._hands = Hands(teleoperator.robot)
+        self._start = (self._hands.rotations, self._hands.positions)
+        self.legs: list[Leg] = []
+
+    def add(self, q: Array) -> None:
+        """A cycle has been, with the robot measured at `q` (n,)."""
+        self._hands.update(q)
+        if not self.legs or self.legs[-1].mode is not self._teleoperator.mode:
+            self.legs.append(Leg(self._teleoperator.mode))
+            self._start = (self._hands.rotations.copy(), self._hands.positions.copy())
+        leg = self.legs[-1]
+        leg.cycles += 1
+        limitation = self._teleoperator.limitation
+        if limitation is not None:
+            leg.limited[f"{limitation.limit.value}: {limitation.what}"] += 1
+        leg.moved = np.linalg.norm(self._hands.error(*self._start).reshape(-1, 2, 3), axis=2)
+        leg.farthest = np.maximum(leg.farthest, leg.moved) if leg.cycles > 1 else leg.moved
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Each leg as a JSON object, for people: mm and degrees."""
+        return [self._summary(leg) for leg in self.legs]
+
+    def _summary(self, leg: Leg) -> dict[str, Any]:
+        hands = {
+            name: {
+                "moved_mm": 1000 * float(moved[0]),
+                "turned_deg": float(np.rad2deg(moved[1])),
+                "farthest_mm": 1000 * float(farthest[0]),
+                "farthest_deg": float(np.rad2deg(farthest[1])),
+            }
+            for name, moved, farthest in zip(
+                self._teleoperator.hand_names, leg.moved, leg.farthest, strict=True
+            )
+        }
+        seconds = leg.cycles * self._cycle_s
+        limited_s = {what: cycles * self._cycle_s for what, cycles in leg.limited.items()}
+        return {"mode": leg.mode.value, "seconds": seconds, "limited_s": limited_s, "hands": hands}
+
+
+async def teleoperate(
+    cell: Cell,
+    teleoperator: Teleoperator,
+    operator: OperatorInput,
+    tally: Tally,
+    watch: Callable[[Array], None],
+    enough: asyncio.Event,
+) -> None:
+    """Drive until the operator's input is over or it is enough, then come to rest and give the robot back.
+
+    Args:
+        cell: connection to the cell.
+        teleoperator: of the robot.
+        operator: where the wishes come from.
+        tally: counts the verdicts.
+        watch: called once a cycle with the measured configuration (n,).
+        enough: set to end before the input is over.
+
+    Raises:
+        RefusedError: the lease was not granted or lost, or the robot is held.
+        ServiceUnreachableError: the HLI is gone.
+    """
+    robot = teleoperator.robot.name
+    verdict: Verdict | None = None
+    async with cell.lease(robot) as leased:
+        async for state in leased.states():
+            if state.phase is Phase.HELD:
+                raise _held(robot, state.reason)
+            view = view_of(cell, state, verdict)
+            wish = None if enough.is_set() else operator.read(state.time_s)
+            teleoperator.wish = Wish() if wish is None else wish
+            increment = teleoperator.increment(view)
+            if wish is None and teleoperator.is_at_rest:
+                return
+            try:
+                async with asyncio.timeout(PATIENCE_CYCLES * cell.description.cycle_s):
+                    verdict = await leased.move(increment.tolist())
+            except (TimeoutError, ServiceUnreachableError):
+                verdict = None
+            tally.add(verdict)
+            teleoperator.take_verdict(verdict)
+            watch(view.own.q)
+
+
+def _held(robot: str, reason: ReasonCode | None) -> RefusedError:
+    why = f": {EXPLANATIONS[reason]}" if reason is not None else ""
+    return RefusedError(ReasonCode.STOPPED, f"{robot} is held{why}", f"`deltaq reset --robot {robot}`")

@@ -1,0 +1,126 @@
+"""A robot driven by hand in plain kinematics, and through the whole stack in virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import RobotView, View
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.motion import Frame, ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_experiments.lockstep import Lockstep
+from deltaq_protocol.messages import Verdict
+
+Array = NDArray[np.float64]
+
+CYCLE_S = 0.012
+
+
+@cache
+def model(robot: str) -> RobotModel:
+    return CellModel.load("dawm" if robot == "dawm" else "lab").robots[robot]
+
+
+@dataclass
+class Driven:
+    """What was commanded and measured since the beginning."""
+
+    robot: RobotModel
+    q_cmd: list[Array] = field(default_factory=list)
+    q: list[Array] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
+    limitations: list[str] = field(default_factory=list)
+
+    def hand_errors(self, of: list[Array], start: Array) -> tuple[float, float]:
+        """How far any hand was off from where it is at `start` [m, rad]."""
+        hands = Hands(self.robot)
+        hands.update(start)
+        kept = hands.rotations, hands.positions
+        worst = np.zeros(2)
+        for q in of:
+            hands.update(q)
+            error = np.linalg.norm(hands.error(*kept).reshape(-1, 2, 3), axis=2).max(axis=0)
+            worst = np.maximum(worst, error)
+        return float(worst[0]), float(worst[1])
+
+
+class PlainDrive:
+    """Whatever is asked for is done."""
+
+    def __init__(
+        self, robot: str, mode: ModeName, q: Array | None = None, frame: Frame = Frame.WORLD
+    ) -> None:
+        self.robot = model(robot)
+        self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode, frame)
+        self.now = (self.robot.home if q is None else q).copy()
+        self.cycle = 0
+        self.driven = Driven(self.robot)
+        self.dq_last = np.zeros(self.robot.n)
+        self.violations = 0
+
+    def drive(self, duration_s: float, mode: ModeName | None = None, **rates: float) -> Driven:
+        """Hold a wish for a time; returns what happened meanwhile."""
+        self.driven = Driven(self.robot)
+        for _ in range(round(duration_s / CYCLE_S)):
+            self.step(Wish(rates, mode))
+        return self.driven
+
+    def step(self, wish: Wish) -> Array:
+        self.cycle += 1
+        self.teleoperator.wish = wish
+        dq = self.teleoperator.increment(
+            View(RobotView(self.cycle, self.cycle * CYCLE_S, self.now, self.now))
+        )
+        limits = self.robot
+        change = np.abs(dq - self.dq_last) > limits.max_acceleration * CYCLE_S**2 * (1 + 1e-6)
+        speed = np.abs(dq) > limits.max_velocity * CYCLE_S * (1 + 1e-6)
+        self.now = self.now + dq
+        outside = (self.now > limits.upper) | (self.now < limits.lower)
+        self.violations += int((change | speed | outside).sum())
+        self.dq_last = dq
+        self.driven.q_cmd.append(self.now)
+        limitation = self.teleoperator.limitation
+        self.driven.limitations.append(limitation.limit.value if limitation else "")
+        return dq
+
+    def rest(self) -> None:
+        """Let go until the robot stands, and a little longer."""
+        self.drive(1.5)
+
+
+class StackDrive:
+    """The same through emulated controller, Robot Server, gate and HLI, in virtual time."""
+
+    def __init__(self, robot: str, mode: ModeName, q: Array | None = None) -> None:
+        cell = "dawm" if robot == "dawm" else "lab"
+        self.name = robot
+        self.stack = Lockstep(cell, {} if q is None else {robot: q})
+        self.robot = self.stack.cell.robots[robot]
+        self.stack.run_until_ready()
+        self.stack.acquire(robot, "test")
+        self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode)
+
+    def drive(self, duration_s: float, mode: ModeName | None = None, **rates: float) -> Driven:
+        """Hold a wish for a time; returns what happened meanwhile."""
+        driven = Driven(self.robot)
+        self.teleoperator.wish = Wish(rates, mode)
+        for _ in range(round(duration_s / CYCLE_S)):
+            self.stack.cycle()
+            state = self.stack.arms[self.name].state
+            assert state is not None
+            increment = self.teleoperator.increment(View(RobotView.from_state(state)))
+            verdict = self.stack.ask(self.name, increment)
+            assert verdict is not None
+            self.teleoperator.take_verdict(verdict)
+            driven.q_cmd.append(np.array(state.q_cmd))
+            driven.q.append(np.array(state.q))
+            driven.verdicts.append(verdict)
+            limitation = self.teleoperator.limitation
+            driven.limitations.append(limitation.limit.value if limitation else "")
+        return driven

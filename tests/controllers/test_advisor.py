@@ -1,0 +1,248 @@
+"""The configuration advisor: what it proposes holds the hands, is clear and distinct, and can be driven to."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.advisor import DISTINCT, Option, Pool, Progress, advise, search
+from deltaq_controllers.advisor.descent import descend, reduced_gradient
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.methods import METHODS
+from deltaq_controllers.advisor.problem import AdvisorError, Problem
+from deltaq_controllers.advisor.seeding import feasible
+from deltaq_controllers.advisor.self_motion import FINE, LEAP, SelfMotion
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+
+Array = NDArray[np.float64]
+
+CELL = CellModel.load("dawm")
+DAWM = CELL.robots["dawm"]
+TRACKER = ConstraintTracker(DAWM)
+EXACT = ExactClearance(CELL, "dawm")
+
+
+def problem(q: Array = DAWM.home, **weights: float) -> Problem:
+    return Problem(CELL, "dawm", TRACKER.hands(q), weights or None, TRACKER)
+
+
+def out_of_reach() -> Problem:
+    poses = TRACKER.hands(DAWM.home)
+    poses[:, 0, 3] += 5.0
+    return Problem(CELL, "dawm", poses, None, TRACKER)
+
+
+@pytest.fixture(scope="module")
+def options() -> list[Option]:
+    return advise(problem(), DAWM.home, generator=np.random.default_rng(1), options=4, exact=EXACT)
+
+
+def test_the_gradient_over_the_free_joints_agrees_with_finite_differences() -> None:
+    task = problem(travel=1.0, clearance=1.0, manipulability=0.5)
+    starts = feasible(task, np.random.default_rng(2), 32, 64, 50)
+    q, energy = task.try_best(starts)
+    q = q[np.isfinite(energy)][:8]
+    gradient = reduced_gradient(task, q)
+    for joint in range(5):
+        offset = 1e-6 * np.eye(5)[joint]
+        ahead, behind = (task.follow(q[:, TRACKER.base] + sign * offset, q)[1] for sign in (1, -1))
+        np.testing.assert_allclose(gradient[:, joint], (ahead - behind) / 2e-6, atol=2e-4)
+
+
+def test_starts_reach_with_both_hands_where_even_draws_hardly_do() -> None:
+    task = problem(np.random.default_rng(3).uniform(DAWM.lower, DAWM.upper))
+    generator = np.random.default_rng(4)
+    even = generator.uniform(task.lower, task.upper, (8192, 5))
+    both = np.logical_and.reduce(
+        [
+            branches.fitted(np.zeros(6), DAWM.lower[arm.joints], DAWM.upper[arm.joints])[1].any(axis=1)
+            for arm, branches in zip(TRACKER.arms, TRACKER.solve(even, task.poses), strict=True)
+        ]
+    )
+    starts = feasible(task, generator, 128, 64, 1000)
+    assert len(starts) > 3 * both.sum()
+    reached = [branches.exists.any(axis=1) for branches in TRACKER.solve(starts, task.poses)]
+    assert all(hand.all() for hand in reached)
+
+
+def test_a_trial_beyond_a_limit_out_of_reach_or_in_collision_is_rejected() -> None:
+    task = problem()
+    base = np.tile(DAWM.home[TRACKER.base], (2, 1))
+    base[1, 0] = DAWM.upper[0] + 0.01
+    _, energy = task.try_best(base)
+    assert np.isfinite(energy).tolist() == [True, False]
+    assert not len(out_of_reach().try_all(base).q)
+    into_floor = DAWM.home.copy()
+    into_floor[[4, 12]] = DAWM.lower[[4, 12]]
+    into_floor[[2, 10]] = DAWM.lower[[2, 10]]
+    assert EXACT.measure(into_floor).room_m < 0
+    assert np.isinf(task.energies(into_floor[None])[0])
+
+
+def test_descent_never_climbs_and_ends_where_the_gradient_is_small() -> None:
+    task = problem(travel=1.0)
+    generator = np.random.default_rng(5)
+    q, energy = task.try_best(feasible(task, generator, 32, 64, 40))
+    q, energy = q[np.isfinite(energy)][:10], energy[np.isfinite(energy)][:10]
+    lower_q, lower = descend(task, q, energy, generator, 25)
+    assert np.all(lower <= energy)
+    assert lower.min() < energy.min() - 1e-3
+    assert np.linalg.norm(reduced_gradient(task, lower_q[lower.argmin()][None])) < 1e-2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_configurations_that_hold_the_hands(method: str) -> None:
+    task = problem()
+    pool = search(task, np.random.default_rng(6), method, effort=0.3)
+    assert len(pool.q) >= 3
+    assert np.all(np.diff(pool.energy) >= 0)
+    for q, energy in zip(pool.q[:20], pool.energy[:20], strict=True):
+        assert np.abs(TRACKER.hands(q) - task.poses).max() < 1e-9
+        assert np.all((q >= DAWM.lower) & (q <= DAWM.upper))
+        assert task.energies(q[None])[0] == pytest.approx(energy)
+    assert pool.best < task.energies(DAWM.home[None])[0] - 0.03
+
+
+def test_one_seed_is_one_search() -> None:
+    first, second = (search(problem(), np.random.default_rng(7), effort=0.3) for _ in range(2))
+    np.testing.assert_array_equal(first.q, second.q)
+
+
+def test_options_are_ranked_distinct_clear_and_told_with_what_limits_them(options: list[Option]) -> None:
+    assert len(options) == 4
+    energies = [option.energy for option in options]
+    assert energies == sorted(energies)
+    for number, option in enumerate(options):
+        for better in options[:number]:
+            assert np.abs(option.q - better.q).max() > DISTINCT
+        assert option.clearance == EXACT.measure(option.q)
+        assert option.clearance.room_m > 0
+        assert option.energy == pytest.approx(option.costs["travel"] + option.costs["clearance"])
+        joint = DAWM.joint_names.index(option.nearest_limit)
+        extent = DAWM.upper[joint] - DAWM.lower[joint]
+        room = min(option.q[joint] - DAWM.lower[joint], DAWM.upper[joint] - option.q[joint])
+        assert option.limit_share == pytest.approx(room / extent)
+
+
+def test_a_path_to_an_option_keeps_the_hands_still_and_everything_clear(options: list[Option]) -> None:
+    paths = [option.path for option in options if option.path is not None]
+    assert len(paths) >= 2
+    poses = TRACKER.hands(DAWM.home)
+    for option in options:
+        if option.path is None:
+            continue
+        np.testing.assert_array_equal(option.path[0], DAWM.home)
+        np.testing.assert_allclose(option.path[-1], option.q, atol=1e-6)
+        steps = np.abs(np.diff(option.path, axis=0))
+        assert steps[:, TRACKER.base].max() <= FINE + 1e-9
+        assert steps.max() <= LEAP * FINE + 1e-9
+        for q in option.path:
+            assert np.abs(TRACKER.hands(q) - poses).max() < 1e-9
+            assert np.all((q >= DAWM.lower - 1e-12) & (q <= DAWM.upper + 1e-12))
+            assert EXACT.measure(q).room_m > 0
+
+
+def test_there_is_no_path_while_the_hands_are_elsewhere() -> None:
+    elsewhere = DAWM.home.copy()
+    elsewhere[4] -= 0.1
+    found = advise(
+        problem(), elsewhere, generator=np.random.default_rng(8), options=2, effort=0.2, exact=EXACT
+    )
+    assert found
+    assert all(option.path is None for option in found)
+
+
+def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
+    task = problem()
+    motion = SelfMotion(task, EXACT, np.random.default_rng(9))
+    tried = 0
+    for q in search(task, np.random.default_rng(10), effort=0.5).q[:40]:
+        if motion._walked([DAWM.home, q], 0.05) is None:
+            path = motion.path(DAWM.home, q)
+            if path is not None:
+                tried += 1
+                assert np.abs(TRACKER.hands(path[len(path) // 2]) - task.poses).max() < 1e-9
+                np.testing.assert_allclose(path[-1], q, atol=1e-6)
+                if tried == 2:
+                    return
+    pytest.fail("no way round was found")
+
+
+def test_a_search_that_is_cancelled_ends_with_what_it_has() -> None:
+    told: list[Progress] = []
+
+    def go_on(progress: Progress) -> bool:
+        told.append(progress)
+        return len(told) < 5
+
+    task = problem()
+    found = advise(task, DAWM.home, generator=np.random.default_rng(11), options=3, exact=EXACT, go_on=go_on)
+    assert found
+    assert all(option.path is None for option in found)
+    searching = [progress for progress in told if progress.doing == "searching"]
+    assert len(searching) == 5
+    assert searching[-1].done < 0.2
+
+
+def test_progress_grows_and_tells_the_least_energy_so_far() -> None:
+    told: list[Progress] = []
+    search(
+        problem(), np.random.default_rng(12), effort=0.5, go_on=lambda progress: told.append(progress) is None
+    )
+    searching = [progress for progress in told if progress.doing == "searching"]
+    assert searching[-1].done == pytest.approx(1.0)
+    assert all(later.done > earlier.done for earlier, later in pairwise(searching))
+    assert all(later.energy <= earlier.energy for earlier, later in pairwise(searching))
+    assert all(later.trials > earlier.trials for earlier, later in pairwise(searching))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_hands_out_of_reach_give_no_option_and_no_error(method: str) -> None:
+    found = advise(
+        out_of_reach(), DAWM.home, generator=np.random.default_rng(13), method=method, effort=0.1, exact=EXACT
+    )
+    assert found == []
+
+
+def test_a_method_that_there_is_none_is_refused_by_name() -> None:
+    with pytest.raises(AdvisorError, match="no method 'anealing'; there are annealing, shotgun, genetic"):
+        search(problem(), np.random.default_rng(0), "anealing")
+
+
+def test_poses_that_are_none_are_refused() -> None:
+    poses = TRACKER.hands(DAWM.home)
+    with pytest.raises(AdvisorError, match=r"shape \(2, 4, 4\), got \(1, 4, 4\)"):
+        Problem(CELL, "dawm", poses[:1], None, TRACKER)
+    with pytest.raises(AdvisorError, match="rotations are none"):
+        Problem(CELL, "dawm", 2 * poses, None, TRACKER)
+
+
+def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
+    lab = CellModel.load("lab")
+    fr = lab.robots["fr"]
+    with pytest.raises(AdvisorError, match="'fr' has no joint to spare"):
+        Problem(lab, "fr", fr.forward(fr.home)[None])
+    with pytest.raises(AdvisorError, match="no robot 'xy'; it has fr, gr"):
+        Problem(lab, "xy", fr.forward(fr.home)[None])
+
+
+def test_the_gantry_robot_is_advised_too() -> None:
+    lab = CellModel.load("lab")
+    gr = lab.robots["gr"]
+    task = Problem(lab, "gr", gr.forward(gr.home)[None])
+    pool = search(task, np.random.default_rng(14), effort=0.1)
+    assert len(pool.q) >= 3
+    for q in pool.q[:5]:
+        assert np.abs(gr.forward(q) - task.poses[0]).max() < 1e-9
+
+
+def test_a_pool_keeps_its_best_and_tells_them_apart() -> None:
+    pool = Pool(np.empty((0, 2)))
+    pool.add(np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 1.0]]), np.array([2.0, 1.0, 3.0]))
+    pool.add(np.array([[5.0, 5.0]]), np.array([np.inf]))
+    assert pool.best == 1.0
+    np.testing.assert_array_equal(pool.q[pool.distinct(9)], [[0.1, 0.0], [0.0, 1.0]])

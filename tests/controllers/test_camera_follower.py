@@ -1,0 +1,187 @@
+import time
+from collections import deque
+
+import numpy as np
+import pytest
+from closed_loop import CYCLE_S, Servo, approach, lab, limit_violations, with_camera
+
+from deltaq_cell.description import Camera
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera_controller import CameraController
+from deltaq_controllers.camera_error import view_angle
+from deltaq_controllers.follower import AS_PRINTED, CORRECTED, CameraFollower, FollowerGains, Variants
+from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.spheres import Spheres
+
+FR, GR = lab().robots["fr"], lab().robots["gr"]
+random = np.random.default_rng(23)
+STARTS = random.uniform(
+    np.deg2rad([-150, -140, 40, -150, -100, -200]), np.deg2rad([150, -60, 130, 150, 100, 200]), (10, 6)
+)
+FOCUS = np.array([-0.4, -1.25, 1.2])
+
+
+def behind(q: np.ndarray, distance_m: float) -> np.ndarray:
+    pose = FR.camera_pose(q)
+    return pose[:3, 3] - distance_m * pose[:3, 2]
+
+
+@pytest.mark.parametrize("q", STARTS)
+def test_from_anywhere_the_camera_turns_to_the_focus_without_looking_back(q: np.ndarray) -> None:
+    follower = CameraFollower(FR, None, CYCLE_S, floor_m=None)
+    run = approach(follower, q, FOCUS, 4.0)
+    assert run.violations == 0
+    assert run.angle_deg[round(1.5 / CYCLE_S)] < 1.0
+    assert run.angle_deg[-1] < 0.01
+    assert (run.angle_deg - np.minimum.accumulate(run.angle_deg)).max() < 1.0
+    assert abs(run.distance_error_m[-1]) < 0.005
+
+
+@pytest.mark.parametrize(
+    "degrees", [(0, -90, 90, 0, 0, 0), (10, -110, 100, 20, 40, 10), (0, -120, 120, 0, 0, 0)]
+)
+@pytest.mark.parametrize(("variants", "at_most_deg"), [(CORRECTED, 0.5), (AS_PRINTED, 5.0)])
+def test_a_start_with_the_focus_exactly_behind_the_camera_works(
+    degrees: tuple[float, ...], variants: Variants, at_most_deg: float
+) -> None:
+    q = np.deg2rad(degrees)
+    follower = CameraFollower(FR, None, CYCLE_S, variants=variants)
+    run = approach(follower, q, behind(q, 1.2), 4.0)
+    assert run.angle_deg[0] == pytest.approx(180.0, abs=1e-4)
+    assert run.angle_deg[-1] < at_most_deg
+    assert run.violations == 0
+
+
+def test_a_focus_behind_the_camera_on_the_axis_of_a1_is_found_over_the_top() -> None:
+    q = np.deg2rad([0.0, -90, 90, 0, 0, 0])
+    base = FR.T_world_base[:3, 3]
+    focus = np.array([base[0], base[1], FR.camera_pose(q)[2, 3]])
+    run = approach(CameraFollower(FR, None, CYCLE_S, floor_m=None), q, focus, 4.0)
+    assert run.angle_deg[0] == pytest.approx(180.0, abs=1e-4)
+    assert run.angle_deg[-1] < 0.5
+
+
+def at_rest(delay_cycles: int, variants: Variants, from_measured: bool) -> float:
+    """Largest view angle [deg] in the last second, with what is commanded moving the robot some cycles later."""
+    follower = CameraFollower(FR, None, CYCLE_S, variants=variants, floor_m=None)
+    controller = CameraController(follower, GR, 1.2, FOCUS)
+    q_cmd, dq = np.array(FR.home) + np.deg2rad([2.0, 0, 0, 0, 3, 0]), np.zeros(6)
+    moving = deque([q_cmd] * (delay_cycles + 1), maxlen=delay_cycles + 1)
+    angles = []
+    for cycle in range(500):
+        reference = moving[0] if from_measured else q_cmd
+        dq = follower.increment(reference, dq, FOCUS, None, 1.2, cycle * CYCLE_S)
+        q_cmd = q_cmd + dq
+        moving.append(q_cmd)
+        angles.append(np.rad2deg(controller.errors(moving[0], GR.home)[0]))
+    return float(max(angles[-83:]))
+
+
+@pytest.mark.parametrize("delay_cycles", [1, 2, 3])
+@pytest.mark.parametrize("variants", [CORRECTED, AS_PRINTED])
+def test_at_rest_the_robot_rests_whatever_the_delay_of_actuation(
+    delay_cycles: int, variants: Variants
+) -> None:
+    assert at_rest(delay_cycles, variants, from_measured=False) < 1e-3
+
+
+def test_started_from_the_measured_configuration_as_printed_it_would_never_come_to_rest() -> None:
+    assert at_rest(1, AS_PRINTED, from_measured=True) < 1e-3
+    assert at_rest(2, AS_PRINTED, from_measured=True) > 3.0
+
+
+def test_with_lagging_drives_the_robot_comes_to_rest_too() -> None:
+    follower = CameraFollower(FR, None, CYCLE_S, floor_m=None)
+    q_cmd, dq = np.array(FR.home), np.zeros(6)
+    servo, steps = Servo(q_cmd), []
+    for cycle in range(400):
+        dq = follower.increment(q_cmd, dq, FOCUS, None, 1.2, cycle * CYCLE_S)
+        q_cmd = q_cmd + dq
+        before = servo.q
+        steps.append(np.abs(servo.follow(q_cmd) - before).max())
+    assert max(steps[-50:]) < 1e-6
+
+
+def placed(robot: RobotModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and radii of a robot's bounding spheres."""
+    kinematics, spheres = Kinematics(robot, "tool"), Spheres.of(robot)
+    kinematics.update(q)
+    return spheres.placed(kinematics.data), spheres.radii
+
+
+def least_clearance(q: np.ndarray, q_leader: np.ndarray) -> float:
+    """Clearance of bounding spheres, counted pair by pair."""
+    (a, radii_a), (b, radii_b) = placed(FR, q), placed(GR, q_leader)
+    between = np.linalg.norm(a[:, None] - b[None], axis=2)
+    return float((between - radii_a[:, None] - radii_b[None]).min())
+
+
+@pytest.mark.parametrize("speed_m_s", [0.25, 0.75])
+def test_the_camera_gives_way_to_a_leader_that_comes_for_it_and_goes_on_looking(speed_m_s: float) -> None:
+    follower, gantry = CameraFollower(FR, GR, CYCLE_S), Kinematics(GR, "tool")
+    q, dq, q_leader = np.array(FR.home), np.zeros(6), np.array(GR.home)
+    focus = GR.forward(q_leader)[:3, 3]
+    angles, clearances = [], []
+    for cycle in range(500):
+        if cycle > 80:
+            gantry.update(q_leader)
+            way = FR.camera_pose(q)[:3, 3] - gantry.position
+            x, y, z = speed_m_s * CYCLE_S * way / np.linalg.norm(way)
+            moved = q_leader + np.array([-x, -y, z, 0, 0, 0, 0, 0, 0])
+            q_leader = np.clip(moved, GR.lower, GR.upper)
+        increment = follower.increment(q, dq, focus, q_leader, 1.2, cycle * CYCLE_S)
+        assert limit_violations(FR, q, increment, dq) == 0
+        q, dq = q + increment, increment
+        pose = FR.camera_pose(q)
+        angles.append(np.rad2deg(view_angle(pose[:3, :3], pose[:3, 3], focus)))
+        clearances.append(least_clearance(q, q_leader) if cycle % 5 == 0 else np.inf)
+    assert 0.08 < min(clearances) < follower.gains.repulsion_range_m
+    assert max(angles[80:]) < 0.1
+
+
+def test_too_near_the_camera_task_is_given_up_and_taken_up_again_farther_away() -> None:
+    gains = FollowerGains(emergency_on_m=10.0, emergency_off_m=10.1, repulsion_range_m=0.3)
+    follower = CameraFollower(FR, GR, CYCLE_S, gains)
+    dq = follower.increment(np.array(FR.home), np.zeros(6), FOCUS, np.array(GR.home), 1.2, 0.0)
+    assert follower.in_emergency
+    np.testing.assert_allclose(dq, np.zeros(6), atol=1e-9)
+
+
+def test_until_the_leader_is_heard_of_the_robot_is_brought_to_rest() -> None:
+    follower = CameraFollower(FR, GR, CYCLE_S)
+    controller = CameraController(follower, GR, 1.2)
+    q, dq = np.array(FR.home), np.full(6, 0.004)
+    before = q - dq
+    controller.increment(View(RobotView(1, 0.0, before, before)))
+    cycle = 2
+    while np.abs(dq).max() > 1e-9 and cycle < 100:
+        increment = controller.increment(View(RobotView(cycle, 0.0, q, q)))
+        assert limit_violations(FR, q, increment, dq) == 0 or cycle == 2
+        q, dq, cycle = q + increment, increment, cycle + 1
+    assert cycle < 40
+
+
+def test_a_robot_without_a_camera_cannot_follow() -> None:
+    with pytest.raises(ControllerError, match=r"'gr' has no camera.*robots\.gr\.camera"):
+        CameraFollower(GR, FR, CYCLE_S)
+
+
+def test_a_lens_off_the_axis_of_a6_tracks_as_well() -> None:
+    camera = Camera.model_validate({"pose": {"position_m": [0.06, 0.0, 0.17], "rpy_deg": [0, 0, 180]}})
+    follower = CameraFollower(with_camera(camera), None, CYCLE_S, floor_m=None)
+    run = approach(follower, np.deg2rad([10.0, -110, 100, 20, 40, 60]), FOCUS, 4.0)
+    assert run.angle_deg[-1] < 0.01
+    assert abs(run.distance_error_m[-1]) < 0.005
+
+
+def test_one_step_takes_a_small_part_of_the_cycle() -> None:
+    follower = CameraFollower(FR, GR, CYCLE_S)
+    q, dq, times = np.array(FR.home), np.zeros(6), []
+    for cycle in range(200):
+        begin = time.perf_counter()
+        dq = follower.increment(q, dq, FOCUS + np.array([0.002 * cycle, 0, 0]), GR.home, 1.2, cycle * CYCLE_S)
+        times.append(time.perf_counter() - begin)
+        q = q + dq
+    # far above what it takes, so that a busy machine is no failure
+    assert np.median(times) < 0.3 * CYCLE_S

@@ -1,0 +1,89 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from closed_loop import CYCLE_S, lab, with_camera
+
+from deltaq_cell.description import Camera, Pose
+from deltaq_controllers.camera_error import look
+from deltaq_controllers.camera_law import CameraLaw
+from deltaq_controllers.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
+from deltaq_controllers.kinematics import Kinematics
+
+random = np.random.default_rng(17)
+FREE = FollowerGains(damping=1e-6, turn_rad_s2=1e9, repulsion=0.0)
+OFF_AXIS = Camera(pose=Pose(position_m=(0.06, 0.02, 0.17), rpy_deg=(0, 10, 180)))
+NOTHING = np.zeros((0, 3)), np.zeros(0)
+
+
+def decay(camera: Camera | None, variants: Variants) -> tuple[float, float]:
+    """Decay rates over virtual time of the view angle and of |psi|, relative to k_p, at some configuration."""
+    robot = lab().robots["fr"] if camera is None else with_camera(camera)
+    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FREE, variants, floor_m=None)
+    kinematics = Kinematics(robot, "camera")
+    q = random.uniform(0.6 * robot.lower, 0.6 * robot.upper)
+    kinematics.update(q)
+    focus = kinematics.position + random.normal(size=3)
+    law.aim(q, focus, 0.0, 1.2, *NOTHING)
+    step = 1e-7 * law.rates(q)
+
+    def sizes(q: np.ndarray) -> np.ndarray:
+        kinematics.update(q)
+        view = look(kinematics.rotation, kinematics.position, focus)
+        return np.log([view.angle, float(np.linalg.norm(view.psi))])
+
+    angle, psi = (sizes(q - step) - sizes(q + step)) / (2e-7 * FREE.direction)
+    return float(angle), float(psi)
+
+
+@pytest.mark.parametrize("camera", [None, OFF_AXIS])
+@pytest.mark.parametrize("_", range(8))
+def test_the_view_angle_decays_at_k_p_whatever_the_sub_tasks_do(camera: Camera | None, _: int) -> None:
+    assert decay(camera, CORRECTED)[0] == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("_", range(8))
+def test_as_printed_psi_is_reduced_and_the_angle_like_its_sine(_: int) -> None:
+    assert decay(None, replace(AS_PRINTED, gradient_repulsion=True))[1] == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [1.0, 20.0, 170.0])
+def test_the_task_rate_is_bounded_by_what_can_be_braked(degrees: float) -> None:
+    robot = lab().robots["fr"]
+    gains = FollowerGains(turn_rad_s2=10.0)
+    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, gains, CORRECTED, floor_m=None)
+    kinematics = Kinematics(robot, "camera")
+    q = np.deg2rad([0.0, -100, 90, 10, 40, 0])
+    kinematics.update(q)
+    angle = math.radians(degrees)
+    axes = kinematics.rotation
+    focus = kinematics.position + 1.2 * (math.cos(angle) * axes[:, 2] + math.sin(angle) * axes[:, 0])
+    law.aim(q, focus, 0.0, 1.2, *NOTHING)
+    rates = law.rates(q)
+    kinematics.update(q + 1e-7 * rates)
+    after = look(kinematics.rotation, kinematics.position, focus).angle
+    # the whole horizon is gone through in one cycle
+    speed = (angle - after) / 1e-7 * gains.horizon_s / CYCLE_S
+    assert speed <= math.sqrt(2 * gains.turn_rad_s2 * angle) * 1.001
+    assert speed > 0.5 * min(math.sqrt(2 * gains.turn_rad_s2 * angle), gains.direction * angle)
+
+
+def test_joints_with_room_make_up_for_those_that_cannot_follow() -> None:
+    robot = lab().robots["fr"]
+    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FollowerGains(), CORRECTED, floor_m=None)
+    kinematics = Kinematics(robot, "camera")
+    q = np.deg2rad([0.0, -100, 90, 10, 40, 0])
+    kinematics.update(q)
+    focus = kinematics.position + 1.2 * kinematics.rotation[:, 2]
+    law.aim(q, focus, 0.0, 1.2, *NOTHING)
+    view = look(kinematics.rotation, kinematics.position, focus)
+    jacobian = view.P @ (kinematics.linear - np.cross(focus, kinematics.angular.T).T)
+    wanted = np.array([0.002, 0.003, -0.002, 0.001, 0.001, 0.0])
+    bound = np.array([0.01, 0.0005, 0.01, 0.02, 0.02, 0.02])
+    kept = law.keep_looking(wanted, q, -bound, bound)
+    assert (np.abs(kept) <= bound).all()
+    clipped = np.clip(wanted, -bound, bound)
+    assert np.linalg.norm(jacobian @ (clipped - wanted)) > 1e-4
+    np.testing.assert_allclose(jacobian @ kept, jacobian @ wanted, atol=1e-5)
+    np.testing.assert_array_equal(law.keep_looking(clipped, q, -bound, bound), clipped)

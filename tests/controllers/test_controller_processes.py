@@ -1,0 +1,161 @@
+"""Leader and follower as processes, on a cell of real services over zenoh and UDP."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+from private_cell import free_ports, write_private_cell
+
+from deltaq_cell.load import load_cell
+from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_deploy.launcher import Launcher
+from deltaq_deploy.services import cell_services
+from deltaq_protocol.client import Cell
+from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
+
+pytestmark = pytest.mark.live
+
+FOLLOWER, LEADER = "deltaq_controllers.camera_follower", "deltaq_controllers.leader"
+POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+
+
+def start(module: str, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", module, *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[int, dict[str, object], str]:
+    """Exit status, the JSON object of the last line, and what was said on stderr."""
+    try:
+        out, err = process.communicate(timeout=60)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        raise
+    return process.returncode, json.loads(out.splitlines()[-1]), err
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    file = write_private_cell(tmp_path_factory.mktemp("cell"))
+    cell = load_cell(file)
+    with Launcher(cell_services(cell, str(file)), lambda name, line: None) as launcher:
+        launcher.start()
+        yield cell.hli
+
+
+def test_where_nobody_serves_both_say_so_and_exit_with_3() -> None:
+    nowhere = f"tcp/127.0.0.1:{free_ports(1)[0]}"
+    for module in (FOLLOWER, LEADER):
+        status, summary, err = finish(start(module, "--url", nowhere))
+        assert status == 3
+        assert summary["cycles"] == 0
+        assert err.startswith("error: ")
+        assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "message"),
+    [
+        (FOLLOWER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr"),
+        (FOLLOWER, ("--robot", "gr", "--leader", "fr"), "'gr' has no camera"),
+        (LEADER, ("--speed-m-s", "-1"), "speed_m_s"),
+    ],
+)
+def test_what_the_cell_cannot_do_is_said_and_ends_with_2(
+    url: str, module: str, arguments: tuple[str, ...], message: str
+) -> None:
+    status, summary, err = finish(start(module, "--url", url, *arguments))
+    assert status == 2
+    assert message in err
+    assert "Traceback" not in err
+    assert summary["cycles"] == 0
+
+
+def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_told(url: str) -> None:
+    leader = start(LEADER, "--url", url, "--seed", "1")
+    follower = start(FOLLOWER, "--url", url, "--duration-s", "6", "--settle-s", "3")
+    try:
+        status, followed, err = finish(follower)
+        assert status == 0, err
+        leader.send_signal(signal.SIGTERM)
+        status, led, err = finish(leader)
+        assert status == 0, err
+    finally:
+        leader.kill()
+        follower.kill()
+    assert followed["controller"] == "paper"
+    assert led["controller"] == "leader"
+    for summary in (followed, led):
+        counts = summary["gate"]
+        assert isinstance(counts, dict)
+        assert summary["cycles"] > 200
+        assert counts["admitted"] > 0.8 * summary["cycles"]
+    # a machine that others use as well may cost a cycle here and there, each a short dip in speed
+    assert followed["angle_deg"]["max"] < 3.0
+    assert followed["distance_m"]["max"] < 0.06
+
+
+def test_a_second_follower_is_refused_the_lease_and_exits_with_1(url: str) -> None:
+    first = start(FOLLOWER, "--url", url)
+    try:
+        assert first.stdout is not None
+        assert first.stdout.readline().startswith("ready: fr follows gr")
+
+        async def until_leased() -> None:
+            from deltaq_protocol import connect
+
+            async with connect(url) as cell:
+                async for _ in cell.verdicts("fr"):
+                    return
+
+        asyncio.run(asyncio.wait_for(until_leased(), 20))
+        status, _, err = finish(start(FOLLOWER, "--url", url, "--duration-s", "5"))
+        assert status == 1
+        assert "lease_taken" in err
+        first.send_signal(signal.SIGINT)
+        assert finish(first)[0] == 0
+    finally:
+        first.kill()
+
+
+class Told(Cell):
+    """What a connection knows, without one."""
+
+    def __init__(self, *states: RobotState) -> None:
+        self.robots = dict.fromkeys(("fr", "gr"))  # type: ignore[assignment]  # only the names are looked at
+        self.known = {state.robot: state for state in states}
+
+    def state(self, robot: str) -> RobotState | None:
+        return self.known.get(robot)
+
+
+def state(robot: str, cycle: int, q_cmd: tuple[float, ...]) -> RobotState:
+    return RobotState(
+        robot=robot, cycle=cycle, ipoc=0, time_s=0.0, q=q_cmd, q_cmd=q_cmd, tool=POSE, phase="engaged"
+    )
+
+
+def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -> None:
+    seen = state("fr", 7, (1.0, 2.0))
+    verdict = Verdict(robot="fr", cycle=7, seq=1, outcome=Outcome.ADMITTED, dq=(0.1, 0.2))
+    under_way = view_of(Told(seen), seen, verdict).own
+    assert under_way.q_cmd.tolist() == [1.1, 2.2]
+    assert under_way.cycle == 8
+    for known in (None, verdict.model_copy(update={"cycle": 6}), verdict.model_copy(update={"dq": ()})):
+        plain = view_of(Told(seen), seen, known).own
+        assert plain.q_cmd.tolist() == [1.0, 2.0]
+        assert plain.cycle == 7
+
+
+def test_robots_that_have_not_been_heard_of_are_left_out() -> None:
+    fr, gr = state("fr", 7, (1.0,)), state("gr", 3, (2.0,))
+    assert view_of(Told(fr), fr).others == {}
+    assert view_of(Told(fr, gr), fr).others["gr"].cycle == 3
+    assert PATIENCE_CYCLES >= 2

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import os
+import pty
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driving import CYCLE_S, model
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.modes.motion import Frame, ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.operator_input import Script
+from deltaq_controllers.operator_input_gamepad import Gamepad
+from deltaq_controllers.operator_input_keyboard import HOLD_S, Keyboard
+
+
+def teleoperator(robot: str = "gr", mode: ModeName = ModeName.JOINT) -> Teleoperator:
+    return Teleoperator(model(robot), CYCLE_S, mode)
+
+
+def script(folder: Path, text: str, mode: ModeName = ModeName.JOINT) -> Script:
+    file = folder / "task.yaml"
+    file.write_text(text, encoding="utf-8")
+    return Script.load(file, teleoperator(mode=mode))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "a script is a list of steps such as"),
+        ("duration_s: 1", "a script is a list of steps such as"),
+        ("- {duration_s: 1", "task.yaml: not YAML"),
+        ("- {duration_s: 1}\n- 7", "task.yaml:2: Input should be a valid dictionary.*got 7"),
+        ("- {duration: 1}", "task.yaml:1: duration_s: Field required"),
+        ("- {duration_s: 0}", r"task.yaml:1: duration_s: Input should be greater than 0; got 0"),
+        ("- {duration_s: 1, move: {a1_deg_s: .nan}}", r"task.yaml:1: move.a1_deg_s: .*finite number"),
+        ("- {duration_s: 1, speed: 3}", "task.yaml:1: speed: Extra inputs are not permitted"),
+        ("- {duration_s: 1, move: {a1: 3}}", "a1: not an axis with its unit; axes are e1, e2"),
+        ("- {duration_s: 1, move: {a1_m_s: 3}}", "a1 is in rad; write a1_rad_s or a1_deg_s"),
+        ("- {duration_s: 1, move: {e1_deg_s: 3}}", "e1 is in m; write e1_m_s or e1_mm_s"),
+        ("- {duration_s: 1, move: {x_m_s: 3}}", "task.yaml:1: axis 'x' is not driven in mode joint"),
+        ("- {duration_s: 1, mode: fly}", "Input should be 'joint', 'decoupled', 'self-motion' or 'coupled'"),
+    ],
+)
+def test_a_bad_script_is_refused_with_its_line_and_what_is_allowed(
+    tmp_path: Path, text: str, told: str
+) -> None:
+    with pytest.raises(ControllerError, match=told):
+        script(tmp_path, text)
+
+
+def test_a_script_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ControllerError, match=r"missing.yaml: cannot be read: No such file"):
+        Script.load(tmp_path / "missing.yaml", teleoperator())
+
+
+def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first_reading_on(
+    tmp_path: Path,
+) -> None:
+    steps = script(
+        tmp_path,
+        """\
+- {duration_s: 1, move: {a1_deg_s: 90, e1_mm_s: 20}}
+- {duration_s: 0.5}
+- {duration_s: 2, mode: coupled, frame: tool, move: {x_m_s: 0.1}}
+""",
+    )
+    assert steps.duration_s == 3.5
+    assert steps.read(100.0) == Wish({"a1": pytest.approx(np.pi / 2), "e1": pytest.approx(0.02)})
+    assert steps.read(100.99) == steps.read(100.5)
+    assert steps.read(101.0) == Wish()
+    assert steps.read(101.5) == Wish({"x": 0.1}, ModeName.COUPLED, Frame.TOOL)
+    assert steps.read(103.5) is None
+
+
+class Terminal:
+    """A keyboard in a terminal of its own."""
+
+    def __init__(self, operator: Teleoperator) -> None:
+        self.keys, self._terminal = pty.openpty()
+        self.keyboard = Keyboard(operator, self._terminal)
+
+    def press(self, text: str, time_s: float) -> Wish | None:
+        os.write(self.keys, text.encode())
+        return self.keyboard.read(time_s)
+
+    def close(self) -> None:
+        os.close(self.keys)
+        os.close(self._terminal)
+
+
+def test_a_key_moves_for_a_moment_and_hands_off_is_rest() -> None:
+    terminal = Terminal(teleoperator(mode=ModeName.COUPLED))
+    with terminal.keyboard:
+        assert terminal.press("w", 10.0) == Wish({"x": 0.1})
+        assert terminal.press("", 10.0 + 0.9 * HOLD_S) == Wish({"x": 0.1})
+        assert terminal.press("", 10.0 + HOLD_S) == Wish()
+        assert terminal.press("w ", 11.0) == Wish()
+        assert terminal.press("+d", 12.0) == Wish({"y": pytest.approx(-0.15)})
+        assert terminal.press("q", 12.0) is None
+    terminal.close()
+
+
+def test_arrows_choose_and_drive_a_joint_even_when_their_sequence_is_torn() -> None:
+    terminal = Terminal(teleoperator())
+    with terminal.keyboard:
+        assert terminal.press("\x1b[C\x1b[A", 1.0) == Wish({"e2": 0.1})
+        assert terminal.press("\x1b[", 2.0) == Wish()
+        assert terminal.press("B", 2.0) == Wish({"e2": -0.1})
+        assert terminal.press("\x1b[C\x1b[C\x1b[A", 3.0) == Wish({"a1": pytest.approx(0.35)})
+        assert "joint a1" in terminal.keyboard.status
+    terminal.close()
+
+
+def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
+    operator = teleoperator("fr", ModeName.DECOUPLED)
+    terminal = Terminal(operator)
+    with terminal.keyboard:
+        assert terminal.press("m", 1.0) == Wish(mode=ModeName.COUPLED)  # no joint to spare for self-motion
+        assert terminal.press("t", 1.0) == Wish(frame=Frame.TOOL)
+    terminal.close()
+    terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))
+    with terminal.keyboard:
+        assert terminal.press("hr", 1.0) == Wish({"left.z": 0.1})
+        assert terminal.press("hr", 1.0) == Wish({"right.z": 0.1})
+        assert terminal.press("hr", 1.0) == Wish({"z": 0.1})
+    terminal.close()
+
+
+def test_a_keyboard_without_a_terminal_says_what_to_use() -> None:
+    read, write = os.pipe()
+    with pytest.raises(ControllerError, match="needs a terminal; from a pipe use a script"):
+        Keyboard(teleoperator(), read).__enter__()
+    os.close(read)
+    os.close(write)
+
+
+EVENT = struct.Struct("=IhBB")
+BUTTON, AXIS = 1, 2
+
+
+def test_a_gamepad_moves_only_while_a_shoulder_button_is_held(tmp_path: Path) -> None:
+    device = tmp_path / "js0"
+    os.mkfifo(device)
+    pad = Gamepad(teleoperator(mode=ModeName.COUPLED), device)
+    with pad:
+        writer = os.open(device, os.O_WRONLY)
+        os.write(writer, EVENT.pack(0, -32767, AXIS, 1))
+        assert pad.read(0.0) == Wish()
+        os.write(writer, EVENT.pack(0, 1, BUTTON, 4))
+        wish = pad.read(0.1)
+        assert wish is not None
+        assert wish.rates["x"] == pytest.approx(0.1)
+        assert wish.rates["y"] == 0.0
+        os.write(writer, EVENT.pack(0, 0, BUTTON, 4))
+        assert pad.read(0.2) == Wish()
+        os.write(writer, EVENT.pack(0, 1, BUTTON, 1))
+        assert pad.read(0.3) == Wish(mode=ModeName.DECOUPLED)
+        os.close(writer)
+        assert pad.read(0.4) is None  # unplugged
+
+
+def test_the_stick_drives_the_chosen_joint_in_modes_of_joints(tmp_path: Path) -> None:
+    device = tmp_path / "js0"
+    os.mkfifo(device)
+    pad = Gamepad(teleoperator(mode=ModeName.SELF_MOTION), device)
+    with pad:
+        writer = os.open(device, os.O_WRONLY)
+        os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
+        os.write(writer, EVENT.pack(0, -16384, AXIS, 1))
+        assert pad.read(0.0) == Wish({"e2": pytest.approx(0.05, rel=1e-3)})
+        os.close(writer)
+
+
+def test_a_gamepad_that_is_not_there_says_what_to_use(tmp_path: Path) -> None:
+    with pytest.raises(ControllerError, match=r"no gamepad at .*js0: No such file.* use the keyboard"):
+        Gamepad(teleoperator(), tmp_path / "js0").__enter__()

@@ -1,0 +1,140 @@
+"""The quadratic programme as a follower, in a closed loop of plain kinematics: 12 ms cycle, 60 ms latency."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_loop import CYCLE_S, Servo, lab, limit_violations, with_camera
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import Camera, Pose
+from deltaq_controllers.camera_controllers import NAMES, camera_controller_named
+from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.qp_follower import QpFollower
+from deltaq_controllers.scene import Scene
+from deltaq_controllers.scripted_leader import ScriptedLeader
+
+Array = NDArray[np.float64]
+
+
+def follower(
+    cell: CellModel | None = None, focus: Array | None = None, distance_m: float = 1.25
+) -> QpFollower:
+    return QpFollower(Scene(cell or lab(), "fr", "gr", 0.06), distance_m, focus)
+
+
+def look_at(controller: QpFollower, q: Array, duration_s: float) -> tuple[Array, int]:
+    """(k, 2) angle [deg] and distance error [m] while the leader stands at home."""
+    q_leader, robot = lab().robots["gr"].home, controller._scene.robot
+    q, dq_last, seen, violations = q.copy(), np.zeros(robot.n), [], 0
+    for cycle in range(round(duration_s / CYCLE_S)):
+        time_s = cycle * CYCLE_S
+        seen.append(controller.errors(q, q_leader))
+        others = {"gr": RobotView(cycle, time_s, q_leader, q_leader)}
+        dq = controller.increment(View(RobotView(cycle, time_s, q, q), others))
+        violations += limit_violations(robot, q, dq, dq_last)
+        q, dq_last = q + dq, dq
+    return np.array(seen) * [180.0 / np.pi, 1.0], violations
+
+
+def follow(speed_m_s: float, duration_s: float, delay_cycles: int = 2) -> tuple[Array, int]:
+    """The same while the leader moves about, and the follower's drives lag."""
+    cell, controller = lab(), follower()
+    leader = ScriptedLeader(cell.robots["gr"], CYCLE_S, speed_m_s, 0)
+    q, q_leader = np.array(cell.robots["fr"].home), np.array(cell.robots["gr"].home)
+    servo, known, dq_last, seen, violations = Servo(q), [q_leader], np.zeros(6), [], 0
+    for cycle in range(round(duration_s / CYCLE_S)):
+        time_s = cycle * CYCLE_S
+        q_leader = q_leader + leader.increment(View(RobotView(cycle, time_s, q_leader, q_leader)))
+        known.append(q_leader)
+        old = known[max(0, len(known) - 1 - delay_cycles)]
+        view = View(RobotView(cycle, time_s, servo.q, q), {"gr": RobotView(cycle, time_s, old, old)})
+        dq = controller.increment(view)
+        violations += limit_violations(cell.robots["fr"], q, dq, dq_last)
+        q, dq_last = q + dq, dq
+        servo.follow(q)
+        seen.append(controller.errors(servo.q, q_leader))
+    assert controller.unsolved == 0
+    return np.array(seen) * [180.0 / np.pi, 1.0], violations
+
+
+@pytest.mark.parametrize(("speed_m_s", "angle_deg", "distance_m"), [(0.25, 0.5, 0.01), (1.0, 1.1, 0.08)])
+def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance_m: float) -> None:
+    seen, violations = follow(speed_m_s, 12.0)
+    settled = np.abs(seen[round(5.0 / CYCLE_S) :])
+    assert violations == 0
+    assert settled[:, 0].max() <= angle_deg
+    assert settled[:, 1].max() <= distance_m
+
+
+def test_from_exactly_behind_it_gets_round_within_limits() -> None:
+    T = lab().robots["fr"].camera_pose(lab().robots["fr"].home)
+    behind = T[:3, 3] - 1.25 * T[:3, 2]
+    controller = follower(focus=behind)
+    seen, violations = look_at(controller, lab().robots["fr"].home, 4.0)
+    assert seen[0, 0] == pytest.approx(180.0)
+    assert violations == 0
+    assert seen[-1, 0] < 0.1
+
+
+@pytest.mark.parametrize("offset_m", [(0.06, 0.0, 0.17), (0.0, -0.1, 0.2)])
+def test_a_camera_off_the_last_axis_ends_level_and_aimed(offset_m: tuple[float, float, float]) -> None:
+    camera = Camera(pose=Pose(position_m=offset_m, rpy_deg=(0, 0, 180)), vertical_view_deg=45)
+    robots = {"fr": with_camera(camera), "gr": lab().robots["gr"]}
+    cell = CellModel.of(lab().description, robots)
+    controller = follower(cell)
+    seen, violations = look_at(controller, robots["fr"].home, 4.0)
+    assert violations == 0
+    assert seen[-1, 0] < 0.01
+    assert abs(seen[-1, 1]) < 1e-3
+
+
+def test_it_keeps_its_distance_from_a_leader_that_comes_at_the_lens() -> None:
+    cell = lab()
+    q, dq_last = np.array(cell.robots["fr"].home), np.zeros(6)
+    controller = follower(focus=cell.robots["gr"].forward(cell.robots["gr"].home)[:3, 3])
+    q_leader, least = np.array(cell.robots["gr"].home), np.inf
+    for cycle in range(round(5.0 / CYCLE_S)):
+        lens = cell.robots["fr"].camera_pose(q)[:3, 3]
+        way = lens - cell.robots["gr"].forward(q_leader)[:3, 3]
+        speed = 0.25 * way / max(float(np.linalg.norm(way)), 1e-6)
+        # the gantry's joints move the tool as it stands: -x, -y, +z
+        q_leader[:3] += CYCLE_S * speed * [-1.0, -1.0, 1.0]
+        view = View(
+            RobotView(cycle, cycle * CYCLE_S, q, q),
+            {"gr": RobotView(cycle, cycle * CYCLE_S, q_leader.copy(), q_leader.copy())},
+        )
+        dq = controller.increment(view)
+        assert limit_violations(cell.robots["fr"], q, dq, dq_last) == 0
+        q, dq_last = q + dq, dq
+        least = min(least, controller.clearance(q, q_leader))
+    assert least >= controller.barrier_m - 0.01
+    assert np.rad2deg(controller.errors(q, q_leader)[0]) < 1.0
+
+
+def test_it_comes_to_rest_while_the_leader_has_not_been_heard_of() -> None:
+    q = np.array(lab().robots["fr"].home)
+    dq = follower().increment(View(RobotView(0, 0.0, q, q)))
+    assert (dq == 0.0).all()
+
+
+def test_a_robot_without_a_camera_is_refused() -> None:
+    with pytest.raises(ControllerError, match="has no camera"):
+        QpFollower(Scene(lab(), "gr", "fr", 0.06), 1.25)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_makes_a_controller(name: str) -> None:
+    controller = camera_controller_named(name, Scene(lab(), "fr", "gr", 0.06), 1.25)
+    home, q_leader = lab().robots["fr"].home, lab().robots["gr"].home
+    assert controller.errors(home, q_leader)[0] < np.deg2rad(1.0)
+    assert controller.clearance(home, q_leader) > 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("best", "there are paper"), ("no.such:thing", "cannot be imported")]
+)
+def test_a_name_that_is_none_is_refused(name: str, said: str) -> None:
+    with pytest.raises(ControllerError, match=said):
+        camera_controller_named(name, Scene(lab(), "fr", "gr", 0.06), 1.25)

@@ -1,0 +1,121 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from deltaq_controllers.redundancy import (
+    DEGREES,
+    Emergency,
+    WeightedGradient,
+    damped_rates,
+    emergency_rates,
+    limit_gradient,
+)
+
+random = np.random.default_rng(5)
+LOWER, UPPER = np.deg2rad([-185.0, -155, -130, -350, -130, -350]), np.deg2rad([185.0, 35, 154, 350, 130, 350])
+MIDDLE = 0.5 * (LOWER + UPPER)
+
+
+def inverse_weight(limit_scale: float) -> float:
+    """W^-1 of A2, half way between the middle and the upper end of its range."""
+    q = MIDDLE + 0.25 * (UPPER - LOWER)
+    return float(WeightedGradient(LOWER, UPPER, limit_scale, 0.0).inverse_weights(q)[1])
+
+
+def test_the_scale_of_the_weights_makes_the_unit_of_angle_explicit() -> None:
+    assert inverse_weight(1.0) == pytest.approx(0.05, abs=0.005)
+    assert inverse_weight(DEGREES) == pytest.approx(0.994, abs=0.001)
+
+
+def test_the_gradient_of_11_is_as_printed() -> None:
+    q = random.uniform(LOWER + 0.1, UPPER - 0.1)
+    printed = (UPPER - LOWER) ** 2 * (2 * q - UPPER - LOWER) / ((q - UPPER) ** 2 * (q - LOWER) ** 2)
+    np.testing.assert_allclose(limit_gradient(q, LOWER, UPPER), printed, rtol=1e-9)
+
+
+@pytest.mark.parametrize("q", [LOWER, UPPER, LOWER - 0.1, UPPER + 0.1])
+def test_at_a_limit_and_past_it_weights_are_finite_and_hold_the_joint(q: np.ndarray) -> None:
+    inverse = WeightedGradient(LOWER, UPPER, DEGREES, 0.0).inverse_weights(q)
+    assert np.isfinite(inverse).all()
+    assert (inverse < 1e-2).all()
+
+
+def test_without_damping_the_task_is_met_exactly_and_sub_tasks_leave_it_alone() -> None:
+    jacobian, task, field = random.normal(size=(2, 6)), random.normal(size=2), random.normal(size=6)
+    inverse = random.uniform(0.1, 1.0, 6)
+    rates = damped_rates(jacobian, inverse, task, field, 0.0)
+    np.testing.assert_allclose(jacobian @ rates, task, atol=1e-12)
+    W_inverse = np.diag(inverse)
+    pseudo = W_inverse @ jacobian.T @ np.linalg.inv(jacobian @ W_inverse @ jacobian.T)
+    law = pseudo @ task + (np.eye(6) - pseudo @ jacobian) @ W_inverse @ field
+    np.testing.assert_allclose(rates, law, atol=1e-12)
+
+
+def test_the_solution_without_sub_tasks_costs_least() -> None:
+    jacobian, task, inverse = random.normal(size=(2, 6)), random.normal(size=2), random.uniform(0.1, 1.0, 6)
+    rates = damped_rates(jacobian, inverse, task, np.zeros(6), 0.0)
+    null = np.linalg.svd(jacobian)[2][2:]
+    for direction in null:
+        other = rates + 0.1 * direction
+        assert other @ (other / inverse) > rates @ (rates / inverse)
+
+
+def test_a_task_that_the_joints_cannot_do_gives_finite_rates() -> None:
+    jacobian = np.vstack([random.normal(size=6), np.zeros(6)])
+    weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)
+    assert np.abs(weights.rates(MIDDLE, jacobian, np.ones(2), np.zeros(6))).max() < 100
+
+
+def test_a_joint_at_its_limit_is_held_back_on_its_way_in_and_free_on_its_way_out() -> None:
+    q = MIDDLE.copy()
+    q[1] = UPPER[1] - math.radians(1.0)
+    jacobian = np.array([[0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.0)
+    way_in = weights.rates(q, jacobian, np.array([1.0, 0.0]), np.zeros(6))
+    way_out = weights.rates(q, jacobian, np.array([-1.0, 0.0]), np.zeros(6))
+    assert way_in[1] < 0.01
+    np.testing.assert_allclose(way_in[1] + way_in[2], 1.0)
+    assert way_out[1] == pytest.approx(-0.5, abs=0.01)
+    printed = WeightedGradient(LOWER, UPPER, DEGREES, 0.0, one_sided=False)
+    assert printed.rates(q, jacobian, np.array([-1.0, 0.0]), np.zeros(6))[1] > -0.01
+
+
+@given(
+    arrays(float, 6, elements=st.floats(0.0, 1.0)),
+    arrays(float, (2, 6), elements=st.floats(-2, 2)),
+    arrays(float, 2, elements=st.floats(-2, 2)),
+    arrays(float, 6, elements=st.floats(-2, 2)),
+)
+def test_no_joint_that_approaches_its_limit_is_ever_free(
+    share: np.ndarray, jacobian: np.ndarray, task: np.ndarray, field: np.ndarray
+) -> None:
+    q = LOWER + share * (UPPER - LOWER)
+    weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)
+    rates = weights.rates(q, jacobian, task, field)
+    weighed = weights.inverse_weights(q)
+    # whichever joints were released, the solution is the law's for weights that release none on its way in
+    gradient = limit_gradient(q, LOWER, UPPER)
+    free = (gradient * rates < 0) & (weighed < 0.99)
+    candidates = [
+        damped_rates(jacobian, np.where(mask, 1.0, weighed), task, field, 0.03**2)
+        for mask in (np.array([bool(bits >> k & 1) for k in range(6)]) for bits in range(64))
+        if not (mask & ~free).any()
+    ]
+    assert any(np.allclose(rates, candidate, atol=1e-9) for candidate in candidates)
+
+
+def test_at_the_limit_an_evasion_is_free_to_leave_and_held_to_stay() -> None:
+    weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)
+    q = UPPER.copy()
+    np.testing.assert_allclose(emergency_rates(weights, q, -np.ones(6)), -np.ones(6))
+    assert (emergency_rates(weights, q, np.ones(6)) < 1e-2).all()
+
+
+def test_the_emergency_goes_on_and_off_at_different_clearances() -> None:
+    emergency = Emergency(0.08, 0.12)
+    seen = [emergency.update(clearance) for clearance in (0.2, 0.1, 0.07, 0.1, 0.119, 0.121, 0.1)]
+    assert seen == [False, False, True, True, True, False, False]

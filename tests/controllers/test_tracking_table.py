@@ -1,0 +1,57 @@
+"""The errata's table of tracking errors, reproduced: 12 ms cycle, 60 ms latency."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from closed_loop import track
+
+from deltaq_controllers.follower import AS_PRINTED, CORRECTED, Variants
+from deltaq_controllers.gains import BY_NAME
+
+
+def test_the_leader_at_a_quarter_metre_per_second_is_kept_within_a_degree_and_two_centimetres() -> None:
+    run = track(40.0, variants=BY_NAME["predictive"])
+    angle, distance = run.after(5.0)
+    assert run.violations == 0
+    assert angle.max() < 1.0
+    assert distance.max() < 0.021
+    # and what carrying the focus ahead is good for
+    assert np.sqrt(np.mean(angle**2)) < 0.2
+    assert angle.max() < 0.61
+    assert np.sqrt(np.mean(distance**2)) < 0.005
+    assert distance.max() < 0.0124 + 0.003
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_so_it_is_with_drives_that_lag_within_the_same_latency(seed: int) -> None:
+    # 24 ms old knowledge, one cycle of dead time and 24 ms of second order are 60 ms again
+    run = track(25.0, seed=seed, delay_cycles=2, lag=True)
+    angle, distance = run.after(5.0)
+    assert run.violations == 0
+    assert angle.max() < 1.0
+    assert distance.max() < 0.021
+
+
+def test_with_the_focus_held_the_error_is_the_latency_as_in_the_paper() -> None:
+    run = track(25.0, variants=BY_NAME["paper"])
+    angle, distance = run.after(5.0)
+    assert 0.4 < np.sqrt(np.mean(angle**2)) < 0.75
+    assert 0.65 < angle.max() < 1.0
+    assert 0.006 < np.sqrt(np.mean(distance**2)) < 0.015
+    assert distance.max() < 0.021
+
+
+@pytest.mark.parametrize(("speed_m_s", "at_most_deg"), [(0.5, 0.8), (1.0, 2.2)])
+def test_a_faster_leader_is_followed_as_well_as_the_errata_says(speed_m_s: float, at_most_deg: float) -> None:
+    run = track(15.0, speed_m_s=speed_m_s)
+    angle, _ = run.after(5.0)
+    assert run.violations == 0
+    assert angle.max() < at_most_deg
+
+
+@pytest.mark.parametrize("variants", [AS_PRINTED, replace(CORRECTED, one_sided_weights=False)])
+def test_every_variant_as_printed_runs_within_limits(variants: Variants) -> None:
+    run = track(8.0, variants=variants)
+    assert run.violations == 0
+    assert run.after(5.0)[0].max() < 2.0
