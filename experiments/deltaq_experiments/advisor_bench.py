@@ -1,0 +1,170 @@
+"""The advisor's methods side by side: time and quality on seeded tasks of the dual-arm cell.
+
+A task is where the hands of a random clear configuration are. Best known is the least energy that any method, or a
+longer search of two of them, has found for it in the same run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.advisor import Pool, search
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.methods import METHODS
+from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.inverse.titan import TitanInverse
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+
+Array = NDArray[np.float64]
+
+TASKS = 12
+LONGER = {"annealing": 4.0, "shotgun": 3.0}
+"""Methods, and their efforts, that search for the best known energy."""
+GOOD = 0.01
+"""A search is good if it ends within this share of the best known energy."""
+
+
+class Row(BaseModel):
+    """One method over all tasks."""
+
+    model_config = ConfigDict(frozen=True)
+
+    method: str
+    median_s: float
+    """Wall time of a search, polish included."""
+    worst_s: float
+    median_cpu_s: float
+    """Processor time of the same."""
+    median_gap: float | None
+    """Share by which the energy found is above the best known; None where nothing was found."""
+    worst_gap: float | None
+    good: int
+    """Tasks solved within 1 % of the best known."""
+    least_options: int
+    """Distinct options with exact clearance on the task that has fewest."""
+    trials: int
+    """Mean over the tasks."""
+
+
+class Table(BaseModel):
+    """All methods of one run."""
+
+    model_config = ConfigDict(frozen=True)
+
+    tasks: int
+    inverse_poses_per_s: float
+    """Poses of a Titan II solved a second, all branches, many at once."""
+    inverse_one_by_one_per_s: float
+    """The same in a plain loop, one pose a call."""
+    best_known: tuple[float, ...]
+    rows: tuple[Row, ...]
+
+
+def tasks(cell: CellModel, robot: str, count: int = TASKS) -> list[Array]:
+    """Seeded tasks: (h, 4, 4) poses of the hands at random clear configurations."""
+    model, exact = cell.robots[robot], ExactClearance(cell, robot)
+    tracker, generator = ConstraintTracker(model), np.random.default_rng(0)
+    found: list[Array] = []
+    while len(found) < count:
+        q = generator.uniform(model.lower, model.upper)
+        if exact.measure(q).room_m > 0.02:
+            found.append(tracker.hands(q))
+    return found
+
+
+def run(
+    cell_name: str | Path = "dawm",
+    robot: str = "dawm",
+    count: int = TASKS,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Table:
+    """Measure every method on every task.
+
+    Args:
+        cell_name: the cell.
+        robot: the robot.
+        count: how many tasks.
+        on_step: called with the number of tasks done and the number of all.
+    """
+    cell = CellModel.load(cell_name)
+    tracker, exact = ConstraintTracker(cell.robots[robot]), ExactClearance(cell, robot)
+    wall, cpu = np.zeros((len(METHODS), count)), np.zeros((len(METHODS), count))
+    energy, options = np.full((len(METHODS), count), np.inf), np.zeros((len(METHODS), count), dtype=int)
+    trials, best = np.zeros((len(METHODS), count)), np.full(count, np.inf)
+    for number, poses in enumerate(tasks(cell, robot, count)):
+        task = Problem(cell, robot, poses, None, tracker)
+        for longer, effort in LONGER.items():
+            best[number] = min(
+                best[number], search(task, np.random.default_rng(100 + number), longer, effort).best
+            )
+        for row, method in enumerate(METHODS):
+            task.count = 0
+            began_s, began_cpu_s = time.perf_counter(), time.process_time()
+            pool = search(task, np.random.default_rng(number), method)
+            wall[row, number] = time.perf_counter() - began_s
+            cpu[row, number] = time.process_time() - began_cpu_s
+            energy[row, number], trials[row, number] = pool.best, task.count
+            options[row, number] = clear_options(pool, exact)
+        best[number] = min(best[number], energy[:, number].min())
+        if on_step is not None:
+            on_step(number + 1, count)
+    gap = energy / best - 1.0
+    rows = tuple(
+        Row(
+            method=method,
+            median_s=float(np.median(wall[row])),
+            worst_s=float(wall[row].max()),
+            median_cpu_s=float(np.median(cpu[row])),
+            median_gap=_finite(np.median(gap[row])),
+            worst_gap=_finite(gap[row].max()),
+            good=int((gap[row] <= GOOD).sum()),
+            least_options=int(options[row].min()),
+            trials=round(float(trials[row].mean())),
+        )
+        for row, method in enumerate(METHODS)
+    )
+    many, single = inverse_rates()
+    return Table(
+        tasks=count,
+        inverse_poses_per_s=many,
+        inverse_one_by_one_per_s=single,
+        best_known=tuple(best.tolist()),
+        rows=rows,
+    )
+
+
+def inverse_rates(count: int = 100_000, loop: int = 2000) -> tuple[float, float]:
+    """Poses a second that the closed form of the Titan II solves, many at once and one by one: best of three."""
+    arm = TitanInverse()
+    poses = arm.forward(np.random.default_rng(0).uniform(-np.pi, np.pi, (count, 6)))
+    many, single = [], []
+    for _ in range(3):
+        began_s = time.perf_counter()
+        arm.inverse(poses)
+        many.append(count / (time.perf_counter() - began_s))
+        began_s = time.perf_counter()
+        for pose in poses[:loop]:
+            arm.inverse(pose)
+        single.append(loop / (time.perf_counter() - began_s))
+    return max(many), max(single)
+
+
+def clear_options(pool: Pool, exact: ExactClearance, at_most: int = 5) -> int:
+    """How many distinct options of a search are clear by the exact shapes, counted to `at_most`."""
+    count = 0
+    for q in pool.q:
+        count += exact.measure(q).room_m > 0.0
+        if count == at_most:
+            break
+    return count
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,152 @@
+"""The paper's approach (VI-B, Fig. 8): three starts with a large error, the leader stands still."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_experiments.options import Options
+from deltaq_experiments.panels import Line, Panel
+from deltaq_experiments.report import Figures, GateCounts, LeastClearance, LimitCounts, Outcome, Report
+from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.starts import start_with_error
+from deltaq_experiments.trace import time_to_stay_below
+from deltaq_experiments.virtual import Recording, record
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+
+DURATION_S = 5.0
+START_ERRORS_DEG = (83.0, 134.0, 145.0)
+
+
+class Approach(BaseModel):
+    """One start.
+
+    Attributes:
+        start_deg: view angle error at the start.
+        time_to_1_deg_s: when it was below 1 degree, None if never.
+        largest_rise_deg: by how much the error ever rose on the way there; 0 for a monotone approach.
+        final_deg: error at the end.
+        final_distance_m: error of the view distance at the end.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    start_deg: float
+    time_to_1_deg_s: float | None
+    largest_rise_deg: float
+    final_deg: float
+    final_distance_m: float
+
+
+class ApproachReport(Report):
+    """The common figures over all starts together, from the start, and each start by itself."""
+
+    starts: tuple[Approach, ...]
+
+
+def run(options: Options) -> Outcome:
+    """Run the experiment.
+
+    Raises:
+        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, no
+            start was found, or it shall run live.
+    """
+    options = options.lasting(DURATION_S)
+    cell = load(options, "approach")
+    if options.live:
+        raise DeltaqError(
+            "approach starts where no robot stands: it runs in virtual time only, without --live"
+        )
+    began_s = time.perf_counter()
+    runs = [
+        _run_from(options, cell, math.radians(error), options.seed + index)
+        for index, error in enumerate(START_ERRORS_DEG)
+    ]
+    elapsed_s = time.perf_counter() - began_s
+    return Outcome(_report(options, cell, runs, elapsed_s), _panels(runs))
+
+
+Run = tuple[Recording, Array]
+"""A recording, and (k, 2) view angle error [deg] and view distance [m]."""
+
+
+def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> Run:
+    camera = camera_controller(cell, options.controller, options.latency_s)
+    start = start_with_error(cell, camera, error, seed)
+    recording = record(options, camera, start={FOLLOWER: start})
+    return recording, recording.trace.views(camera, FOLLOWER, LEADER)
+
+
+def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> Approach:
+    """Figures of one start from its (k,) times, errors of angle and errors of distance."""
+    reached = time_to_stay_below(time_s, angle_deg, 1.0)
+    way = angle_deg if reached is None else angle_deg[time_s <= reached]
+    rise = float(np.max(way - np.minimum.accumulate(way)))
+    return Approach(
+        start_deg=float(angle_deg[0]),
+        time_to_1_deg_s=reached,
+        largest_rise_deg=rise,
+        final_deg=float(angle_deg[-1]),
+        final_distance_m=float(abs(distance_error_m[-1])),
+    )
+
+
+def _report(options: Options, cell: CellModel, runs: list[Run], elapsed_s: float) -> ApproachReport:
+    starts = [
+        approach_of(recording.trace.time_s, views[:, 0], views[:, 1] - VIEW_DISTANCE_M)
+        for recording, views in runs
+    ]
+    together = np.concatenate([views for _, views in runs])
+    everything = np.ones(len(together), dtype=np.bool_)
+    times = [start.time_to_1_deg_s for start in starts]
+    clearances = [recording.trace.least_clearance(cell) for recording, _ in runs]
+    nearest = min(clearances, key=lambda clearance: clearance.min)
+    return ApproachReport(
+        experiment="approach",
+        controller=options.controller,
+        seed=options.seed,
+        live=False,
+        cycles=len(together),
+        cycle_s=cell.description.cycle_s,
+        latency_s=options.latency_s,
+        leader_speed_m_s=0.0,
+        angle_deg=Figures.of(together[:, 0], everything),
+        distance_m=Figures.of(np.abs(together[:, 1] - VIEW_DISTANCE_M), everything),
+        time_to_1_deg_s=None if None in times else max(t for t in times if t is not None),
+        clearance_m=LeastClearance(
+            min=nearest.min,
+            pair=nearest.pair,
+            robots_min=min(clearance.robots_min for clearance in clearances),
+            self_min=min(clearance.self_min for clearance in clearances),
+        ),
+        limits=LimitCounts.sum(recording.trace.limit_counts(cell) for recording, _ in runs),
+        gate=GateCounts.sum(recording.gate for recording, _ in runs),
+        reasons={
+            code: sum(recording.reasons.get(code, 0) for recording, _ in runs)
+            for code in sorted({code for recording, _ in runs for code in recording.reasons})
+        },
+        real_time_factor=sum(float(recording.trace.time_s[-1]) for recording, _ in runs) / elapsed_s,
+        starts=tuple(starts),
+    )
+
+
+def _panels(runs: list[Run]) -> tuple[Panel, ...]:
+    def lines(column: int) -> tuple[Line, ...]:
+        return tuple(
+            Line(f"from {views[0, 0]:.0f}°", recording.trace.time_s, views[:, column])
+            for recording, views in runs
+        )
+
+    clock = runs[0][0].trace.time_s
+    desired = Line("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--")
+    return (
+        Panel("View angle error", "deg", lines(0), bound=1.0),
+        Panel("View distance", "m", (*lines(1), desired)),
+    )

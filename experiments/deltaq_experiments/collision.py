@@ -1,0 +1,97 @@
+"""The paper's collision avoidance (VI-E, Fig. 11): the leader tries to hit the follower; the focus is fixed."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.attacking_leader import TARGETS, AttackingLeader
+from deltaq_experiments.options import Options
+from deltaq_experiments.panels import Line, Marks, Panel
+from deltaq_experiments.report import Outcome, Report
+from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.summary import summary
+from deltaq_experiments.virtual import Recording, record
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+
+DURATION_S = 40.0
+
+
+class CollisionReport(Report):
+    """The common figures, and what became of the attacks.
+
+    Attributes:
+        target: what they homed in on.
+        contacts: cycles in which bodies of the two robots touched.
+        evading_share: share of the cycles in which the follower got out of the way.
+        angle_below_1_deg_share: share of the cycles in which the focus was kept within a degree.
+    """
+
+    target: str
+    contacts: int
+    evading_share: float
+    angle_below_1_deg_share: float
+
+
+def run(options: Options) -> Outcome:
+    """Run the experiment in virtual time.
+
+    Raises:
+        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, there is
+            no such target, or it shall run live.
+    """
+    options = options.lasting(DURATION_S)
+    cell = load(options, "collision")
+    if options.live:
+        raise DeltaqError(
+            "collision attacks a robot on purpose: it runs in virtual time only, without --live"
+        )
+    if options.target not in TARGETS:
+        raise DeltaqError(f"--target {options.target}: there are {', '.join(TARGETS)}")
+    robot, leader_model = cell.robots[FOLLOWER], cell.robots[LEADER]
+    focus = leader_model.forward(leader_model.home)[:3, 3]
+    camera = camera_controller(cell, options.controller, options.latency_s, focus=focus)
+    cycle_s = cell.description.cycle_s
+    leader = AttackingLeader(
+        leader_model, robot, cycle_s, options.leader_speed_m_s, options.seed, options.target
+    )
+    began_s = time.perf_counter()
+    recording = record(options, camera, leader)
+    elapsed_s = time.perf_counter() - began_s
+    trace = recording.trace
+    views = trace.views(camera, FOLLOWER, LEADER)
+    between = trace.robot_clearances(cell)
+    evading = trace.clearances(camera, FOLLOWER, LEADER) < camera.evades_below_m
+    error = views[:, 1] - VIEW_DISTANCE_M
+    report = CollisionReport(
+        **summary("collision", options, cell, recording, views[:, 0], error, elapsed_s),
+        target=options.target,
+        contacts=int((between <= 0.0).sum()),
+        evading_share=float(evading.mean()),
+        angle_below_1_deg_share=float((views[:, 0] < 1.0).mean()),
+    )
+    return Outcome(report, _panels(recording, views, between, evading))
+
+
+def _panels(
+    recording: Recording, views: Array, between: Array, evading: NDArray[np.bool_]
+) -> tuple[Panel, ...]:
+    clock = recording.trace.time_s
+    marks = (Marks("F_rep acts", clock, evading),)
+    return (
+        Panel("View angle error", "deg", (Line("", clock, views[:, 0]),), marks, bound=1.0),
+        Panel(
+            "View distance",
+            "m",
+            (
+                Line("distance", clock, views[:, 1]),
+                Line("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
+            ),
+            marks,
+        ),
+        Panel("Clearance between the robots", "m", (Line("", clock, between),)),
+    )

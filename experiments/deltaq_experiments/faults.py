@@ -1,0 +1,212 @@
+"""The catalogue of faults: one row a fault, injected in virtual time, live, or into a cell that is up.
+
+A fault of a KRC or of its wire is a request to the emulated controller's panel and the same everywhere. A
+process that dies or freezes is so live too. What the operating system will not do to a wire on loopback is done to
+the wires between the cores in virtual time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol.errors import DeltaqError
+
+
+class UnknownFaultError(DeltaqError):
+    """A fault was named that the catalogue does not have, or that cannot be had this way."""
+
+
+class Process(StrEnum):
+    """What can die, freeze or be slow."""
+
+    CONTROLLER = "controller"
+    HLI = "hli"
+    SIM = "sim"
+    ROBOT_SERVER = "robot-server"
+
+
+class Link(StrEnum):
+    """A wire between two processes; both directions share its fate."""
+
+    CONTROLLER_HLI = "controller-hli"
+    HLI_SIM = "hli-sim"
+    HLI_SERVER = "hli-server"
+    SIM_SERVER = "sim-server"
+
+
+class Misbehaviour(StrEnum):
+    """What a controller does instead of answering every state once."""
+
+    EVERY_FOURTH = "every fourth"
+    NAN_FLOOD = "nan flood"
+    LEAP = "leap"
+
+
+@dataclass(frozen=True)
+class Kill:
+    """`kill -9`."""
+
+    process: Process
+
+
+@dataclass(frozen=True)
+class Freeze:
+    """SIGSTOP, and SIGCONT in the end."""
+
+    process: Process
+
+
+@dataclass(frozen=True)
+class Slow:
+    """All that a process says comes later by this."""
+
+    process: Process
+    delay_s: float
+
+
+@dataclass(frozen=True)
+class Impair:
+    """A wire does to messages what is said of it."""
+
+    link: Link
+    faults: LinkFaults
+
+
+@dataclass(frozen=True)
+class Misbehave:
+    """The controller itself goes wrong."""
+
+    how: Misbehaviour
+
+
+@dataclass(frozen=True)
+class StepClock:
+    """The clock that a process reads leaps."""
+
+    process: Process
+    by_s: float
+
+
+@dataclass(frozen=True)
+class AskPanel:
+    """A request to the panel of the emulated controller, as JSON."""
+
+    request: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class PressStop:
+    """Somebody presses stop."""
+
+
+Action = Kill | Freeze | Slow | Impair | Misbehave | StepClock | AskPanel | PressStop
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One row of the catalogue.
+
+    Attributes:
+        name: what it is asked for by.
+        what: what happens, for people.
+        action: what is done.
+        lift: a panel request that ends it, where it does not end by itself or with its process.
+    """
+
+    name: str
+    what: str
+    action: Action
+    lift: Mapping[str, Any] | None = field(default=None)
+
+    @property
+    def live(self) -> bool:
+        """Whether real processes can be made to suffer it."""
+        return isinstance(self.action, Kill | Freeze | AskPanel | PressStop)
+
+    @property
+    def injectable(self) -> bool:
+        """Whether it can be injected into a cell that is up, through the panel."""
+        return isinstance(self.action, AskPanel)
+
+
+_NO_MORE_FAULTS = {"op": "fault"}
+
+
+def _wire(name: str, what: str, **faults: Any) -> Fault:
+    return Fault(name, what, AskPanel({"op": "fault", **faults}), _NO_MORE_FAULTS)
+
+
+def _links() -> tuple[Fault, ...]:
+    kinds = (
+        ("cut", "carries nothing", LinkFaults(drop=1.0)),
+        ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
+        ("delayed", "takes 30 ms, ± 20 ms", LinkFaults(delay_s=0.01, jitter_s=0.04)),
+        ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
+        ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
+    )
+    return tuple(
+        Fault(f"{link}-{kind}", f"the wire {link} {what}", Impair(link, faults))
+        for link in Link
+        for kind, what, faults in kinds
+    )
+
+
+CATALOGUE: tuple[Fault, ...] = (
+    Fault("operator-stop", "somebody presses stop", PressStop()),
+    Fault("controller-dead", "kill -9 of the controller", Kill(Process.CONTROLLER)),
+    Fault("controller-frozen", "SIGSTOP of the controller", Freeze(Process.CONTROLLER)),
+    Fault("controller-late", "increments come 60 ms late", Slow(Process.CONTROLLER, 0.06)),
+    Fault("controller-stale", "increments come 200 ms late", Slow(Process.CONTROLLER, 0.2)),
+    Fault("controller-slow", "answers every fourth state", Misbehave(Misbehaviour.EVERY_FOURTH)),
+    Fault("controller-nan-flood", "20 increments of NaN a cycle", Misbehave(Misbehaviour.NAN_FLOOD)),
+    Fault("controller-leap", "asks for 1 rad a cycle", Misbehave(Misbehaviour.LEAP)),
+    Fault("hli-dead", "kill -9 of the HLI", Kill(Process.HLI)),
+    Fault("hli-frozen", "SIGSTOP of the HLI", Freeze(Process.HLI)),
+    Fault("hli-clock-forward", "the HLI's clock leaps 10 s ahead", StepClock(Process.HLI, 10.0)),
+    Fault("hli-clock-back", "the HLI's clock leaps 10 s back", StepClock(Process.HLI, -10.0)),
+    Fault("sim-dead", "kill -9 of the SIM", Kill(Process.SIM)),
+    Fault("sim-frozen", "SIGSTOP of the SIM", Freeze(Process.SIM)),
+    Fault("sim-slow", "the SIM's answers come 18 ms late", Slow(Process.SIM, 0.018)),
+    Fault("robot-server-dead", "kill -9 of the Robot Server", Kill(Process.ROBOT_SERVER)),
+    Fault("robot-server-frozen", "SIGSTOP of the Robot Server", Freeze(Process.ROBOT_SERVER)),
+    Fault(
+        "robot-server-clock-back",
+        "the Robot Server's clock leaps 10 s back",
+        StepClock(Process.ROBOT_SERVER, -10.0),
+    ),
+    *_links(),
+    _wire("krc-cut", "nothing passes between KRC and Robot Server", drop=1.0),
+    _wire("krc-telegrams-lost", "30 % of the KRC's telegrams are lost", link="to_pc", drop=0.3),
+    _wire("krc-replies-lost", "30 % of the replies to the KRC are lost", link="from_pc", drop=0.3),
+    _wire("krc-late", "telegrams and replies take 8 ms each way", delay_s=0.008),
+    _wire("krc-jitter", "telegrams and replies take up to 12 ms each way", jitter_s=0.012),
+    _wire("krc-duplicating", "half of all telegrams and replies come twice", duplicate=0.5),
+    _wire("krc-reordering", "30 % of all telegrams and replies are overtaken", reorder=0.3),
+    _wire("krc-garbled", "30 % of the KRC's telegrams are garbled", link="to_pc", corrupt=0.3),
+    _wire("krc-replies-garbled", "30 % of the replies are garbled", link="from_pc", corrupt=0.3),
+    Fault("krc-hiccup", "the KRC is silent for 8 cycles", AskPanel({"op": "fault", "freeze_cycles": 8})),
+    Fault("krc-silent", "the KRC is silent for 40 cycles", AskPanel({"op": "fault", "freeze_cycles": 40})),
+    Fault("krc-ipoc-back", "the IPOC leaps 24 ms back", AskPanel({"op": "fault", "ipoc_shift_ms": -24})),
+    Fault("krc-ipoc-gap", "the IPOC leaps 240 ms ahead", AskPanel({"op": "fault", "ipoc_shift_ms": 240})),
+    Fault("krc-restarted", "the program on the KRC is started again", AskPanel({"op": "restart"})),
+    Fault("krc-stopped", "stop at the KRC's pendant", AskPanel({"op": "stop"})),
+    Fault("krc-drives-off", "the drives are switched off", AskPanel({"op": "drives", "on": False})),
+)
+"""Every fault, from the operator's hand through the processes and wires to the robot's controller."""
+
+
+def fault_named(name: str) -> Fault:
+    """The row of this name.
+
+    Raises:
+        UnknownFaultError: naming the catalogue's.
+    """
+    for fault in CATALOGUE:
+        if fault.name == name:
+            return fault
+    known = ", ".join(fault.name for fault in CATALOGUE)
+    raise UnknownFaultError(f"no fault {name!r}; there are {known}")

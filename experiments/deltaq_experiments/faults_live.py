@@ -1,0 +1,279 @@
+"""Faults over real processes, zenoh and UDP, read from the emulated controllers' own records."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_deploy.launcher import Launcher
+from deltaq_deploy.running import connect
+from deltaq_emulator.states import KrcState
+from deltaq_experiments.faults import AskPanel, Fault, Freeze, Kill, PressStop, Process
+from deltaq_experiments.faults_live_cell import moving_cell, rows_of
+from deltaq_experiments.faults_loaded import LoadedCell
+from deltaq_experiments.faults_lockstep import ATTEMPTS, FaultRunError
+from deltaq_experiments.faults_mover import CRUISE_RAD_S, SWING_RAD
+from deltaq_experiments.faults_panel import PanelClient, protest, told, way_back
+from deltaq_experiments.faults_report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.messages import Phase
+
+Array = NDArray[np.float64]
+
+CRUISE_S = 0.4
+"""From the first full increments to the fault."""
+FAULT_S = 1.6
+"""How long a fault stands."""
+BACK_S = 3.0
+"""How long the robot may take to move again; a process that comes back has to be found by the others."""
+_START_S = 60.0
+_MOVES = 0.25
+"""Share of the cruising speed from which the robot counts as moving: a loaded machine brakes it now and then."""
+_CRUISES = 0.9
+"""Share from which it counts as cruising."""
+_POLL_S = 0.02
+_CYCLES_SEEN = 4
+"""Cycles between two looks at the setpoint that are enough to tell a speed."""
+_CYCLES_MOVED = 25
+"""Cycles between two looks that tell motion from the rest of a brake that was interrupted."""
+
+
+def run_live_faults(
+    faults: Sequence[Fault], loaded: LoadedCell, robot: str, on_row: Callable[[Row], None]
+) -> None:
+    """Start the cell's services, let a moving robot suffer fault after fault, and take everything down.
+
+    Args:
+        faults: those that can be had live.
+        loaded: the cell; nobody else may run it.
+        robot: the one that moves.
+        on_row: called with each row.
+
+    Raises:
+        LaunchError: if a service does not come up.
+        FaultRunError: if the robot never got to its cruising speed.
+    """
+    waiting = list(faults)
+    while waiting:
+        with moving_cell(loaded, robot) as (launcher, panel, records):
+            while waiting:
+                row = _Run(launcher, panel, loaded, robot, records).suffer(waiting.pop(0))
+                on_row(row)
+                if row.recovery == NEVER:
+                    break  # the rest suffers in a cell that is well
+
+
+class _Run:
+    """One fault in a cell of real processes."""
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        panel: PanelClient,
+        loaded: LoadedCell,
+        robot: str,
+        records: dict[str, Path],
+    ) -> None:
+        self._launcher, self._panel, self._records = launcher, panel, records
+        self._cell, self._robot = loaded.model, robot
+        self._description = loaded.model.description
+        self._cycle_s = self._description.cycle_s
+        self._cruise = float(CRUISE_RAD_S * self._cycle_s)
+        self._home = float(loaded.model.robots[robot].home[0])
+
+    def suffer(self, fault: Fault) -> Row:
+        """Move, inject, watch, lift, bring back, judge."""
+        self._wait_for_room()
+        begun = self._status()
+        time.sleep(CRUISE_S)
+        phase, reason, named, injected = self._watch(fault)
+        lifted = self._status()
+        steps = self._lift(fault)
+        if phase is None:
+            phase, reason = self._phase()
+        recovery = self._recover(steps)
+        ended = self._status()
+        rows = rows_of(self._records[self._robot])
+        rows = rows[(rows[:, 0] >= begun["cycle"]) & (rows[:, 0] < ended["cycle"])]
+        model = self._cell.robots[self._robot]
+        setpoints = rows[:, 1 + model.n : 1 + 2 * model.n]
+        counters = {
+            name: ended["counters"][name] - begun["counters"][name] for name in ("unanswered", "sent")
+        }
+        unanswered = counters["unanswered"] + max(0, int(rows[:, -1].sum()) - counters["sent"])
+        fault_rows = (rows[:, 0] >= injected) & (rows[:, 0] <= lifted["cycle"])
+        kept = judged(
+            model,
+            setpoints,
+            self._cycle_s,
+            unanswered,
+            self._nearest(rows[:, 1 : 1 + model.n]),
+            protest(lifted["message"]),
+        )
+        gate = self._description.gate
+        return Row(
+            fault=fault.name,
+            what=fault.what,
+            live=True,
+            motion=motion_after(model, setpoints[fault_rows], self._cycle_s, self._cruise),
+            phase=phase,
+            reason=reason,
+            named_after_s=named,
+            recovery=recovery,
+            kept=kept,
+            good=recovery != NEVER and is_good(kept, (gate.stop_distance_m, gate.self_stop_distance_m)),
+        )
+
+    # --- before -------------------------------------------------------------------------------------------
+
+    def _wait_for_room(self) -> None:
+        """Until the robot cruises, and so far from where it turns that it will not turn while it is watched."""
+        needed = CRUISE_RAD_S * (CRUISE_S + FAULT_S)
+        deadline = time.monotonic() + _START_S
+        while time.monotonic() < deadline:
+            before, after, cycles = self._two_looks()
+            way = after[0] - self._home
+            left = SWING_RAD - way if after[0] > before[0] else way
+            step = abs(after[0] - before[0]) / cycles
+            if step > self._cruise * _CRUISES and left > needed:
+                return
+        raise FaultRunError(f"{self._robot} did not get to its cruising speed within {_START_S:g} s")
+
+    # --- while the fault stands ---------------------------------------------------------------------------
+
+    def _watch(self, fault: Fault) -> tuple[str | None, str | None, float | None, int]:
+        """Inject, and tell phase, reason, when it was held, and the KRC's cycle of the fault.
+
+        There is no phase where the HLI cannot be asked.
+        """
+        deadline = time.monotonic() + FAULT_S
+        if fault.action in (Kill(Process.HLI), Freeze(Process.HLI)):
+            cycle = self._status()["cycle"]
+            self._inject(fault)
+            time.sleep(FAULT_S)
+            return None, None, None, cycle
+        named = None
+        with connect(self._description, "deltaq fault") as running:
+            cycle, injected_s = self._status()["cycle"], time.monotonic()
+            if isinstance(fault.action, PressStop):
+                running.stop()
+            else:
+                self._inject(fault)
+            while True:
+                status = running.status().robots[self._robot]
+                now_s = time.monotonic()
+                if named is None and status.phase is Phase.HELD:
+                    named = now_s - injected_s
+                if now_s >= deadline:
+                    return status.phase, status.reason if status.phase is Phase.HELD else None, named, cycle
+                time.sleep(_POLL_S)
+
+    def _inject(self, fault: Fault) -> None:
+        match fault.action:
+            case Kill(process):
+                self._signal(process, signal.SIGKILL)
+            case Freeze(process):
+                self._signal(process, signal.SIGSTOP)
+            case AskPanel(request):
+                self._panel.ask(request)
+
+    # --- afterwards ---------------------------------------------------------------------------------------
+
+    def _lift(self, fault: Fault) -> list[str]:
+        if fault.lift is not None:
+            self._panel.ask(fault.lift)
+        match fault.action:
+            case Kill(process):
+                self._launcher.restart(self._service(process))
+                return [f"restart of the {process}"]
+            case Freeze(process):
+                self._signal(process, signal.SIGCONT)
+        return []
+
+    def _recover(self, steps: list[str]) -> str:
+        for _ in range(ATTEMPTS):
+            if self._moves():
+                return recovery_text(steps)
+            requests = way_back(self._status()["state"])
+            if requests:
+                for request in requests:
+                    self._panel.ask(request)
+                steps.append(told(requests))
+                self._wait_for_program()
+            if self._reset():
+                steps.append("reset")
+        return recovery_text(steps) if self._moves() else NEVER
+
+    def _reset(self) -> bool:
+        try:
+            with connect(self._description, "deltaq fault") as running:
+                if running.status().robots[self._robot].phase is not Phase.HELD:
+                    return False
+                running.reset(self._robot)
+        except (RefusedError, ServiceUnreachableError):
+            return False  # asked again, until the attempts are used up
+        return True
+
+    def _phase(self) -> tuple[str, str | None]:
+        """What the HLI shows once it is back and has heard the robot."""
+        deadline = time.monotonic() + _START_S
+        while True:
+            with connect(self._description, "deltaq fault") as running:
+                status = running.status().robots[self._robot]
+            if status.phase is not Phase.OFFLINE or time.monotonic() > deadline:
+                return status.phase, status.reason
+            time.sleep(_POLL_S)
+
+    def _moves(self) -> bool:
+        deadline = time.monotonic() + BACK_S
+        while time.monotonic() < deadline:
+            before, after, cycles = self._two_looks(_CYCLES_MOVED)
+            if abs(after[0] - before[0]) > cycles * self._cruise * _MOVES:
+                return True
+        return False
+
+    def _wait_for_program(self) -> None:
+        deadline = time.monotonic() + BACK_S
+        while self._status()["state"] != KrcState.RSI_RUNNING and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+
+    def _nearest(self, q: Array) -> tuple[float, float]:
+        """Least distances over configurations (k, n) of the robot, the others where they stood last."""
+        oracle = ClearanceOracle(self._cell)
+        others = {
+            name: rows_of(path)[-1, 1 : 1 + self._cell.robots[name].n]
+            for name, path in self._records.items()
+            if name != self._robot
+        }
+        moments = [others | {self._robot: row} for row in q]
+        return (
+            min(oracle.between_robots_and_structure(moment).distance_m for moment in moments),
+            min(oracle.of_one_robot(moment).distance_m for moment in moments),
+        )
+
+    # --- processes and panel ------------------------------------------------------------------------------
+
+    def _service(self, process: Process) -> str:
+        return f"{process}-{self._robot}" if process is Process.ROBOT_SERVER else str(process)
+
+    def _signal(self, process: Process, number: signal.Signals) -> None:
+        os.killpg(self._launcher.children[self._service(process)].pid, number)
+
+    def _status(self) -> dict[str, Any]:
+        return self._panel.ask({"op": "status"})
+
+    def _two_looks(self, apart: int = _CYCLES_SEEN) -> tuple[Array, Array, int]:
+        """Two setpoints (n,) [rad or m] and the cycles between them."""
+        before = after = self._status()
+        while after["cycle"] - before["cycle"] < apart:
+            time.sleep(self._cycle_s)
+            after = self._status()
+        return np.array(before["q_setpoint"]), np.array(after["q_setpoint"]), after["cycle"] - before["cycle"]

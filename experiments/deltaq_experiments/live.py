@@ -1,0 +1,111 @@
+"""The tracking experiment over real processes, zenoh and UDP, recorded by the emulated controllers themselves."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_deploy.launcher import Launcher, LaunchError
+from deltaq_deploy.rest import bring_to_rest
+from deltaq_deploy.running import connect, listen
+from deltaq_deploy.services import Role, Service, cell_services, demo_controllers, recorder
+from deltaq_experiments.options import Options
+from deltaq_experiments.report import GateCounts
+from deltaq_experiments.trace import Trace
+from deltaq_experiments.virtual import Recording
+from deltaq_protocol import topics
+from deltaq_protocol.codec import unpack
+from deltaq_protocol.messages import RobotState
+
+Array = NDArray[np.float64]
+
+
+def run_live(options: Options, cell: CellModel) -> Recording:
+    """Start the cell's services, lead and follow, and take everything down again.
+
+    Raises:
+        LaunchError: if a service does not come up, or dies on the way.
+    """
+    description = cell.description
+    with tempfile.TemporaryDirectory() as folder:
+        records = {name: Path(folder, f"{name}.csv") for name in cell.robots}
+        services = [_recorded(service, records) for service in cell_services(description, str(options.cell))]
+        leader, follower = demo_controllers(description)
+        leader = _with(leader, "--speed-m-s", f"{options.leader_speed_m_s}", "--seed", f"{options.seed}")
+        follower = _with(follower, "--controller", options.controller, "--latency-s", f"{options.latency_s}")
+        if options.record is not None:
+            services.append(recorder(str(options.cell), str(options.record)))
+        lines = _Lines()
+        launcher = Launcher(
+            [*services, leader, follower], lines, lambda: bring_to_rest(description, "experiment")
+        )
+        with launcher:
+            launcher.start()
+            with connect(description, "experiment") as running, listen(description) as listener:
+                samples: list[bytes] = []
+                # states alone, undecoded: a callback that works would slow the processes that are measured
+                subscriber = listener.subscribe(topics.STATE, lambda s: samples.append(s.payload.to_bytes()))
+                event = launcher.wait(options.length_s)
+                subscriber.undeclare()
+                status = running.status()
+            if event is not None:
+                raise LaunchError(f"the run was cut short: {event}; the last lines were\n{lines.text()}")
+            launcher.stop_service("follower")
+            launcher.stop_service("leader")
+        states = [unpack(RobotState, sample) for sample in samples]
+        setpoints = {name: _setpoints(path, cell.robots[name].n) for name, path in records.items()}
+    reasons = {k.removeprefix("reason_"): v for k, v in status.gate.items() if k.startswith("reason_")}
+    trace = trace_of(states, tuple(cell.robots), setpoints)
+    return Recording(trace, GateCounts.of(status.gate), reasons)
+
+
+class _Lines:
+    """Keeps what the services say, to be shown if a run fails."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+        self._lock = threading.Lock()
+
+    def __call__(self, name: str, line: str) -> None:
+        with self._lock:
+            self._lines.append(f"{name}: {line}")
+
+    def text(self) -> str:
+        """The last lines."""
+        with self._lock:
+            return "\n".join(self._lines[-20:])
+
+
+def _with(service: Service, *arguments: str) -> Service:
+    return replace(service, arguments=(*service.arguments, *arguments))
+
+
+def _recorded(service: Service, records: dict[str, Path]) -> Service:
+    if service.role is not Role.EMULATOR or service.robot is None:
+        return service
+    return _with(service, "--record", str(records[service.robot]))
+
+
+def _setpoints(record: Path, joints: int) -> Array:
+    """(m, n) setpoints of an emulated controller's record: after cycle, time and n measured joints."""
+    columns = range(2 + joints, 2 + 2 * joints)
+    return np.loadtxt(record, delimiter=",", skiprows=1, usecols=columns, ndmin=2)
+
+
+def trace_of(states: Sequence[RobotState], names: tuple[str, ...], setpoints: dict[str, Array]) -> Trace:
+    """The robots' measured joints on the first one's time stamps, the others interpolated."""
+    times = {name: np.array([s.time_s for s in states if s.robot == name]) for name in names}
+    joints = {name: np.array([s.q for s in states if s.robot == name]) for name in names}
+    clock = times[names[0]]
+    q = {
+        name: np.column_stack([np.interp(clock, times[name], column) for column in joints[name].T])
+        for name in names
+    }
+    return Trace(clock - clock[0], q, setpoints)

@@ -1,0 +1,69 @@
+"""Explore the composed system and say what was found: `python -m deltaq_experiments.model`.
+
+Exit status: 0 every property holds within the bounds, 1 a counterexample was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from deltaq_experiments.model.explore import Exploration, explore
+from deltaq_experiments.model.ledger import Property
+from deltaq_experiments.model.system import System
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Explore; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_experiments.model",
+        description="Explore SIM and Robot Server, their own code, over wires and crashes.",
+    )
+    parser.add_argument("--faults", type=int, default=0, help="faults on one way, at most")
+    parser.add_argument("--cycles", type=int, default=40, help="cycles of the robot on one way, at most")
+    parser.add_argument("--server-crashes", action="store_true", help="let the Robot Server crash too")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
+    given = parser.parse_args(arguments)
+    system = System(server_crashes=given.server_crashes)
+    progress = None if given.json else _tell
+    found = explore(system, given.faults, given.cycles, progress)
+    print(json.dumps(_fields(found, given.faults)) if given.json else _text(found, given.faults))
+    return 0 if found.counterexample is None else 1
+
+
+def _tell(cycle: int, states: int) -> None:
+    print(f"cycle {cycle:3d}: {states} states", file=sys.stderr, flush=True)
+
+
+def _fields(found: Exploration, faults: int) -> dict[str, object]:
+    example = found.counterexample
+    return {
+        "states": found.states,
+        "moves": found.moves,
+        "cycles": found.cycles,
+        "faults": faults,
+        "complete": found.complete,
+        "holds": example is None,
+        "properties": {one.name.lower(): one.value for one in Property},
+        "counterexample": None
+        if example is None
+        else {
+            "property": example.violation.broken.name.lower(),
+            "what": str(example.violation),
+            "moves": list(example.moves),
+        },
+    }
+
+
+def _text(found: Exploration, faults: int) -> str:
+    bound = "however many cycles" if found.complete else f"{found.cycles} cycles"
+    head = f"{found.states} states by {found.moves} moves; {bound}, at most {faults} faults"
+    if found.counterexample is None:
+        return "\n".join([head, *(f"holds: {one}" for one in Property)])
+    moves = [f"{number:3d}  {move}" for number, move in enumerate(found.counterexample.moves, 1)]
+    return "\n".join([head, f"broken: {found.counterexample.violation}", *moves])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

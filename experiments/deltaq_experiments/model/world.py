@@ -1,0 +1,200 @@
+"""One moment of the composed system: both programs, what is under way between them, and what is owed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from deltaq_experiments.model.ledger import Ledger
+from deltaq_experiments.model.one_joint import (
+    GATE_TIMEOUT_CYCLES,
+    HLI_TIMEOUT_CYCLES,
+    KRC_TIMEOUT_CYCLES,
+    ROBOT,
+    STEP,
+)
+from deltaq_protocol.guarded import Admission, GateMemory, ServerState, Supervision
+from deltaq_services.robot_server.core import RobotServer
+
+_CYCLES_APART = 4
+"""Cycle numbers further apart than this are told apart, but not by how much: no age that is judged is greater."""
+
+_STEPS_APART = 40
+"""Nor are places further from the setpoint: no robot comes back to one before what was sent there is out of date."""
+
+_PAST_TIMEOUT = 1 + max(GATE_TIMEOUT_CYCLES, KRC_TIMEOUT_CYCLES, HLI_TIMEOUT_CYCLES)
+"""A count of silent cycles says nothing more from here on."""
+
+
+class Turn(StrEnum):
+    """Who acts next; one round is one cycle of the robot."""
+
+    TELEGRAM = "telegram"
+    STATE = "state"
+    HLI = "hli"
+
+
+@dataclass(frozen=True, slots=True)
+class SentState:
+    """A state under way, and whether it tells that the KRC is silent."""
+
+    message: ServerState
+    silent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SentSupervision:
+    """A sign of life under way, and whether the gate had taken a stop when it sent it."""
+
+    message: Supervision
+    order_of_stop: bool
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """A moment. What is under way stays for others to double, delay or put before what is newer.
+
+    Attributes:
+        server: the Robot Server; never changed, but copied.
+        gate: the memory of the SIM.
+        turn: who acts next.
+        faults_left: how many more faults may happen.
+        ticks: rises with every telegram or silence.
+        q: where the KRC was last known to stand [m].
+        displaced: the robot is off the path that was commanded.
+        states, admissions, supervisions: under way, newest last.
+        new_admission, new_supervision: the newest was sent since the last telegram.
+        ledger: what is owed.
+    """
+
+    server: RobotServer
+    gate: GateMemory
+    turn: Turn
+    faults_left: int
+    ticks: int
+    q: float
+    displaced: bool
+    states: tuple[SentState, ...]
+    admissions: tuple[Admission, ...]
+    supervisions: tuple[SentSupervision, ...]
+    new_admission: bool
+    new_supervision: bool
+    ledger: Ledger
+
+    def key(self) -> tuple[Any, ...]:
+        """What tells this moment from others, apart from the faults left.
+
+        Numbers that only count up (cycles, sequences, resets, time) and the place of the robot are told by how they
+        compare with one another, because the programs do nothing else with them. Without a fault left, what was not
+        delivered in its turn never will be, and tells nothing.
+        """
+        if self.faults_left:
+            return _Key(self).of_world()
+        due = replace(
+            self,
+            states=self.states[-1:] if self.turn is Turn.STATE else (),
+            admissions=self.admissions[-1:] if self.new_admission else (),
+            supervisions=self.supervisions[-1:] if self.new_supervision else (),
+        )
+        return _Key(due).of_world()
+
+
+class _Key:
+    def __init__(self, world: World) -> None:
+        self._world = world
+        gate = world.gate.robots[ROBOT]
+        self._inner = vars(world.server)
+        state = gate.tracker.state
+        states = [sent.message for sent in world.states]
+        states += [one for one in (state, world.server.state) if one is not None]
+        admissions = [*world.admissions]
+        if gate.tracker.in_flight is not None:
+            admissions.append(gate.tracker.in_flight)
+        cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
+        if gate.waiting is not None:
+            cycles.append(gate.waiting.cycle)
+        self._cycle = _ranks(cycles, _CYCLES_APART)
+        sequences = [0, world.gate.sequence, *(s.sequence for s in states)]
+        for admission in admissions:
+            sequences += [admission.sequence, admission.follows_sequence]
+        self._sequence = _ranks(sequences, 1)
+        resets = [0, gate.orders.resets, self._inner["_resets"], *(s.resets for s in states)]
+        self._resets = _ranks([*resets, *(sent.message.resets for sent in world.supervisions)], 2)
+        self._time = _ranks([round(s.time_s) for s in states], 1)
+        self._place = world.server.state.q_cmd[0] if world.server.state is not None else world.q
+
+    def of_world(self) -> tuple[Any, ...]:
+        world, inner = self._world, self._inner
+        gate = world.gate.robots[ROBOT]
+        waiting, silent = gate.waiting, gate.orders.cycles_without_hli
+        return (
+            world.turn,
+            world.displaced,
+            self._q(world.q),
+            world.new_admission,
+            world.new_supervision,
+            world.ledger,
+            min(inner["_cycles_without_gate"], _PAST_TIMEOUT),
+            min(inner["_cycles_missed"], _PAST_TIMEOUT),
+            self._resets[inner["_resets"]],
+            self._state(world.server.state),
+            (world.gate.epoch, self._sequence[world.gate.sequence]),
+            self._state(gate.tracker.state),
+            self._admission(gate.tracker.in_flight),
+            tuple(self._q(setpoint[0]) for setpoint in gate.tracker.history),
+            gate.orders.standing_stop,
+            self._resets[gate.orders.resets],
+            None if silent is None else min(silent, _PAST_TIMEOUT),
+            gate.orders.krc_silent,
+            self._cycle[gate.decided_cycle],
+            (self._cycle[waiting.cycle], waiting.dq) if waiting is not None else None,
+            tuple((self._state(sent.message), sent.silent) for sent in world.states),
+            tuple(self._admission(admission) for admission in world.admissions),
+            tuple(
+                (sent.message.epoch, sent.message.stop, self._resets[sent.message.resets], sent.order_of_stop)
+                for sent in world.supervisions
+            ),
+        )
+
+    def _q(self, value: float) -> int:
+        steps = round((value - self._place) / STEP)
+        return max(-_STEPS_APART, min(steps, _STEPS_APART))
+
+    def _state(self, state: ServerState | None) -> tuple[Any, ...] | None:
+        if state is None:
+            return None
+        return (
+            self._cycle[state.cycle],
+            self._time[round(state.time_s)],
+            self._q(state.q[0]),
+            self._q(state.q_cmd[0]),
+            state.dq,
+            (state.plan.dq, state.plan.brake_cycles, state.plan.step),
+            (state.epoch, self._sequence[state.sequence], self._resets[state.resets]),
+            (state.phase, state.reason),
+        )
+
+    def _admission(self, admission: Admission | None) -> tuple[Any, ...] | None:
+        if admission is None:
+            return None
+        return (
+            admission.epoch,
+            self._sequence[admission.sequence],
+            self._cycle[admission.cycle],
+            self._sequence[admission.follows_sequence],
+            self._q(admission.follows_q_cmd[0]),
+            admission.follows_dq,
+            admission.dq,
+        )
+
+
+def _ranks(numbers: list[int], apart: int) -> dict[int, int]:
+    """Numbers by their order and their distance, distances above `apart` taken for equal."""
+    ranks: dict[int, int] = {}
+    rank, last = 0, None
+    for number in sorted(set(numbers)):
+        rank += 0 if last is None else min(number - last, apart)
+        ranks[number] = rank
+        last = number
+    return ranks

@@ -1,0 +1,47 @@
+"""What an experiment is run with: the options that all of `deltaq experiment` share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of one run.
+
+    Attributes:
+        cell: name or file of a cell with robots `fr` (camera) and `gr` (leader).
+        controller: name of the camera controller, or `package.module:function` of one's own.
+        leader_speed_m_s: largest speed of the leader's tool.
+        latency_s: from the leader's motion to the camera's, the drives' lag and the loop's own cycles
+            included; what these leave is added to the age of the measurement. The controller knows it.
+        duration_s: length of the run; None for the experiment's own.
+        seed: one seed is one run.
+        settle_s: start-up that rms and max leave out.
+        live: real processes, zenoh and UDP.
+        target: what a collision's attacks home in on; the other experiments have no use for it.
+        record: MCAP file to record to; of several runs in one experiment the later ones are numbered.
+    """
+
+    cell: str | Path = "lab"
+    controller: str = "paper"
+    leader_speed_m_s: float = 0.25
+    latency_s: float = 0.06
+    duration_s: float | None = None
+    seed: int = 0
+    settle_s: float = 5.0
+    live: bool = False
+    target: str = "lens"
+    record: Path | None = None
+
+    def lasting(self, default_s: float) -> Self:
+        """The same with `duration_s` filled in."""
+        return self if self.duration_s is not None else replace(self, duration_s=default_s)
+
+    @property
+    def length_s(self) -> float:
+        """`duration_s`, once it has been filled in."""
+        assert self.duration_s is not None  # every experiment begins with `lasting`
+        return self.duration_s

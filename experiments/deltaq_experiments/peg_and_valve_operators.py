@@ -1,0 +1,213 @@
+"""Operators that are programs: they see the robot late, and steer it to one goal after the other in their mode."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.modes.avoidance import travel_gradient
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.inverse_rates import Inverse
+from deltaq_controllers.modes.motion import HAND_AXES, ModeName, Wish
+
+Array = NDArray[np.float64]
+
+REACTION_S = 0.25
+"""How late an operator acts on what is seen."""
+
+HAND_M_S, HAND_RAD_S = 0.1, np.deg2rad(20.0)
+JOINT_M_S, JOINT_RAD_S = 0.1, np.deg2rad(10.0)
+"""Greatest rates that an operator asks for."""
+
+GAIN_S = 1.5
+"""Rate for an error, before the greatest is reached [1/s]; 250 ms of delay bear no more than about 2."""
+
+CHANGE_S = 0.4
+"""Time to choose another joint."""
+
+NEAR_M, NEAR_RAD = 1.5e-3, np.deg2rad(0.3)
+"""What an operator takes for reached."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the hand is to be.
+
+    Attributes:
+        name: of the part of the task that ends there.
+        pose: T_world_tool, (4, 4).
+        steps: into how many pieces an operator without hand axes divides the way.
+    """
+
+    name: str
+    pose: Array
+    steps: int = 1
+
+
+def error_to(goal: Array, pose: Array) -> Array:
+    """(6,) offset [m] over rotation vector [rad] from a pose to a goal, both (4, 4), world axes."""
+    turn: Array = pin.log3(goal[:3, :3] @ pose[:3, :3].T)
+    return np.concatenate([goal[:3, 3] - pose[:3, 3], turn])
+
+
+def is_near(error: Array) -> bool:
+    """Whether an operator takes the goal for reached."""
+    return bool(np.linalg.norm(error[:3]) < NEAR_M and np.linalg.norm(error[3:]) < NEAR_RAD)
+
+
+class Late:
+    """What an operator sees: configurations of `REACTION_S` ago."""
+
+    def __init__(self, cycle_s: float) -> None:
+        self._seen: deque[Array] = deque(maxlen=max(1, round(REACTION_S / cycle_s)))
+
+    def __call__(self, q: Array) -> Array:
+        """The configuration (n,) seen while the robot stands at `q` (n,)."""
+        self._seen.append(q)
+        return self._seen[0]
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot has not moved in all that is seen."""
+        first = self._seen[0]
+        return len(self._seen) == self._seen.maxlen and bool(np.abs(self._seen[-1] - first).max() < 2e-5)
+
+
+class Operator(Protocol):
+    """Steers to one goal."""
+
+    def wish(self, q: Array, goal: Goal) -> Wish | None:
+        """The wish on seeing the robot at `q` (n,) now; None when the goal has been reached."""
+        ...
+
+
+class HandOperator:
+    """Steers the hand by its axes, as in decoupled and coupled mode."""
+
+    def __init__(self, robot: RobotModel, cycle_s: float, mode: ModeName) -> None:
+        self._robot, self._mode = robot, mode
+        self._see = Late(cycle_s)
+
+    def wish(self, q: Array, goal: Goal) -> Wish | None:
+        """Rates in proportion to the error, up to the greatest."""
+        error = error_to(goal.pose, self._robot.forward(self._see(q)))
+        if is_near(error) and self._see.stands:
+            return None
+        rates = GAIN_S * error
+        excess = max(np.linalg.norm(rates[:3]) / HAND_M_S, np.linalg.norm(rates[3:]) / HAND_RAD_S, 1.0)
+        if is_near(error):
+            rates[:] = 0.0
+        return Wish(dict(zip(HAND_AXES, (rates / excess).tolist(), strict=True)), self._mode)
+
+
+class PostureOperator:
+    """Steers the hand as in decoupled mode, then betters the posture by self-motion before going on to work.
+
+    The base joint that lowers joint travel the most is driven for `POSTURE_S`, once for each goal that is reached from
+    afar.
+    """
+
+    POSTURE_S = 3.0
+
+    def __init__(self, robot: RobotModel, cycle_s: float) -> None:
+        self._robot, self._cycle_s = robot, cycle_s
+        self._hand = HandOperator(robot, cycle_s, ModeName.DECOUPLED)
+        self._base = np.flatnonzero(~Hands(robot).arms.any(axis=0))
+        self._left: int | None = None
+        self._wish = Wish()
+
+    def wish(self, q: Array, goal: Goal) -> Wish | None:
+        """To the goal, then the posture."""
+        if self._left is None:
+            wish = self._hand.wish(q, goal)
+            if wish is not None or not goal.name.startswith("reach"):
+                return wish
+            self._left = round(self.POSTURE_S / self._cycle_s)
+            self._wish = self._better(q)
+        if self._left > 0:
+            self._left -= 1
+            return self._wish
+        self._left = None
+        return None
+
+    def _better(self, q: Array) -> Wish:
+        descent = -travel_gradient(q, self._robot.lower, self._robot.upper)
+        gains = []
+        for joint in self._base:
+            jacobian = self._robot.jacobian(q)
+            inverse = Inverse.of(np.where(np.arange(self._robot.n) == joint, 0.0, jacobian))
+            way = -inverse(jacobian[:, joint])
+            way[joint] = 1.0
+            gains.append(float(descent @ way))
+        best = int(np.argmax(np.abs(gains)))
+        name = self._robot.joint_names[self._base[best]]
+        return Wish({name: float(np.sign(gains[best])) * 0.05}, ModeName.SELF_MOTION)
+
+
+class JointOperator:
+    """Drives one joint after the other to where the goal wants it, the one that is farthest off first.
+
+    The operator knows that, as with a robot whose points have been taught: a generous assumption.
+    """
+
+    def __init__(self, robot: RobotModel, cycle_s: float) -> None:
+        self._robot, self._cycle_s = robot, cycle_s
+        self._arm = Hands(robot).arms.any(axis=0)
+        self._see = Late(cycle_s)
+        self._rates = np.where(robot.revolute, JOINT_RAD_S, JOINT_M_S)
+        self._near = np.full(robot.n, 2e-4)
+        self._goal: Goal | None = None
+        self._ways: list[Array] = []
+        self._joint: int | None = None
+        self._pause = 0
+
+    def wish(self, q: Array, goal: Goal) -> Wish | None:
+        """The rate of the joint that is driven now."""
+        if goal is not self._goal:
+            self._goal, self._ways = goal, self._divided(q, goal)
+        seen = self._see(q)
+        if self._pause > 0:
+            self._pause -= 1
+            return Wish({}, ModeName.JOINT)
+        off = self._ways[0] - seen
+        if self._joint is not None and abs(off[self._joint]) > self._near[self._joint]:
+            return self._driving(self._joint, off)
+        if not self._see.stands:
+            return Wish({}, ModeName.JOINT)
+        worst = int(np.argmax(np.abs(off) / self._rates))
+        if abs(off[worst]) > self._near[worst]:
+            self._joint, self._pause = worst, round(CHANGE_S / self._cycle_s)
+            return Wish({}, ModeName.JOINT)
+        self._joint = None
+        self._ways.pop(0)
+        return Wish({}, ModeName.JOINT) if self._ways else None
+
+    def _driving(self, joint: int, off: Array) -> Wish:
+        rate = float(np.clip(GAIN_S * off[joint], -self._rates[joint], self._rates[joint]))
+        return Wish({self._robot.joint_names[joint]: rate}, ModeName.JOINT)
+
+    def _divided(self, q: Array, goal: Goal) -> list[Array]:
+        """Configurations along the straight way to a goal."""
+        start = self._robot.forward(q)
+        error = error_to(goal.pose, start)
+        ways = []
+        for step in range(1, goal.steps + 1):
+            share = step / goal.steps
+            pose = start.copy()
+            pose[:3, 3] += share * error[:3]
+            pose[:3, :3] = pin.exp3(share * error[3:]) @ start[:3, :3]
+            q = self._inverse(q, pose)
+            ways.append(q)
+        return ways
+
+    def _inverse(self, q: Array, pose: Array) -> Array:
+        for _ in range(30):
+            error = error_to(pose, self._robot.forward(q))
+            q = q + Inverse.of(self._robot.jacobian(q) * self._arm)(error)
+        return q

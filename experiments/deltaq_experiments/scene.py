@@ -1,0 +1,65 @@
+"""The two robots of the paper's experiments, and the camera controller that is tried on them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera_controllers import FocusController, camera_controller_named
+from deltaq_controllers.scene import Scene
+from deltaq_experiments.options import Options
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+
+FOLLOWER, LEADER = "fr", "gr"
+VIEW_DISTANCE_M = 1.25
+
+LOOP_CYCLES = 3
+"""Cycles from a measurement to the drives: the answer, its way to the controller, the drives' sampling."""
+
+
+def load(options: Options, experiment: str) -> CellModel:
+    """The cell of an experiment.
+
+    Raises:
+        DeltaqError: if it has no such robots.
+    """
+    cell = CellModel.load(options.cell)
+    if not {FOLLOWER, LEADER} <= set(cell.robots):
+        raise DeltaqError(
+            f"the {experiment} experiment needs robots {FOLLOWER} and {LEADER}, cell {cell.description.cell} has "
+            f"{', '.join(cell.robots)}"
+        )
+    return cell
+
+
+def camera_controller(
+    cell: CellModel,
+    name: str = "paper",
+    latency_s: float = 0.06,
+    distance_m: float = VIEW_DISTANCE_M,
+    focus: Array | None = None,
+) -> FocusController:
+    """The camera controller of that name, looking at the leader's tool or at a fixed point.
+
+    Raises:
+        DeltaqError: if there is none of that name.
+    """
+    scene = Scene(cell, FOLLOWER, LEADER, latency_s)
+    return camera_controller_named(name, scene, distance_m, focus)
+
+
+def added_delay_cycles(cell: CellModel, latency_s: float) -> int:
+    """Cycles by which the leader's measurement must be held back so that the whole latency is `latency_s`."""
+    lag = cell.robots[FOLLOWER].description.servo_lag
+    cycle_s = cell.description.cycle_s
+    own_s = LOOP_CYCLES * cycle_s + lag.dead_time_s + 2 * lag.damping / lag.natural_frequency_rad_s
+    cycles = round((latency_s - own_s) / cycle_s)
+    if cycles < 0:
+        raise DeltaqError(
+            f"--latency-s {latency_s:g} is below what the loop has by itself, {own_s:.3f} s: the drives' lag and "
+            f"{LOOP_CYCLES} cycles; ask for at least that, or set a shorter servo_lag in the cell"
+        )
+    return cycles

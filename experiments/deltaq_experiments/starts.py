@@ -1,0 +1,74 @@
+"""Where an approach begins: configurations from which the camera looks well past what it should see."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera_controllers import FocusController
+from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+
+LEAST_CLEARANCE_M = 0.15
+LEAST_SELF_CLEARANCE_M = 0.05
+DISTANCES_M = 0.9, 1.7
+"""View distances that a start may have."""
+
+_REACH_RAD = np.array([0.6, 0.4, 0.4, 3.0, 2.0, 1.5])
+"""How far from home the joints of a start are drawn; the wrist's most."""
+
+
+def start_with_error(cell: CellModel, camera: FocusController, error: float, seed: int) -> Array:
+    """A configuration from which the camera misses the leader's tool at its home by a given angle.
+
+    Args:
+        cell: the cell.
+        camera: knows the camera and what it looks at.
+        error: the angle [rad].
+        seed: of the search.
+
+    Returns:
+        (n,) configuration of the robot with the camera, clear of everything [rad].
+
+    Raises:
+        DeltaqError: if none is found.
+    """
+    robot, q_leader = cell.robots[FOLLOWER], cell.robots[LEADER].home
+    random, oracle = np.random.default_rng(seed), ClearanceOracle(cell)
+    guard = 0.05 * (robot.upper - robot.lower)
+    reach = np.resize(_REACH_RAD, robot.n)
+    for _ in range(2000):
+        far = np.clip(robot.home + random.uniform(-reach, reach), robot.lower + guard, robot.upper - guard)
+        if camera.errors(far, q_leader)[0] < error:
+            continue
+        q = _between(camera, robot.home, far, q_leader, error)
+        distance = camera.errors(q, q_leader)[1] + camera.desired_distance_m
+        if not DISTANCES_M[0] < distance < DISTANCES_M[1]:
+            continue
+        both = {FOLLOWER: q, LEADER: q_leader}
+        if (
+            oracle.between_robots_and_structure(both).distance_m > 0.9 * LEAST_CLEARANCE_M
+            and oracle.between_robots(both).distance_m > LEAST_CLEARANCE_M
+            and oracle.of_one_robot(both).distance_m > LEAST_SELF_CLEARANCE_M
+        ):
+            return q
+    raise DeltaqError(
+        f"no configuration of {FOLLOWER} looks {np.rad2deg(error):.0f} degrees past the leader's tool within its "
+        "limits and clear of everything; try another --seed"
+    )
+
+
+def _between(camera: FocusController, near: Array, far: Array, q_leader: Array, error: float) -> Array:
+    """The configuration on the way from `near` to `far` at which the angle passes `error`."""
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if camera.errors(near + middle * (far - near), q_leader)[0] < error:
+            low = middle
+        else:
+            high = middle
+    return near + high * (far - near)

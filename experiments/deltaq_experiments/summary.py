@@ -1,0 +1,58 @@
+"""The part of a report that all experiments share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_experiments.options import Options
+from deltaq_experiments.report import Figures
+from deltaq_experiments.trace import time_to_stay_below
+from deltaq_experiments.virtual import Recording
+
+Array = NDArray[np.float64]
+
+
+def summary(
+    experiment: str,
+    options: Options,
+    cell: CellModel,
+    recording: Recording,
+    angle_deg: Array,
+    distance_error_m: Array,
+    elapsed_s: float,
+) -> dict[str, Any]:
+    """Fields of a `Report`.
+
+    Args:
+        experiment: its name.
+        options: what it was run with.
+        cell: the cell.
+        recording: what was recorded.
+        angle_deg: (k,) view angle error.
+        distance_error_m: (k,) view distance less the desired one.
+        elapsed_s: time that it took.
+    """
+    trace = recording.trace
+    settled = trace.time_s >= options.settle_s
+    return {
+        "experiment": experiment,
+        "controller": options.controller,
+        "seed": options.seed,
+        "live": options.live,
+        "cycles": len(trace.time_s),
+        "cycle_s": cell.description.cycle_s,
+        "latency_s": options.latency_s,
+        "leader_speed_m_s": options.leader_speed_m_s,
+        "angle_deg": Figures.of(np.abs(angle_deg), settled),
+        "distance_m": Figures.of(np.abs(distance_error_m), settled),
+        "time_to_1_deg_s": time_to_stay_below(trace.time_s, np.abs(angle_deg), 1.0),
+        "clearance_m": trace.least_clearance(cell),
+        "limits": trace.limit_counts(cell),
+        "gate": recording.gate,
+        "reasons": recording.reasons,
+        "real_time_factor": float(trace.time_s[-1]) / elapsed_s,
+    }

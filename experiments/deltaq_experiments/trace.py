@@ -1,0 +1,97 @@
+"""What was recorded of a run, and the figures that follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera_controllers import FocusController
+from deltaq_experiments.oracle import ClearanceOracle, LimitViolations, limit_violations
+from deltaq_experiments.report import LeastClearance, LimitCounts
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A recorded run.
+
+    Attributes:
+        time_s: (k,) since the beginning.
+        q: per robot (k, n) measured configurations at these times [rad or m].
+        setpoints: per robot (m, n) consecutive setpoints of the emulated controller [rad or m].
+    """
+
+    time_s: Array
+    q: Mapping[str, Array]
+    setpoints: Mapping[str, Array]
+
+    def views(self, camera: FocusController, robot: str, leader: str) -> Array:
+        """(k, 2) view angle error [deg] and view distance [m] of the measured configurations.
+
+        Args:
+            camera: knows the camera and what it looks at.
+            robot: the one with the camera.
+            leader: the one that is watched.
+        """
+        pairs = zip(self.q[robot], self.q[leader], strict=True)
+        both: Array = np.array([camera.errors(q, q_leader) for q, q_leader in pairs])
+        both *= np.array([180.0 / np.pi, 1.0])
+        both[:, 1] += camera.desired_distance_m
+        return both
+
+    def clearances(self, camera: FocusController, robot: str, leader: str) -> Array:
+        """(k,) clearance as the controller measures it [m]."""
+        pairs = zip(self.q[robot], self.q[leader], strict=True)
+        return np.array([camera.clearance(q, q_leader) for q, q_leader in pairs])
+
+    def near_limit(self, robot: RobotModel, share: float = 0.03) -> NDArray[np.bool_]:
+        """(k,) whether a joint is within `share` of its range of a limit."""
+        q, margin = self.q[robot.name], share * (robot.upper - robot.lower)
+        near: NDArray[np.bool_] = (q < robot.lower + margin) | (q > robot.upper - margin)
+        return np.asarray(near.any(axis=1))
+
+    def points(self, robot: RobotModel) -> Array:
+        """(k, 3) the tool in the world [m]."""
+        return np.array([robot.forward(q)[:3, 3] for q in self.q[robot.name]])
+
+    def least_clearance(self, cell: CellModel) -> LeastClearance:
+        """Measured by the oracle at every recorded time."""
+        oracle = ClearanceOracle(cell)
+        moments = [{name: q[k] for name, q in self.q.items()} for k in range(len(self.time_s))]
+        nearest = min((oracle.between_robots_and_structure(m) for m in moments), key=lambda n: n.distance_m)
+        own = min(oracle.of_one_robot(m).distance_m for m in moments)
+        robots = float(self.robot_clearances(cell).min(initial=np.inf))
+        return LeastClearance(min=nearest.distance_m, pair=nearest.pair, robots_min=robots, self_min=own)
+
+    def robot_clearances(self, cell: CellModel) -> Array:
+        """(k,) least distance between bodies of different robots at every recorded time [m]."""
+        oracle = ClearanceOracle(cell)
+        moments = ({name: q[k] for name, q in self.q.items()} for k in range(len(self.time_s)))
+        return np.array([oracle.between_robots(moment).distance_m for moment in moments])
+
+    def limit_counts(self, cell: CellModel) -> LimitCounts:
+        """Counted from the emulated controllers' setpoints."""
+        total = sum(
+            (
+                limit_violations(cell.robots[name], setpoints, cell.description.cycle_s)
+                for name, setpoints in self.setpoints.items()
+            ),
+            LimitViolations(0, 0, 0),
+        )
+        return LimitCounts(
+            position_violations=total.position,
+            velocity_violations=total.velocity,
+            acceleration_violations=total.acceleration,
+        )
+
+
+def time_to_stay_below(time_s: Array, values: Array, bound: float) -> float | None:
+    """When `values` (k,) first fell to `bound`; None if they never did."""
+    below = np.flatnonzero(values <= bound)
+    return float(time_s[below[0]]) if below.size else None

@@ -1,0 +1,84 @@
+"""The paper's camera tracking (VI-C, Fig. 9): the leader moves about, the camera keeps it in view."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_experiments.options import Options
+from deltaq_experiments.panels import Line, Panel
+from deltaq_experiments.report import Outcome, Report
+from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.summary import summary
+from deltaq_experiments.trace import Trace
+from deltaq_experiments.virtual import Recording, record
+
+DURATION_S = 40.0
+
+
+def run(options: Options) -> Outcome:
+    """Run the experiment in virtual time, or live over real processes.
+
+    Raises:
+        DeltaqError: if the loop alone is slower than the latency asked for, or the cell has no such robots.
+    """
+    options = options.lasting(DURATION_S)
+    cell = load(options, "tracking")
+    began_s = time.perf_counter()
+    recording = _run_live(options, cell) if options.live else _run_virtual(options, cell)
+    elapsed_s = time.perf_counter() - began_s
+    views = recording.trace.views(camera_controller(cell, options.controller), FOLLOWER, LEADER)
+    angle, error = views[:, 0], views[:, 1] - VIEW_DISTANCE_M
+    report = Report(**summary("tracking", options, cell, recording, angle, error, elapsed_s))
+    return Outcome(report, panels(cell, recording.trace, angle, views[:, 1]))
+
+
+def _run_virtual(options: Options, cell: CellModel) -> Recording:
+    camera = camera_controller(cell, options.controller, options.latency_s)
+    speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
+    return record(options, camera, ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed))
+
+
+def _run_live(options: Options, cell: CellModel) -> Recording:
+    from deltaq_experiments.live import run_live
+
+    return run_live(options, cell)
+
+
+def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarray) -> tuple[Panel, ...]:
+    """The layout of Fig. 9.
+
+    Args:
+        cell: that was recorded.
+        trace: of both robots.
+        angle: (k,) view angle error [deg].
+        distance: (k,) view distance [m].
+    """
+    clock, p = trace.time_s, trace.points(cell.robots[LEADER])
+    moved = p - p[0]
+    size = np.linalg.norm(moved, axis=1)
+    scaled = size * (float(angle.max()) / max(float(size.max()), 1e-9))
+    return (
+        Panel(
+            "View angle error; dotted: |p|, scaled",
+            "deg",
+            (Line("angle error", clock, angle), Line("|p|", clock, scaled, ":")),
+            bound=1.0,
+        ),
+        Panel(
+            "View distance",
+            "m",
+            (
+                Line("distance", clock, distance),
+                Line("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
+            ),
+        ),
+        Panel(
+            "Leader's tool, from where it began",
+            "m",
+            tuple(Line(axis, clock, moved[:, k]) for k, axis in enumerate("xyz")),
+        ),
+    )

@@ -1,0 +1,108 @@
+"""A camera controller and a leader in virtual time, through the cores of the services, recorded."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.interface import Controller, RobotView, View
+from deltaq_experiments.lockstep import Lockstep
+from deltaq_experiments.options import Options
+from deltaq_experiments.recorded import lockstep
+from deltaq_experiments.report import GateCounts
+from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles
+from deltaq_experiments.trace import Trace
+from deltaq_protocol.messages import RobotState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What came of a run.
+
+    Attributes:
+        trace: where the robots were.
+        gate: verdicts by outcome.
+        reasons: reasons by code.
+    """
+
+    trace: Trace
+    gate: GateCounts
+    reasons: dict[str, int]
+
+
+def record(
+    options: Options,
+    camera: Controller,
+    leader: Controller | None = None,
+    start: Mapping[str, Array] | None = None,
+    before_cycle: Callable[[float], None] | None = None,
+) -> Recording:
+    """Run the whole stack in virtual time.
+
+    The camera controller sees its own robot's newest state and the leader's as old as the latency wants it; the
+    leader sees both robots' newest.
+
+    Args:
+        options: with `length_s` known.
+        camera: moves the robot with the camera.
+        leader: moves the leader; None lets it stand.
+        start: (n,) configuration per robot that shall not start at home [rad or m].
+        before_cycle: called with the time since the start, before the controllers are asked.
+
+    Raises:
+        DeltaqError: if the loop alone is slower than the latency asked for.
+    """
+    with lockstep(options.cell, start, options.record) as stack:
+        return _run(stack, options, camera, leader, before_cycle)
+
+
+def _run(
+    stack: Lockstep,
+    options: Options,
+    camera: Controller,
+    leader: Controller | None,
+    before_cycle: Callable[[float], None] | None,
+) -> Recording:
+    cycle_s = stack.cell.description.cycle_s
+    delay_cycles = added_delay_cycles(stack.cell, options.latency_s)
+    stack.run_until_ready()
+    stack.acquire(FOLLOWER, "camera-follower")
+    if leader is not None:
+        stack.acquire(LEADER, "scripted-leader")
+    seen: deque[RobotView] = deque(maxlen=delay_cycles + 1)
+    q: dict[str, list[Array]] = {name: [] for name in stack.arms}
+    setpoints: dict[str, list[Array]] = {name: [] for name in stack.arms}
+    cycles = max(1, round(options.length_s / cycle_s))
+    for cycle in range(cycles):
+        stack.cycle()
+        if before_cycle is not None:
+            before_cycle(cycle * cycle_s)
+        own, other = view_of(stack.arms[FOLLOWER].state), view_of(stack.arms[LEADER].state)
+        seen.append(other)
+        if leader is not None:
+            stack.ask(LEADER, leader.increment(View(other, {FOLLOWER: own})))
+        stack.ask(FOLLOWER, camera.increment(View(own, {LEADER: seen[0]})))
+        for name, arm in stack.arms.items():
+            assert arm.krc is not None  # both robots of these experiments are driven over RSI
+            q[name].append(arm.krc.sample.q)
+            setpoints[name].append(arm.krc.sample.q_setpoint)
+    trace = Trace(
+        np.arange(cycles, dtype=np.float64) * cycle_s,
+        {name: np.array(rows) for name, rows in q.items()},
+        {name: np.array(rows) for name, rows in setpoints.items()},
+    )
+    counters = stack.sim.counters
+    reasons = {k.removeprefix("reason_"): v for k, v in counters.items() if k.startswith("reason_")}
+    return Recording(trace, GateCounts.of(counters), reasons)
+
+
+def view_of(state: RobotState | None) -> RobotView:
+    """A robot of a running stack as its controller sees it."""
+    assert state is not None  # the stack is ready
+    return RobotView.from_state(state)

@@ -1,0 +1,163 @@
+"""The paper's zooming (VI-D, Fig. 10): the operator changes the view distance while the camera tracks."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_experiments.options import Options
+from deltaq_experiments.panels import Line, Marks, Panel
+from deltaq_experiments.report import Outcome, Report
+from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.summary import summary
+from deltaq_experiments.virtual import Recording, record
+from deltaq_protocol.errors import DeltaqError
+
+Array = NDArray[np.float64]
+
+DURATION_S = 40.0
+DISTANCES_M = (VIEW_DISTANCE_M, 1.0, 1.5, 0.8, 2.6)
+"""What the operator asks for, one after the other; the last one is farther than the arm reaches back."""
+
+REACHED_M = 0.01
+"""Error of a plateau that counts as reached."""
+
+
+class Plateau(BaseModel):
+    """One desired distance.
+
+    Attributes:
+        from_s: when it was asked for.
+        desired_m: the distance.
+        error_m: root mean square error over the last third of its time.
+        largest_error_m: largest error of that time.
+        reached: whether `error_m` is within a centimetre.
+        why_not: what stood in the way; None if it was reached.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    from_s: float
+    desired_m: float
+    error_m: float
+    largest_error_m: float
+    reached: bool
+    why_not: str | None
+
+
+class ZoomReport(Report):
+    """The common figures, and each desired distance by itself."""
+
+    plateaus: tuple[Plateau, ...]
+
+
+@dataclass(frozen=True)
+class Views:
+    """What the camera saw, (k,) each."""
+
+    angle_deg: Array
+    distance_m: Array
+    desired_m: Array
+    near_limit: NDArray[np.bool_]
+    evading: NDArray[np.bool_]
+
+
+def run(options: Options) -> Outcome:
+    """Run the experiment in virtual time.
+
+    Raises:
+        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, or it
+            shall run live.
+    """
+    options = options.lasting(DURATION_S)
+    cell = load(options, "zoom")
+    if options.live:
+        raise DeltaqError(
+            "zoom turns the view distance from inside the run: virtual time only, without --live"
+        )
+    hold_s = options.length_s / len(DISTANCES_M)
+    camera = camera_controller(cell, options.controller, options.latency_s)
+
+    def turn_the_dial(time_s: float) -> None:
+        camera.desired_distance_m = desired_at(time_s, hold_s)
+
+    began_s = time.perf_counter()
+    speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
+    leader = ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed)
+    recording = record(options, camera, leader, before_cycle=turn_the_dial)
+    elapsed_s = time.perf_counter() - began_s
+    views = _views(cell, recording, camera, hold_s)
+    error = views.distance_m - views.desired_m
+    clock = recording.trace.time_s
+    report = ZoomReport(
+        **summary("zoom", options, cell, recording, views.angle_deg, error, elapsed_s),
+        plateaus=tuple(
+            plateau(views, clock, index * hold_s, (index + 1) * hold_s) for index in range(len(DISTANCES_M))
+        ),
+    )
+    return Outcome(report, _panels(clock, views))
+
+
+def desired_at(time_s: float, hold_s: float) -> float:
+    """The distance that the operator asks for [m]."""
+    return DISTANCES_M[min(int(time_s / hold_s), len(DISTANCES_M) - 1)]
+
+
+def plateau(views: Views, clock: Array, from_s: float, to_s: float) -> Plateau:
+    """Judge one desired distance by the last third of its time."""
+    end = (clock >= to_s - (to_s - from_s) / 3.0) & (clock < to_s)
+    error = np.abs(views.distance_m - views.desired_m)[end]
+    rms = float(np.sqrt(np.mean(error**2)))
+    reached = rms <= REACHED_M
+    return Plateau(
+        from_s=from_s,
+        desired_m=float(views.desired_m[end][-1]),
+        error_m=rms,
+        largest_error_m=float(error.max()),
+        reached=reached,
+        why_not=None if reached else _why(views.near_limit[end], views.evading[end]),
+    )
+
+
+def _why(near_limit: NDArray[np.bool_], evading: NDArray[np.bool_]) -> str:
+    causes = {
+        "a joint is near its limit": float(near_limit.mean()),
+        "something is in the way": float(evading.mean()),
+    }
+    found = [cause for cause, share in causes.items() if share > 0.5]
+    return " and ".join(found) if found else "the arm reaches no farther, or the camera is still on its way"
+
+
+def _views(cell: CellModel, recording: Recording, camera: FocusController, hold_s: float) -> Views:
+    trace = recording.trace
+    views = trace.views(camera, FOLLOWER, LEADER)
+    return Views(
+        views[:, 0],
+        views[:, 1],
+        np.array([desired_at(time_s, hold_s) for time_s in trace.time_s]),
+        trace.near_limit(cell.robots[FOLLOWER]),
+        trace.clearances(camera, FOLLOWER, LEADER) < camera.evades_below_m,
+    )
+
+
+def _panels(clock: Array, views: Views) -> tuple[Panel, ...]:
+    marks = (
+        Marks("joint near its limit", clock, views.near_limit),
+        Marks("F_rep acts", clock, views.evading),
+    )
+    return (
+        Panel("View angle error", "deg", (Line("", clock, views.angle_deg),), marks, bound=1.0),
+        Panel(
+            "View distance",
+            "m",
+            (Line("distance", clock, views.distance_m), Line("desired", clock, views.desired_m, "--")),
+            marks,
+        ),
+    )

@@ -1,0 +1,40 @@
+"""Adversaries on both robots, over wires that lose, delay, double and reorder: no invariant gives way."""
+
+import pytest
+
+from deltaq_experiments.attack import run
+from deltaq_experiments.oracle import LimitViolations
+
+
+def assert_nothing_gave_way(report):
+    limits = LimitViolations(
+        report.limits.position_violations,
+        report.limits.velocity_violations,
+        report.limits.acceleration_violations,
+    )
+    assert report.violations == ()
+    assert limits.total == 0
+    assert report.gate.admitted > 0
+    assert report.gate.scaled > 0
+    assert report.gate.held > 0
+    assert report.gate.refused > 0
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 1, 3, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(4, 14))]
+)
+def test_four_thousand_decisions_under_attack_break_nothing(seed):
+    report = run(seed=seed, duration_s=30.0)
+    assert_nothing_gave_way(report)
+    assert report.decided > 3000
+
+
+def test_one_seed_is_one_run():
+    assert run(seed=3, duration_s=6.0) == run(seed=3, duration_s=6.0)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("seed", range(1000, 1250))
+def test_a_million_decisions_under_attack_break_nothing(seed):
+    assert_nothing_gave_way(run(seed=seed, duration_s=30.0))

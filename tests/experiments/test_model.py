@@ -1,0 +1,109 @@
+"""The explorer: what holds of Robot Server and SIM within its bounds, and that it can find what does not."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltaq_experiments.model.broken import BROKEN
+from deltaq_experiments.model.explore import explore
+from deltaq_experiments.model.ledger import Property
+from deltaq_experiments.model.system import System
+from deltaq_protocol.messages import Phase
+
+MOST_CYCLES = 40
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "what-is-proved-of-the-phases.md"
+
+
+def documented():
+    blocks = re.findall(r"^```sh\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in block.splitlines()]
+
+
+def test_the_services_hold_every_property_whatever_is_asked_of_them():
+    assert explore(System(), faults=0, cycles=MOST_CYCLES).counterexample is None
+
+
+@pytest.mark.parametrize("line", documented(), ids=lambda line: line.partition("model ")[2])
+def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_the_page_tells(line):
+    command = [sys.executable, *shlex.split(line)[1:]]
+    ended = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    printed = json.loads(ended.stdout)
+    cycles = "any number" if printed["complete"] else printed["cycles"]
+    row = f"| {printed['faults']} | {cycles} | {printed['states']} | {printed['moves']} |"
+    assert row in PAGE.read_text(encoding="utf-8").splitlines()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize(("faults", "cycles"), [(1, 8), (2, 4)])
+def test_with_more_faults_every_property_holds(faults, cycles):
+    assert explore(System(), faults, cycles).counterexample is None
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.system.__name__)
+def test_a_broken_system_is_found_out(broken):
+    found = explore(broken.system(), broken.faults, cycles=10)
+    assert found.counterexample is not None
+    assert found.counterexample.violation.broken is broken.breaks
+
+
+def test_a_counterexample_is_a_shortest_way():
+    late = next(broken for broken in BROKEN if broken.system.__name__ == "LateIsTaken")
+    found = explore(late.system(), late.faults, cycles=10).counterexample
+    assert found is not None
+    turns = len(found.moves)
+    assert turns % 3 == 1  # it ends with the telegram that moved the robot
+    shorter = explore(late.system(), late.faults, cycles=turns // 3)
+    assert shorter.counterexample is None
+
+
+def test_every_phase_is_reached():
+    system, phases = System(), set()
+    frontier, seen = [system.start(0)], set()
+    while frontier and phases != set(Phase):
+        world = frontier.pop(0)
+        if world.server.state is not None:
+            phases.add(world.server.state.phase)
+        for move in system.moves(world):
+            assert move.world is not None
+            key = repr(move.world.key())
+            if key not in seen:
+                seen.add(key)
+                frontier.append(move.world)
+    assert phases == set(Phase)
+
+
+def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_server():
+    told = {
+        "state": {"_q_cmd", "_dq", "_plan", "_plan_dq", "_epoch", "_sequence", "_phase", "_reason", "_cycle"},
+        "key": {"_cycles_without_gate", "_cycles_missed", "_resets", "state"},
+        "fixed or only counted": {
+            "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles",
+        },
+    }  # fmt: skip
+    assert set(vars(System().start(0).server)) == set.union(*told.values())
+
+
+def test_the_latch_does_not_outlive_the_robot_server():
+    """A known limit: the latch is in the memory of the process."""
+    found = explore(System(server_crashes=True), faults=1, cycles=6).counterexample
+    assert found is not None
+    assert "the Robot Server crashes" in found.moves
+
+
+def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():
+    command = [sys.executable, "-m", "deltaq_experiments.model", "--json", "--server-crashes"]
+    ended = subprocess.run(
+        [*command, "--faults", "1", "--cycles", "6"], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 1, ended.stderr
+    printed = json.loads(ended.stdout)
+    assert printed["holds"] is False
+    assert printed["counterexample"]["moves"][-1].startswith("telegram")
+    assert set(printed["properties"]) == {one.name.lower() for one in Property}

@@ -1,0 +1,54 @@
+"""`deltaq experiment tracking`, `deltaq bench`: what a user gets from them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from private_cell import write_private_cell
+
+DELTAQ = Path(sys.executable).with_name("deltaq")
+
+
+def deltaq(*arguments, timeout=300):
+    done = subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=timeout, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_the_paper_keeps_the_leader_in_view_within_a_degree_and_two_centimetres():
+    status, out, error = deltaq(
+        "experiment", "tracking", "--controller", "paper", "--leader-speed-m-s", "0.25", "--latency-s", "0.06", "--json"
+    )  # fmt: skip
+    assert status == 0, error
+    report = json.loads(out)
+    assert report["cycles"] == 3333
+    assert report["angle_deg"]["max"] <= 1.0
+    assert report["distance_m"]["max"] <= 0.021
+    assert set(report["limits"].values()) == {0}
+    assert report["clearance_m"]["min"] >= 0.05
+    assert report["gate"]["refused"] == 0
+
+
+@pytest.mark.live
+def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
+    """Figures depend on the machine; what must hold on any is that both robots work and nothing is passed."""
+    cell = write_private_cell(tmp_path)
+    status, out, error = deltaq(
+        "experiment", "tracking", "--live", "--duration-s", "10", "--cell", str(cell), "--json"
+    )
+    report = json.loads(out)
+    assert status in (0, 1), error  # 1: a cycle that the machine lost shows as a jump in acceleration
+    assert report["limits"]["position_violations"] == 0
+    assert report["limits"]["velocity_violations"] == 0
+    assert report["clearance_m"]["min"] >= 0.05
+    assert report["gate"]["admitted"] > 500
+    assert report["angle_deg"]["rms"] < 5.0
+
+
+def test_bench_tells_ratios_against_a_reference_of_the_same_run():
+    status, out, error = deltaq("bench", "--cycles", "20", "--json")
+    assert status in (0, 1), error
+    row = json.loads(out)["rows"][0]
+    assert row["median_ratio"] == pytest.approx(row["median_us"] / row["reference_us"])
+    assert "1495 pairs" in row["reference"]
