@@ -1,0 +1,228 @@
+"""The advisor on a cell: from where its robot is, or from its home, and through the gate to an option."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import Pose
+from deltaq_cell.structure import placement
+from deltaq_controllers.advisor.advisor import Option, Progress
+from deltaq_controllers.advisor.advisor import advise as advise_on
+from deltaq_controllers.advisor.driving import PathController, drive_path, timed
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, Problem
+from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
+from deltaq_deploy.running import connect, known_robot
+from deltaq_protocol.blocking import BlockingCell
+
+Array = NDArray[np.float64]
+
+STATE_DEADLINE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of the advisor; see `deltaq advise`."""
+
+    cell: str
+    robot: str = ""
+    hands: Mapping[str, tuple[float, ...]] | None = None
+    options: int = 5
+    method: str = "annealing"
+    weights: Mapping[str, float] | None = None
+    effort: float = 1.0
+    seed: int = 0
+    offline: bool = False
+    execute: int = 0
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What the advisor answered.
+
+    Attributes:
+        cell: name of the cell.
+        robot: name of the robot.
+        joints: their names.
+        method: of the search.
+        seed: of the search.
+        weights: of the criteria.
+        hands: (4, 4) where each hand shall be, in the world.
+        options: best first.
+        trials: configurations tried.
+        elapsed_s: from the question to the options, paths included.
+        executed: which option was driven to, and with what outcomes; None if none was.
+    """
+
+    cell: str
+    robot: str
+    joints: tuple[str, ...]
+    method: str
+    seed: int
+    weights: dict[str, float]
+    hands: dict[str, Array]
+    options: list[Option]
+    trials: int
+    elapsed_s: float
+    executed: dict[str, Any] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The answer as JSON takes it, in SI units."""
+        return {
+            "cell": self.cell,
+            "robot": self.robot,
+            "joints": list(self.joints),
+            "method": self.method,
+            "seed": self.seed,
+            "weights": self.weights,
+            "hands": {name: pose.tolist() for name, pose in self.hands.items()},
+            "trials": self.trials,
+            "elapsed_s": self.elapsed_s,
+            "options": [_as_dict(rank, option) for rank, option in enumerate(self.options, start=1)],
+            "executed": self.executed,
+        }
+
+
+def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True) -> Advice:
+    """Ask the advisor, and drive to an option if that was asked for.
+
+    Raises:
+        AdvisorError: a task that it cannot work on, or an option that there is none or no way to.
+        ServiceUnreachableError: the cell is not running, and `offline` was not asked for.
+        RefusedError: the robot is leased to somebody else.
+    """
+    cell = CellModel.load(request.cell)
+    known_robot(cell.description, request.robot)
+    robot, tracker = _robot(cell, request.robot)
+    with ExitStack() as stack:
+        running: BlockingCell | None = None
+        present = {name: np.array(model.home) for name, model in cell.robots.items()}
+        if not request.offline:
+            running = stack.enter_context(connect(cell.description, "deltaq advise"))
+            present |= _present(running)
+        poses = _poses(tracker, present[robot], request.hands or {})
+        problem = Problem(cell, robot, poses, request.weights, tracker)
+        began_s = time.perf_counter()
+        options = advise_on(
+            problem,
+            present[robot],
+            generator=np.random.default_rng(request.seed),
+            options=request.options,
+            method=request.method,
+            effort=request.effort,
+            exact=ExactClearance(cell, robot, present),
+            go_on=go_on,
+        )
+        elapsed_s = time.perf_counter() - began_s
+        executed = None
+        if request.execute:
+            assert running is not None  # the command refuses to execute offline
+            executed = _drive(running, tracker, cell.description.cycle_s, options, request.execute)
+        return Advice(
+            cell=cell.description.cell,
+            robot=robot,
+            joints=tracker.robot.joint_names,
+            method=request.method,
+            seed=request.seed,
+            weights=dict(WEIGHTS if request.weights is None else request.weights),
+            hands=dict(zip(tracker.robot.hands, poses, strict=True)),
+            options=options,
+            trials=problem.count,
+            elapsed_s=elapsed_s,
+            executed=executed,
+        )
+
+
+def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
+    """The robot of that name, or the first with joints to spare."""
+    if name:
+        return name, ConstraintTracker(cell.robots[name])
+    for candidate, model in cell.robots.items():
+        try:
+            tracker = ConstraintTracker(model)
+        except TrackingError:
+            continue
+        if len(tracker.base):
+            return candidate, tracker
+    raise AdvisorError(
+        f"cell {cell.description.cell} has no robot with joints to spare: nothing to advise on"
+    )
+
+
+def _present(running: BlockingCell) -> dict[str, Array]:
+    """Where the robots of a running cell are commanded to be, once each has been heard."""
+    deadline_s = time.monotonic() + STATE_DEADLINE_S
+    while True:
+        status = running.status().robots
+        if all(robot.q for robot in status.values()):
+            states = {name: running.state(name) for name in status}
+            return {
+                name: np.array(robot.q if state is None else state.q_cmd)
+                for (name, robot), state in zip(status.items(), states.values(), strict=True)
+            }
+        if time.monotonic() > deadline_s:
+            silent = ", ".join(name for name, robot in status.items() if not robot.q)
+            raise AdvisorError(f"nothing was heard of {silent}; see `deltaq status`")
+
+
+def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple[float, ...]]) -> Array:
+    """(h, 4, 4) where the hands shall be: as given, otherwise where they are."""
+    hands = tracker.robot.hands
+    for name in given:
+        if name not in hands:
+            raise AdvisorError(
+                f"robot '{tracker.robot.name}' has no hand {name!r}; it has {', '.join(hands)}"
+            )
+    poses = tracker.hands(present)
+    for number, name in enumerate(hands):
+        if name in given:
+            x, y, z, roll, pitch, yaw = given[name]
+            poses[number] = placement(Pose(position_m=(x, y, z), rpy_deg=(roll, pitch, yaw))).homogeneous
+    return poses
+
+
+def _drive(
+    running: BlockingCell, tracker: ConstraintTracker, cycle_s: float, options: list[Option], rank: int
+) -> dict[str, Any]:
+    """Drive to the option of a rank; which, with what outcomes, and how far the hands are off at its end."""
+    if rank > len(options):
+        raise AdvisorError(f"there is no option {rank}; there are {len(options)}")
+    path = options[rank - 1].path
+    if path is None:
+        ways = [str(number) for number, option in enumerate(options, start=1) if option.path is not None]
+        raise AdvisorError(
+            f"no way is known to option {rank} with the hands kept where they are; "
+            f"there is one to {', '.join(ways) or 'none'}"
+        )
+    setpoints, robot = timed(path, tracker, cycle_s), tracker.robot.name
+    with running.lease(robot) as leased:
+        outcomes = drive_path(leased, PathController(setpoints))
+        state = leased.state
+    assert state is not None  # drive_path ends with a state
+    off = tracker.hands(np.array(state.q_cmd)) - tracker.hands(path[0])
+    off_m = float(np.linalg.norm(off[:, :3, 3], axis=1).max())
+    return {"option": rank, "outcomes": dict(outcomes), "hands_off_m": off_m}
+
+
+def _as_dict(rank: int, option: Option) -> dict[str, Any]:
+    return {
+        "rank": rank,
+        "energy": option.energy,
+        "q": option.q.tolist(),
+        "values": option.values,
+        "costs": option.costs,
+        "clearance_m": option.clearance.distance_m,
+        "room_m": option.clearance.room_m,
+        "pair": list(option.clearance.pair),
+        "nearest_limit": option.nearest_limit,
+        "limit_share": option.limit_share,
+        "path": None if option.path is None else option.path.tolist(),
+    }

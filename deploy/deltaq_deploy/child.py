@@ -1,0 +1,129 @@
+"""One child process of the launcher, in a session of its own, with its output read line by line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+READY = "ready:"
+"""A service prints one line that begins so once it serves."""
+
+KEPT_LINES = 200
+
+NICENESS = -10
+"""Services run ahead of ordinary programs where the system allows it: a cycle does not wait."""
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A child serves."""
+
+    name: str
+    line: str
+
+
+@dataclass(frozen=True)
+class Exited:
+    """A child ended; a negative status is the signal that ended it."""
+
+    name: str
+    status: int
+
+
+class Child:
+    """A running child process.
+
+    It is the leader of its own session, so Ctrl-C on the terminal reaches the launcher alone, which then ends
+    its children in order. Should the launcher itself be killed, the kernel terminates the child.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        on_event: Callable[[Ready | Exited], None],
+        on_line: Callable[[str, str], None],
+    ) -> None:
+        """Start it.
+
+        Args:
+            name: what people call it.
+            command: program and arguments.
+            on_event: called from a thread of this child when it serves and when it has ended.
+            on_line: called from a thread of this child with its name and each line of its output.
+        """
+        self.name = name
+        self.lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self.exited = threading.Event()
+        self._on_event = on_event
+        self._on_line = on_line
+        self._process = subprocess.Popen(
+            [*_tied_to_parent(), *command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            encoding="utf-8",
+            errors="replace",
+        )
+        self.pid = self._process.pid
+        with contextlib.suppress(PermissionError, ProcessLookupError):
+            os.setpriority(os.PRIO_PROCESS, self.pid, NICENESS)
+        self._reader = threading.Thread(target=self._read, name=f"read {name}", daemon=True)
+        self._waiter = threading.Thread(target=self._wait, name=f"wait {name}", daemon=True)
+        self._reader.start()
+        self._waiter.start()
+
+    @property
+    def status(self) -> int | None:
+        """Exit status, None while it runs."""
+        return self._process.returncode if self.exited.is_set() else None
+
+    def stop(self, grace_s: float) -> bool:
+        """Ask it to end, and kill whatever is left of its process group after `grace_s`.
+
+        Returns:
+            Whether it ended by itself within the grace.
+        """
+        self._signal(signal.SIGTERM)
+        in_time = self.exited.wait(grace_s)
+        self._signal(signal.SIGKILL)
+        self.exited.wait()
+        self._waiter.join()
+        return in_time
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):  # the whole group has ended
+            os.killpg(self.pid, number)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None  # a pipe was asked for
+        ready = False
+        with self._process.stdout as output:
+            for line in output:
+                text = line.rstrip("\n")
+                self.lines.append(text)
+                self._on_line(self.name, text)
+                if not ready and text.startswith(READY):
+                    ready = True
+                    self._on_event(Ready(self.name, text))
+
+    def _wait(self) -> None:
+        status = self._process.wait()
+        # its own children may hold the pipe open for longer than it lives
+        self._reader.join(timeout=1.0)
+        self.exited.set()
+        self._on_event(Exited(self.name, status))
+
+
+def _tied_to_parent() -> list[str]:
+    setpriv = shutil.which("setpriv")  # part of util-linux
+    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []

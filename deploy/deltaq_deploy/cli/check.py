@@ -1,0 +1,30 @@
+"""`deltaq check`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from deltaq_deploy.cli.errors import BAD
+from deltaq_deploy.cli.options import JsonOption
+
+
+def check(
+    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
+    json: JsonOption = False,
+) -> None:
+    """Check the description of a cell, and point at file, line, field, value and bound of what is wrong."""
+    from deltaq_cell.check import check_cell
+    from deltaq_deploy.cli.console import print_json
+
+    report = check_cell(cell)
+    if json:
+        print_json(report.as_dict())
+    else:
+        for problem in report.problems:
+            typer.echo(f"{problem.severity}: {problem}")
+        if not report.problems:
+            typer.echo(f"{cell}: good")
+    if not report.ok:
+        raise typer.Exit(BAD)

@@ -1,0 +1,30 @@
+"""`deltaq doctor`."""
+
+from __future__ import annotations
+
+import typer
+
+from deltaq_deploy.cli.errors import BAD
+from deltaq_deploy.cli.options import CellOption, JsonOption
+
+
+def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
+    """Say whether this machine is fit to run a cell, and what would make it fitter."""
+    from dataclasses import asdict
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.checkup import Verdict, examine
+    from deltaq_deploy.cli.console import print_json, print_table
+
+    findings = examine(load_cell(cell), cell)
+    bad = any(finding.verdict is Verdict.BAD for finding in findings)
+    if json:
+        print_json({"fit": not bad, "findings": [asdict(finding) for finding in findings]})
+    else:
+        print_table(
+            "this machine",
+            ("what", "found", "verdict", "advice"),
+            ((finding.what, finding.found, finding.verdict, finding.advice) for finding in findings),
+        )
+    if bad:
+        raise typer.Exit(BAD)

@@ -1,0 +1,17 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+CellOption = Annotated[
+    str, typer.Option("--cell", help="Name of a shipped cell or path of a YAML file.", show_default=True)
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+RobotOption = Annotated[str, typer.Option("--robot", help="Name of a robot of the cell.")]
+TokenOption = Annotated[
+    str | None,
+    typer.Option(envvar="DELTAQ_OPERATOR_TOKEN", help="The operator's token, where the HLI was given one."),
+]

@@ -1,0 +1,26 @@
+"""`deltaq plot`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")],
+    figure: Annotated[
+        Path | None, typer.Option(help="Picture to write; beside the recording if not given.")
+    ] = None,
+) -> None:
+    """Draw the paper's figure of a recording: view angle error, view distance, and the leader's path."""
+    from deltaq_deploy.cli.progress import progress_bar
+    from deltaq_experiments.replay_plot import plot as draw
+
+    picture = figure or file.with_suffix(".png")
+    with progress_bar(f"drawing {file}"):
+        notices = draw(file, picture)
+    for line in notices:
+        typer.echo(f"deltaq: {line}", err=True)
+    typer.echo(f"{picture}")

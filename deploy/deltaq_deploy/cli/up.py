@@ -1,0 +1,66 @@
+"""`deltaq up`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deltaq_deploy.cli.errors import BAD
+from deltaq_deploy.cli.options import CellOption
+
+if TYPE_CHECKING:
+    from deltaq_deploy.launcher import Launcher
+
+
+def up(
+    cell: CellOption = "lab",
+    only: Annotated[str, typer.Option(help="Only these services or kinds, e.g. hli,sim,robot-server.")] = "",
+    real: Annotated[bool, typer.Option("--real", help="Real robots: start no emulator.")] = False,
+    record: Annotated[str, typer.Option(metavar="FILE", help="Record to this MCAP file as well.")] = "",
+) -> None:
+    """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
+    from functools import partial
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.cli.console import console, prefixed_log
+    from deltaq_deploy.launcher import Launcher
+    from deltaq_deploy.rest import bring_to_rest
+    from deltaq_deploy.services import cell_services, recorder, select
+
+    description = load_cell(cell)
+    services = cell_services(description, cell, real)
+    if record:
+        services = (*services, recorder(cell, record))
+    if only:
+        services = select(services, [name.strip() for name in only.split(",")])
+    output = console()
+    log = prefixed_log(output, [service.name for service in services])
+    launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
+    with launcher:
+        launcher.start()
+        log("deltaq", f"cell {description.cell} is up: {', '.join(service.name for service in services)}")
+        if "hli" in launcher.ready:
+            lines = f"{description.tcp_address}:{description.tcp_port}"
+            log("deltaq", f"zenoh clients at {description.hli}, JSON lines at {lines}; Ctrl-C ends it")
+        ended = watch(launcher, cell)
+    if ended:
+        raise typer.Exit(BAD)
+
+
+def watch(launcher: Launcher, cell: str) -> list[str]:
+    """Wait for a signal, or until no service is left; returns the services that ended on their own."""
+    from deltaq_deploy.child import Exited
+    from deltaq_deploy.launcher import Interrupted, describe_exit
+
+    ended: list[str] = []
+    while len(ended) < len(launcher.services):
+        match launcher.wait():
+            case Interrupted(number):
+                launcher.say(f"{number.name}: bringing the robots to rest, then ending the services")
+                return ended
+            case Exited(name, status):
+                ended.append(name)
+                again = f"deltaq up --cell {cell} --only {name}"
+                launcher.say(f"{describe_exit(name, status)}; the others go on; `{again}` starts it again")
+    return ended

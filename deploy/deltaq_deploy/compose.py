@@ -1,0 +1,76 @@
+"""Writes `deploy/compose.yaml` from the table of services: `python -m deltaq_deploy.compose`."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from deltaq_cell.load import load_cell
+from deltaq_deploy.services import Role, Service, cell_services, demo_controllers
+
+FILE = Path(__file__).parents[1] / "compose.yaml"
+CELL = "lab"
+HEADER = """\
+# The lab cell in containers: the services of `deltaq up`, and with `--profile demo` the controllers of
+# `deltaq demo`. Written by `make docs` from deltaq_deploy.services; do not edit.
+#
+#   make image                                              build the image
+#   docker compose -f deploy/compose.yaml up --wait         the emulated cell
+#   docker compose -f deploy/compose.yaml up --wait hli     the same without emulators: real robots
+"""
+
+
+def compose_document(cell_name: str = CELL) -> dict[str, Any]:
+    """The compose document of a cell: one container a service."""
+    cell = load_cell(cell_name)
+    services = cell_services(cell, cell_name)
+    document = {service.name: _container(service, cell_name) for service in services}
+    for controller in demo_controllers(cell):
+        document[controller.name] = _container(controller, cell_name) | {"profiles": ["demo"]}
+    return {"name": "deltaq", "services": document}
+
+
+def compose_text(cell_name: str = CELL) -> str:
+    """The same as YAML, with its header."""
+    yaml = YAML()
+    yaml.default_flow_style = False
+    yaml.width = 110
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    stream = io.StringIO()
+    yaml.dump(compose_document(cell_name), stream)
+    return HEADER + stream.getvalue()
+
+
+def _container(service: Service, cell_name: str) -> dict[str, Any]:
+    container: dict[str, Any] = {
+        "image": "deltaq",
+        "pull_policy": "never",  # `make image` makes it
+        "command": ["python", *service.arguments],
+        # RSI counts single milliseconds, and a KRC on the plant's network sends to this host's address
+        "network_mode": "host",
+        "restart": "unless-stopped",
+        "read_only": True,
+        "cap_drop": ["ALL"],
+        "security_opt": ["no-new-privileges:true"],
+    }
+    if service.role is Role.ROBOT_SERVER:
+        container["cap_add"] = ["SYS_NICE"]  # to reply at real-time priority
+    if service.needs:
+        container["depends_on"] = {name: {"condition": "service_healthy"} for name in service.needs}
+    if service.probe is not None:
+        container["healthcheck"] = {
+            "test": ["CMD", "deltaq", "health", service.name, "--cell", cell_name],
+            # each costs half a second of a core
+            "interval": "10s",
+            "timeout": "10s",
+            "retries": 3,
+            "start_period": "60s",
+        }
+    return container
+
+
+if __name__ == "__main__":
+    FILE.write_text(compose_text(), encoding="utf-8")

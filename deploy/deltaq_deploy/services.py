@@ -1,0 +1,204 @@
+"""The table of services: what runs for a cell, in which order, and what healthy means.
+
+`deltaq up`, `deltaq demo`, `deltaq health`, `compose.yaml` and the documentation all follow from this table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from deltaq_cell.description import CellDescription, RsiDriver
+from deltaq_protocol.errors import DeltaqError
+
+
+class Role(StrEnum):
+    """What a service does."""
+
+    ROBOT_SERVER = "robot-server"
+    EMULATOR = "emulator"
+    SIM = "sim"
+    HLI = "hli"
+    LEADER = "leader"
+    FOLLOWER = "follower"
+    RECORDER = "recorder"
+
+
+class Probe(StrEnum):
+    """How to ask a service whether it is healthy."""
+
+    HEALTH_TOPIC = "health topic"
+    """It publishes `guarded.Health` on `topics.HEALTH`, at the endpoint given."""
+    STATUS_QUERY = "status query"
+    """It answers `topics.STATUS`, at the endpoint given."""
+    PANEL = "panel"
+    """It answers `{"op": "status"}` in a UDP datagram, at the endpoint given."""
+
+
+@dataclass(frozen=True)
+class Listener:
+    """A socket that a service listens on.
+
+    Attributes:
+        transport: of the socket.
+        address: it is bound to.
+        port: it is bound to.
+        field: where the cell's description sets it.
+    """
+
+    transport: Literal["tcp", "udp"]
+    address: str
+    port: int
+    field: str
+
+
+@dataclass(frozen=True)
+class Service:
+    """One row of the table.
+
+    Attributes:
+        name: what people call it.
+        role: what it does.
+        arguments: of the Python interpreter.
+        needs: services that must be ready before this one starts.
+        listens: sockets that must be free before it starts.
+        robot: the one it serves; None if it serves the whole cell.
+        probe: how to ask for its health; None for controllers, which come and go.
+        endpoint: where to ask, `tcp/HOST:PORT` or `udp/HOST:PORT`.
+    """
+
+    name: str
+    role: Role
+    arguments: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    listens: tuple[Listener, ...] = ()
+    robot: str | None = None
+    probe: Probe | None = None
+    endpoint: str | None = None
+
+
+class UnknownServiceError(DeltaqError):
+    """A service was named that the cell does not have."""
+
+
+def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> tuple[Service, ...]:
+    """The services of a cell, each after those that it needs.
+
+    Args:
+        cell: the cell's description.
+        cell_name: the name or path that the services are told to load it by.
+        real: robots of flesh, so no emulator.
+    """
+    arguments = ("--cell", cell_name)
+    services: list[Service] = []
+    for name, robot in cell.robots.items():
+        server = f"robot-server-{name}"
+        listens = [_tcp(robot.server, f"robots.{name}.server")]
+        if isinstance(robot.driver, RsiDriver):
+            driver = robot.driver
+            listens.append(Listener("udp", driver.address, driver.port, f"robots.{name}.driver.port"))
+        services.append(
+            Service(
+                name=server,
+                role=Role.ROBOT_SERVER,
+                arguments=("-m", "deltaq_services.robot_server", *arguments, "--robot", name),
+                listens=tuple(listens),
+                robot=name,
+                probe=Probe.HEALTH_TOPIC,
+                endpoint=robot.server,
+            )
+        )
+        if not real and isinstance(robot.driver, RsiDriver):
+            services.append(_emulator(name, robot.driver, arguments, needs=server))
+    services.append(
+        Service(
+            name="sim",
+            role=Role.SIM,
+            arguments=("-m", "deltaq_services.sim", *arguments),
+            needs=tuple(service.name for service in services if service.role is Role.ROBOT_SERVER),
+            listens=(_tcp(cell.sim, "sim"),),
+            probe=Probe.HEALTH_TOPIC,
+            endpoint=cell.sim,
+        )
+    )
+    services.append(
+        Service(
+            name="hli",
+            role=Role.HLI,
+            arguments=("-m", "deltaq_services.hli", *arguments),
+            needs=("sim",),
+            listens=(_tcp(cell.hli, "hli"), Listener("tcp", cell.tcp_address, cell.tcp_port, "tcp_port")),
+            probe=Probe.STATUS_QUERY,
+            endpoint=cell.hli,
+        )
+    )
+    return tuple(services)
+
+
+def demo_controllers(cell: CellDescription) -> tuple[Service, ...]:
+    """The controllers of the demonstration: a scripted leader, and the camera that follows it."""
+    url = ("--url", cell.hli)
+    return (
+        Service("leader", Role.LEADER, ("-m", "deltaq_controllers.leader", *url), needs=("hli",)),
+        Service(
+            "follower", Role.FOLLOWER, ("-m", "deltaq_controllers.camera_follower", *url), needs=("hli",)
+        ),
+    )
+
+
+def recorder(cell_name: str, file: str) -> Service:
+    """The recorder, for who wants a recording: it only listens, and nothing needs it."""
+    arguments = ("-m", "deltaq_services.recorder", "--cell", cell_name, "--file", file)
+    return Service("recorder", Role.RECORDER, arguments, needs=("hli",))
+
+
+def select(services: Sequence[Service], names: Sequence[str]) -> tuple[Service, ...]:
+    """The rows with these names or roles, in the order of the table.
+
+    Raises:
+        UnknownServiceError: if a name is neither.
+    """
+    for name in names:
+        if not any(name in (service.name, service.role) for service in services):
+            raise _unknown(services, name)
+    return tuple(service for service in services if service.name in names or service.role in names)
+
+
+def one(services: Sequence[Service], name: str) -> Service:
+    """The row of this name.
+
+    Raises:
+        UnknownServiceError: if there is none.
+    """
+    for service in services:
+        if service.name == name:
+            return service
+    raise _unknown(services, name)
+
+
+def _unknown(services: Sequence[Service], name: str) -> UnknownServiceError:
+    allowed = ", ".join(service.name for service in services)
+    return UnknownServiceError(f"no service {name!r} in this cell; it has {allowed}")
+
+
+def _tcp(endpoint: str, field: str) -> Listener:
+    address, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+    return Listener("tcp", address, int(port), field)
+
+
+def _emulator(robot: str, driver: RsiDriver, arguments: tuple[str, ...], needs: str) -> Service:
+    # a KRC gives up after some cycles without a reply, so the one who replies comes first
+    panel = driver.control_port
+    where = f"robots.{robot}.driver.control_port"
+    return Service(
+        name=f"emulator-{robot}",
+        role=Role.EMULATOR,
+        arguments=("-m", "deltaq_emulator", *arguments, "--robot", robot),
+        needs=(needs,),
+        listens=() if panel is None else (Listener("udp", driver.address, panel, where),),
+        robot=robot,
+        probe=None if panel is None else Probe.PANEL,
+        endpoint=None if panel is None else f"udp/{driver.address}:{panel}",
+    )

@@ -1,0 +1,147 @@
+"""`deltaq advise`: from a robot's home, and on a running cell through the gate."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from private_cell import free_ports
+from typer.testing import CliRunner
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_deploy.cli.app import app
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+DAWM = CellModel.load("dawm").robots["dawm"]
+
+
+def advised(*arguments: str) -> tuple[int, dict[str, object]]:
+    done = CliRunner().invoke(app, ["advise", "--offline", "--json", "--effort", "0.3", *arguments])
+    return done.exit_code, json.loads(done.stdout) if done.stdout else {}
+
+
+def test_options_are_told_as_one_object_with_everything_a_program_needs() -> None:
+    status, found = advised("--options", "3", "--seed", "4")
+    assert status == 0
+    assert (found["cell"], found["robot"], found["method"], found["seed"]) == ("dawm", "dawm", "annealing", 4)
+    assert found["executed"] is None
+    options = found["options"]
+    assert isinstance(options, list)
+    assert [option["rank"] for option in options] == [1, 2, 3]
+    hands = found["hands"]
+    assert isinstance(hands, dict)
+    for option in options:
+        for hand, pose in hands.items():
+            np.testing.assert_allclose(DAWM.forward(option["q"], hand), pose, atol=1e-9)
+        assert option["room_m"] > 0
+        assert set(option["values"]) == set(option["costs"])
+        assert option["nearest_limit"] in DAWM.joint_names
+
+
+def test_a_hand_can_be_sent_elsewhere_and_the_other_stays() -> None:
+    status, found = advised("--hand", "left=1.7,0.3,1.5,0,90,0", "--options", "1")
+    assert status == 0
+    (option,) = found["options"]  # type: ignore[misc] # a list, as the test before sees
+    np.testing.assert_allclose(DAWM.forward(option["q"], "left")[:3, 3], [1.7, 0.3, 1.5], atol=1e-9)
+    np.testing.assert_allclose(
+        DAWM.forward(option["q"], "right"), DAWM.forward(DAWM.home, "right"), atol=1e-9
+    )
+    assert option["path"] is None
+
+
+def test_weights_choose_what_options_are_ranked_by() -> None:
+    _, found = advised("--weight", "manipulability=1", "--weight", "travel=0.5", "--options", "1")
+    (option,) = found["options"]  # type: ignore[misc] # a list
+    assert found["weights"] == {"manipulability": 1.0, "travel": 0.5}
+    assert option["energy"] == pytest.approx(
+        option["costs"]["manipulability"] + 0.5 * option["costs"]["travel"]
+    )
+
+
+def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
+    status, found = advised("--hand", "left=9,0,1,0,0,0", "--method", "brute-force")
+    assert status == 1
+    assert found["options"] == []
+    done = CliRunner().invoke(
+        app,
+        ["advise", "--offline", "--hand", "left=9,0,1,0,0,0", "--method", "brute-force", "--effort", "0.1"],
+    )
+    assert "nothing holds the hands there" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--hand", "left=1,2"), "NAME=X,Y,Z,ROLL,PITCH,YAW"),
+        (("--hand", "middle=1,0,1,0,0,0"), "no hand 'middle'; it has left, right"),
+        (("--weight", "travel"), "NAME=NUMBER"),
+        (("--weight", "travle=1"), "no criterion 'travle'"),
+        (("--method", "guess"), "no method 'guess'"),
+        (("--robot", "fr"), "no robot 'fr' in cell dawm"),
+        (("--robot", "fr", "--cell", "lab"), "'fr' has no joint to spare"),
+        (("--execute", "1"), "needs a running cell"),
+    ],
+)
+def test_what_is_asked_for_wrongly_is_answered_with_what_is_right(
+    arguments: tuple[str, ...], said: str
+) -> None:
+    done = subprocess.run(
+        [DELTAQ, "advise", "--offline", "--effort", "0.1", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert said in " ".join(done.stderr.replace("│", " ").split())
+
+
+@pytest.mark.live
+def test_an_option_is_driven_to_through_the_gate_of_a_running_cell(tmp_path: Path) -> None:
+    hli, sim, tcp, server = free_ports(4)
+    file = tmp_path / "private.yaml"
+    file.write_text(
+        f"extends: dawm\nhli: tcp/127.0.0.1:{hli}\nsim: tcp/127.0.0.1:{sim}\ntcp_port: {tcp}\n"
+        f"robots: {{dawm: {{server: tcp/127.0.0.1:{server}}}}}\n",
+        encoding="utf-8",
+    )
+    launcher = subprocess.Popen(
+        [DELTAQ, "up", "--cell", str(file)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert launcher.stdout is not None
+    try:
+        for line in launcher.stdout:
+            if "is up" in line:
+                break
+        else:
+            pytest.fail("the cell did not come up")
+        command = [DELTAQ, "advise", "--cell", str(file), "--options", "3", "--execute", "1", "--json"]
+        for seed in range(3):  # to the best option there may be no way with the hands still
+            done = subprocess.run(
+                [*command, "--seed", str(seed)], capture_output=True, text=True, timeout=120, check=False
+            )
+            if done.returncode == 0:
+                break
+            assert "no way is known to option 1" in done.stderr
+        found = json.loads(done.stdout)
+        assert found["executed"]["option"] == 1
+        outcomes = found["executed"]["outcomes"]
+        # a machine that is busy with other things loses cycles, and after each the robot speeds up again
+        assert outcomes["admitted"] > sum(outcomes.values()) / 2
+        assert "refused" not in outcomes
+        assert found["executed"]["hands_off_m"] < 1e-4
+        status = subprocess.run(
+            [DELTAQ, "status", "--cell", str(file), "--json"], capture_output=True, text=True, check=False
+        )
+        robot = json.loads(status.stdout)["robots"]["dawm"]
+        assert robot["lease"]["holder"] is None
+        np.testing.assert_allclose(robot["q"], found["options"][0]["q"], atol=1e-4)
+    finally:
+        launcher.send_signal(signal.SIGINT)
+        launcher.communicate(timeout=60)
+    assert launcher.returncode == 0

@@ -1,0 +1,153 @@
+"""`deltaq drive` against a cell that `deltaq up` runs: real processes, real zenoh, real UDP."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_cell.load import load_cell
+from deltaq_deploy.running import connect
+from deltaq_protocol.messages import RobotStatus
+
+pytestmark = pytest.mark.live
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+SCRIPT = """\
+- {duration_s: 0.8, move: {z_m_s: 0.05}}
+- {duration_s: 1.2, mode: self-motion, move: {a1_deg_s: 10}}
+- {duration_s: 0.8, mode: decoupled, frame: tool, move: {z_mm_s: 50, e2_m_s: 0.05}}
+- {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}}
+"""
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    file = write_private_cell(tmp_path_factory.mktemp("cell"))
+    with subprocess.Popen(
+        [DELTAQ, "up", "--cell", str(file)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as launcher:
+        assert launcher.stdout is not None
+        lines = []
+        for line in launcher.stdout:
+            lines.append(line)
+            if "cell lab is up" in line:
+                break
+        else:
+            pytest.fail("".join(lines))
+        try:
+            wait_for_phase(file, "ready")
+            yield file
+        finally:
+            launcher.send_signal(signal.SIGINT)
+            launcher.communicate(timeout=60)
+
+
+def deltaq(cell: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [DELTAQ, *arguments, "--cell", str(cell)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL
+    )
+
+
+def status(cell: Path) -> RobotStatus:
+    with connect(load_cell(cell), "test") as running:
+        return running.status().robots["gr"]
+
+
+def wait_for_phase(cell: Path, wanted: str) -> None:
+    deadline = time.monotonic() + 30
+    with connect(load_cell(cell), "test") as running:
+        while (found := running.status().robots["gr"].phase) != wanted:
+            assert time.monotonic() < deadline, found
+            time.sleep(0.02)
+
+
+def wait_for_motion(cell: Path) -> None:
+    """Until A1 of gr has moved by a hundredth of a radian."""
+    deadline = time.monotonic() + 30
+    with connect(load_cell(cell), "test") as running:
+        start = running.status().robots["gr"].q
+        while abs(running.status().robots["gr"].q[3] - start[3]) < 0.01:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def written(folder: Path, text: str) -> str:
+    file = folder / "task.yaml"
+    file.write_text(text, encoding="utf-8")
+    return str(file)
+
+
+def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, SCRIPT)
+    done = deltaq(cell, "drive", "--robot", "gr", "--mode", "coupled", "--script", script, "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    legs = {leg["mode"]: leg["hands"]["tool"] for leg in summary["legs"]}
+    assert list(legs) == ["coupled", "self-motion", "decoupled", "joint"]
+    assert 15 < legs["coupled"]["moved_mm"] < 50
+    assert legs["self-motion"]["farthest_mm"] < 0.1
+    assert legs["self-motion"]["farthest_deg"] < 0.01
+    assert legs["decoupled"]["moved_mm"] > 15
+    assert 5 < legs["joint"]["turned_deg"] < 20
+    assert summary["gate"]["admitted"] > 0.9 * summary["cycles"]
+    wait_for_phase(cell, "ready")
+
+
+def test_an_interrupt_brings_the_robot_to_rest_and_gives_it_back(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
+    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
+        wait_for_motion(cell)
+        driver.send_signal(signal.SIGINT)
+        out, error = driver.communicate(timeout=30)
+    assert driver.returncode == 0, error
+    assert json.loads(out)["legs"][0]["hands"]["tool"]["farthest_mm"] > 0
+    assert status(cell).lease.holder is None
+    wait_for_phase(cell, "ready")
+
+
+def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: 4}}\n")
+    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--cell", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
+        wait_for_motion(cell)
+        with connect(load_cell(cell), "test") as running:
+            running.stop()
+        _, error = driver.communicate(timeout=30)
+    assert driver.returncode == 1
+    assert "gr is held: somebody pressed stop" in error
+    assert "`deltaq reset --robot gr`" in error
+    again = deltaq(cell, "drive", "--robot", "gr", "--script", script)
+    assert (again.returncode, "gr is held" in again.stderr) == (1, True)
+    with connect(load_cell(cell), "test") as running:
+        for robot in ("fr", "gr"):
+            running.reset(robot)
+    wait_for_phase(cell, "ready")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--robot", "gr", "--mode", "fly"), "no mode 'fly'"),
+        (("--robot", "gr", "--frame", "mars"), "no frame 'mars'"),
+        (("--robot", "xx"), "no robot 'xx' in cell lab; it has fr, gr"),
+        (("--robot", "fr", "--mode", "self-motion"), "self-motion needs more than 6 joints"),
+        (("--robot", "gr", "--script", "missing.yaml"), "missing.yaml: cannot be read"),
+        (("--robot", "gr", "--gamepad", "/dev/input/none"), "no gamepad at /dev/input/none"),
+        (("--robot", "gr"), "the keyboard needs a terminal"),
+    ],
+)
+def test_wrong_usage_is_told_in_a_line(cell: Path, arguments: tuple[str, ...], told: str) -> None:
+    done = deltaq(cell, "drive", *arguments)
+    assert done.returncode == 2
+    assert told in " ".join(done.stderr.replace("│", "").split())
+    assert "Traceback" not in done.stderr

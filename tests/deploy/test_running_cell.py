@@ -1,0 +1,197 @@
+"""The command against a cell that `deltaq up` runs: real processes, real zenoh, real UDP."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_cell.load import load_cell
+
+pytestmark = pytest.mark.live
+
+ROOT = Path(__file__).parents[2]
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+SERVICES = {"robot-server-fr", "robot-server-gr", "emulator-fr", "emulator-gr", "sim", "hli"}
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"<!-- run: (sh|python) -->\n```\w+\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@dataclass
+class RunningCell:
+    file: Path
+    launcher: subprocess.Popen[str]
+    lines: list[str]
+
+    def deltaq(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return run([DELTAQ, *arguments, "--cell", str(self.file)])
+
+    def read_until(self, text: str) -> str:
+        """The launcher's next line that contains `text`."""
+        assert self.launcher.stdout is not None
+        for line in self.launcher.stdout:
+            self.lines.append(line)
+            if text in line:
+                return line
+        pytest.fail(f"the launcher ended without a line with {text!r}; it said\n{''.join(self.lines)}")
+
+    def children(self) -> list[int]:
+        """Process ids of the services."""
+        threads = Path(f"/proc/{self.launcher.pid}/task").iterdir()
+        return [int(pid) for thread in threads for pid in (thread / "children").read_text().split()]
+
+
+def run(command: list[str], text: str | None = None) -> subprocess.CompletedProcess[str]:
+    path = f"{Path(DELTAQ).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path}
+    return subprocess.run(
+        command, input=text, capture_output=True, text=True, timeout=60, check=False, env=environment
+    )
+
+
+def start(file: Path, *arguments: str) -> RunningCell:
+    command = [DELTAQ, "up", "--cell", str(file), *arguments]
+    launcher = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return RunningCell(file, launcher, [])
+
+
+def finish(cell: RunningCell) -> int:
+    cell.launcher.send_signal(signal.SIGINT)
+    try:
+        rest, _ = cell.launcher.communicate(timeout=60)
+    except subprocess.TimeoutExpired:
+        cell.launcher.kill()
+        cell.launcher.communicate()
+        raise
+    cell.lines.append(rest)
+    return cell.launcher.returncode
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningCell]:
+    running = start(write_private_cell(tmp_path_factory.mktemp("cell")))
+    try:
+        running.read_until("cell lab is up")
+        wait_for_phases(running, {"fr": "ready", "gr": "ready"})
+        yield running
+    finally:
+        finish(running)
+
+
+def phases(cell: RunningCell) -> dict[str, str]:
+    done = cell.deltaq("status", "--json")
+    assert done.returncode == 0, done.stderr
+    return {name: robot["phase"] for name, robot in json.loads(done.stdout)["robots"].items()}
+
+
+def wait_for_phases(cell: RunningCell, wanted: dict[str, str]) -> None:
+    deadline = time.monotonic() + 30
+    while (found := phases(cell)) != wanted:
+        assert time.monotonic() < deadline, found
+
+
+def test_every_service_of_a_running_cell_is_healthy(cell: RunningCell) -> None:
+    for service in sorted(SERVICES):
+        done = cell.deltaq("health", service, "--json")
+        assert done.returncode == 0, (service, done.stderr)
+        assert json.loads(done.stdout)["healthy"] is True
+
+
+def test_status_shows_people_the_phase_of_each_robot(cell: RunningCell) -> None:
+    done = cell.deltaq("status")
+    assert done.returncode == 0
+    assert re.search(r"fr .* ready", done.stdout)
+    assert re.search(r"gr .* ready", done.stdout)
+
+
+def test_states_come_once_a_cycle(cell: RunningCell) -> None:
+    measured = json.loads(cell.deltaq("hz", "--duration-s", "2", "--json").stdout)
+    rate = measured["topics"]["deltaq/lab/fr/state"]
+    assert rate["rate_hz"] == pytest.approx(1 / measured["cycle_s"], rel=0.1)
+
+
+def test_echo_prints_as_many_messages_as_asked_for_each_an_object_on_a_line(cell: RunningCell) -> None:
+    done = cell.deltaq("echo", "state", "--robot", "gr", "--count", "3")
+    states = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [state["robot"] for state in states] == ["gr", "gr", "gr"]
+    assert states[0]["cycle"] < states[1]["cycle"] < states[2]["cycle"]
+
+
+def test_a_stop_holds_every_robot_until_each_is_reset(cell: RunningCell) -> None:
+    assert cell.deltaq("stop", "--json").returncode == 0
+    wait_for_phases(cell, {"fr": "held", "gr": "held"})
+    for robot in ("fr", "gr"):
+        assert cell.deltaq("reset", "--robot", robot).returncode == 0
+    wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
+
+
+def test_a_lease_that_is_taken_is_seen_and_can_be_taken_away(cell: RunningCell) -> None:
+    command = [DELTAQ, "lease", "--robot", "fr", "--take", "--json", "--cell", str(cell.file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert json.loads(holder.stdout.readline())["holder"] == "deltaq lease"
+        assert json.loads(cell.deltaq("lease", "--robot", "fr", "--json").stdout)["holder"] == "deltaq lease"
+        holder.send_signal(signal.SIGINT)
+        assert holder.wait(30) == 0
+    released = cell.deltaq("lease", "--robot", "fr", "--release", "--json")
+    assert json.loads(released.stdout)["holder"] is None
+
+
+def test_a_cell_cannot_be_started_twice(cell: RunningCell) -> None:
+    done = cell.deltaq("up")
+    assert done.returncode == 1
+    assert re.search(r"robot-server-fr cannot listen on tcp .*`robots.fr.server`", done.stderr)
+
+
+def test_the_wrong_cell_at_an_address_is_named(cell: RunningCell, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(f"extends: {cell.file}\ncell: other\n", encoding="utf-8")
+    done = run([DELTAQ, "status", "--cell", str(other)])
+    assert done.returncode == 2
+    assert "serves cell lab, not other" in done.stderr
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
+def test_what_a_document_says_runs(cell: RunningCell, document: Path) -> None:
+    description = load_cell(cell.file)
+    for language, block in BLOCK.findall(document.read_text(encoding="utf-8")):
+        text = block.replace("tcp/127.0.0.1:7447", description.hli).replace("5210", str(description.tcp_port))
+        text = text.replace("--cell lab", f"--cell {cell.file}")
+        done = run([sys.executable, "-"] if language == "python" else ["bash", "-euo", "pipefail"], text)
+        assert done.returncode == 0, done.stdout + done.stderr
+        wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
+
+
+def test_a_service_that_dies_is_named_and_can_be_started_again_and_nothing_is_left_in_the_end(
+    tmp_path: Path,
+) -> None:
+    cell = start(write_private_cell(tmp_path))
+    again = None
+    try:
+        cell.read_until("cell lab is up")
+        wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
+        children = cell.children()
+        assert len(children) == len(SERVICES)
+        (sim,) = [
+            pid for pid in children if b"deltaq_services.sim" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        ]
+        os.kill(sim, signal.SIGKILL)
+        assert "sim was ended by SIGKILL; the others go on" in cell.read_until("SIGKILL")
+        again = start(cell.file, "--only", "sim")
+        again.read_until("cell lab is up: sim")
+        assert cell.deltaq("health", "sim").returncode == 0
+    finally:
+        if again is not None:
+            assert finish(again) == 0
+        assert finish(cell) == 1  # a service died: that is told in the exit status too
+    assert not any(Path(f"/proc/{pid}").exists() for pid in children)

@@ -1,0 +1,152 @@
+"""The guarded realm of a cell, played by a peer: it speaks real zenoh, as SIM and Robot Servers would."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import zenoh
+from small_cell import server_state
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.codec import pack, unpack
+from deltaq_protocol.guarded import Command, CommandReply, Health, Request
+from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.session import declare_publisher, open_session
+
+
+class GuardedPeer:
+    """Publishes states, admits what it is asked, obeys commands; each of which can be switched off.
+
+    Attributes:
+        increments: requests with an increment, as they came.
+        commands: as they came.
+        health: the HLI's signs of life, as they came.
+        judges: answers requests with verdicts.
+        refuses: reason for which commands are refused.
+    """
+
+    def __init__(self, cell: CellDescription) -> None:
+        self.cell = cell
+        self.increments: asyncio.Queue[Request] = asyncio.Queue()
+        self.commands: asyncio.Queue[Command] = asyncio.Queue()
+        self.health: asyncio.Queue[Health] = asyncio.Queue()
+        self.judges = True
+        self.obeys = True
+        self.refuses: ReasonCode | None = None
+        self.cycle = 100
+        self.q_cmd = {name: (0.1,) * len(robot.joints) for name, robot in cell.robots.items()}
+        self.phases = dict.fromkeys(cell.robots, Phase.READY)
+        self._alive: dict[str, asyncio.Event] = {name: asyncio.Event() for name in cell.robots}
+        self._loop = asyncio.get_running_loop()
+        self._servers = {name: open_session(listen=[robot.server]) for name, robot in cell.robots.items()}
+        self._sim = open_session(listen=[cell.sim])
+        self._publishers: dict[str, Any] = {}
+        self._subscribers = [
+            self._subscribe(topics.REQUEST.key(cell.cell), self._on_request),
+            self._subscribe(topics.COMMAND.key(cell.cell), self._on_command),
+            self._subscribe(topics.HEALTH.key(cell.cell, service="hli"), self._on_health),
+        ]
+
+    async def turn(self, robot: str = "fr", cycles: int = 1) -> int:
+        """Publish the states of the next cycles, each answered by a request; returns the last cycle."""
+        for _ in range(cycles):
+            self.cycle += 1
+            self._alive[robot].clear()
+            # until the HLI has found us what we publish reaches nobody
+            while not self._alive[robot].is_set():
+                self.publish_state(robot)
+                try:
+                    async with asyncio.timeout(0.05):
+                        await self._alive[robot].wait()
+                except TimeoutError:
+                    continue
+        return self.cycle
+
+    async def run(self, robot: str = "fr") -> None:
+        """Turn for ever, in the cell's cycle."""
+        while True:
+            self.cycle += 1
+            self.publish_state(robot)
+            await asyncio.sleep(self.cell.cycle_s)
+
+    def publish_state(self, robot: str = "fr", **changes: Any) -> None:
+        """Publish one state."""
+        fields = {"q_cmd": self.q_cmd[robot]} | changes
+        state = server_state(robot, self.cycle, self.phases[robot], **fields)
+        key = topics.SERVER_STATE.key(self.cell.cell, robot=robot)
+        self._publish(self._servers[robot], key, state)
+
+    def judge(self, request: Request) -> None:
+        """Admit a request as it is."""
+        verdict = Verdict(
+            robot=request.robot,
+            cycle=request.cycle,
+            seq=request.seq,
+            outcome=Outcome.ADMITTED,
+            scale=1.0,
+            dq=request.dq or (),
+        )
+        moved = zip(self.q_cmd[request.robot], verdict.dq, strict=True)
+        self.q_cmd[request.robot] = tuple(q + dq for q, dq in moved)
+        self.publish_from_sim(topics.GATE_VERDICT.key(self.cell.cell, robot=request.robot), verdict)
+
+    def publish_from_sim(self, key: str, message: Message) -> None:
+        """Publish as the SIM."""
+        self._publish(self._sim, key, message)
+
+    def publish_bytes(self, key: str, payload: bytes) -> None:
+        """Publish what is no message, as the SIM."""
+        self._sim.put(key, payload)
+
+    def close(self) -> None:
+        """Vanish."""
+        while self._subscribers:
+            self._subscribers.pop().undeclare()
+        for session in (*self._servers.values(), self._sim):
+            session.close()
+
+    def _publish(self, session: Any, key: str, message: Message) -> None:
+        if key not in self._publishers:
+            self._publishers[key] = declare_publisher(session, key)
+        self._publishers[key].put(pack(message))
+
+    def _subscribe(self, key: str, take: Callable[[bytes], None]) -> Any:
+        def put(sample: zenoh.Sample) -> None:
+            if not self._loop.is_closed():
+                self._loop.call_soon_threadsafe(take, sample.payload.to_bytes())
+
+        return self._sim.declare_subscriber(key, zenoh.handlers.Callback(put, indirect=False))
+
+    def _on_request(self, payload: bytes) -> None:
+        request = unpack(Request, payload)
+        self._alive[request.robot].set()
+        if request.dq is None:
+            return
+        self.increments.put_nowait(request)
+        if self.judges:
+            self.judge(request)
+
+    def _on_health(self, payload: bytes) -> None:
+        self.health.put_nowait(unpack(Health, payload))
+
+    def _on_command(self, payload: bytes) -> None:
+        command = unpack(Command, payload)
+        self.commands.put_nowait(command)
+        if self.obeys:
+            reply = CommandReply(id=command.id, accepted=self.refuses is None, code=self.refuses)
+            self.publish_from_sim(topics.COMMAND_REPLY.key(self.cell.cell), reply)
+
+
+@asynccontextmanager
+async def guarded_peer(cell: CellDescription) -> AsyncIterator[GuardedPeer]:
+    """A peer for the length of the block."""
+    peer = GuardedPeer(cell)
+    try:
+        yield peer
+    finally:
+        peer.close()

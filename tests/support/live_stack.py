@@ -1,0 +1,120 @@
+"""A cell of real processes on ports of its own, with the floor robot's emulated controller recorded."""
+
+import json
+import os
+import signal
+import socket
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_deploy.launcher import Launcher
+from deltaq_deploy.running import connect
+from deltaq_deploy.services import Role, Service, cell_services
+from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.messages import Phase
+
+MOVER = Path(__file__).with_name("mover.py")
+MOVING_RAD_S = np.deg2rad(25)
+TIMEOUT_S = 20.0
+
+
+class Stack:
+    """What a test can see of it and do to it."""
+
+    def __init__(self, launcher, cell, record, panel):
+        self.launcher = launcher
+        self.cell = cell.description
+        self.robot = cell.robots["fr"]
+        self.record = record
+        self._panel = panel
+
+    def emulator(self):
+        """The emulated controller's panel."""
+        driver = self.cell.robots["fr"].driver
+        self._panel.sendto(b'{"op":"status"}', (driver.address, driver.control_port))
+        return json.loads(self._panel.recv(65536))
+
+    def wait_for(self, reached):
+        """Ask the panel until two following answers satisfy `reached(before, after, cycles)`."""
+        deadline = time.monotonic() + TIMEOUT_S
+        before = self.emulator()
+        while time.monotonic() < deadline:
+            after = self.emulator()
+            cycles = after["cycle"] - before["cycle"]
+            if cycles >= 8:
+                if reached(np.array(before["q_setpoint"]), np.array(after["q_setpoint"]), cycles):
+                    return
+                before = after
+        pytest.fail("the robot never got there")
+
+    def wait_until_moving(self):
+        bound = MOVING_RAD_S * self.cell.cycle_s
+        self.wait_for(lambda before, after, cycles: np.max(np.abs(after - before)) > bound * cycles)
+
+    def wait_until_at_rest(self):
+        self.wait_for(lambda before, after, cycles: (before == after).all())
+
+    def kill(self, name):
+        """`kill -9`, and the cycle of the robot in which it was sent."""
+        cycle = self.emulator()["cycle"]
+        os.killpg(self.launcher.children[name].pid, signal.SIGKILL)
+        return cycle
+
+    def phase(self):
+        with connect(self.cell, "test") as running:
+            status = running.status().robots["fr"]
+        return status.phase, status.reason
+
+    def reset(self):
+        """Reset until it is granted: a service that has just come back may need a moment to be heard."""
+        deadline = time.monotonic() + TIMEOUT_S
+        with connect(self.cell, "test") as running:
+            while True:
+                try:
+                    running.reset("fr")
+                    return
+                except RefusedError:
+                    assert time.monotonic() < deadline
+
+    def wait_for_reason(self, reason):
+        deadline = time.monotonic() + TIMEOUT_S
+        while self.phase() != (Phase.HELD, reason):
+            assert time.monotonic() < deadline, self.phase()
+
+    def setpoints(self):
+        joints = self.robot.n
+        columns = (0, *range(2 + joints, 2 + 2 * joints))
+        rows = np.loadtxt(self.record, delimiter=",", skiprows=1, usecols=columns)
+        return rows[:, 0].astype(int), rows[:, 1:]
+
+
+@contextmanager
+def live_stack(folder, *, moving=False, base="lab"):
+    """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever."""
+    file = write_private_cell(folder, base)
+    cell = CellModel.load(file)
+    record = folder / "fr.csv"
+    services = [
+        replace(service, arguments=(*service.arguments, "--record", str(record)))
+        if service.role is Role.EMULATOR and service.robot == "fr"
+        else service
+        for service in cell_services(cell.description, str(file))
+    ]
+    mover = Service("mover", Role.LEADER, (str(MOVER), str(cell.description.tcp_port)), needs=("hli",))
+    services += [mover] if moving else []
+    with Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher:
+        launcher.start()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
+            panel.settimeout(5)
+            stack = Stack(launcher, cell, record, panel)
+            if moving:
+                stack.wait_until_moving()
+            yield stack

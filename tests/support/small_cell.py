@@ -1,0 +1,116 @@
+"""A small cell for tests of what lies between controllers and gate: fr with six joints, gr with nine."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+from typing import Any
+
+from deltaq_cell.description import CellDescription
+from deltaq_cell.summary import robot_summary
+from deltaq_protocol.guarded import Plan, ServerState
+from deltaq_protocol.messages import Description, Phase, ToolPose
+
+REVOLUTE = {
+    "home_deg": 0.0,
+    "lower_deg": -170.0,
+    "upper_deg": 170.0,
+    "max_velocity_deg_s": 90.0,
+    "max_acceleration_rad_s2": 4.0,
+}
+PRISMATIC = {
+    "home_m": 0.5,
+    "lower_m": 0.0,
+    "upper_m": 1.5,
+    "max_velocity_m_s": 0.5,
+    "max_acceleration_m_s2": 2.0,
+}
+
+
+_given: set[int] = set()
+
+
+def free_port() -> int:
+    """A TCP port of the loopback that nobody listens on.
+
+    It lies below the system's own range, from which every outgoing connection takes its port: one of those
+    could be gone before it is listened on.
+    """
+    while True:
+        port = random.SystemRandom().randrange(10_000, 32_000)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            if port not in _given:
+                _given.add(port)
+                return port
+
+
+def endpoint() -> str:
+    """A zenoh endpoint that nobody listens on."""
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+def small_cell(**changes: Any) -> CellDescription:
+    """The description, every port of it free."""
+    arm = {f"a{k}": REVOLUTE for k in range(1, 7)}
+    gantry = {f"e{k}": PRISMATIC for k in range(1, 4)}
+    driver = {"kind": "kinematic"}
+    fields: dict[str, Any] = {
+        "cell": "small",
+        "cycle_s": 0.012,
+        "robots": {
+            "fr": {"model": "kr16", "server": endpoint(), "driver": driver, "joints": arm},
+            "gr": {
+                "model": "kr16_gantry",
+                "server": endpoint(),
+                "driver": driver,
+                "joints": gantry | arm,
+                "outputs": ["gripper"],
+                "inputs": ["closed"],
+            },
+        },
+        "hli": endpoint(),
+        "sim": endpoint(),
+        "tcp_port": free_port(),
+    }
+    return CellDescription.model_validate(fields | changes)
+
+
+def told(cell: CellDescription) -> Description:
+    """What clients are told about the cell."""
+    return Description(
+        cell=cell.cell,
+        cycle_s=cell.cycle_s,
+        robots={name: robot_summary(robot, cell.cycle_s) for name, robot in cell.robots.items()},
+        yaml="cell: small\n",
+        urdf=dict.fromkeys(cell.robots, "<robot/>"),
+    )
+
+
+def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
+    """No kinematics: the first joint is the height of the tool."""
+    return ToolPose(position=(0.0, 0.0, q[0]), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+
+
+def server_state(
+    robot: str = "fr", cycle: int = 100, phase: Phase = Phase.READY, **changes: Any
+) -> ServerState:
+    """A state as a Robot Server publishes it, at rest at q = 0.1."""
+    n = {"fr": 6, "gr": 9}.get(robot, 6)
+    fields: dict[str, Any] = {
+        "robot": robot,
+        "cycle": cycle,
+        "ipoc": 12 * cycle,
+        "time_s": 0.012 * cycle,
+        "q": (0.1,) * n,
+        "q_cmd": (0.1,) * n,
+        "dq": (0.0,) * n,
+        "plan": Plan(dq=(0.0,) * n, brake_cycles=1, step=0),
+        "epoch": 1,
+        "sequence": 1,
+        "phase": phase,
+        "outputs": {"gripper": False} if robot == "gr" else {},
+        "inputs": {"closed": True} if robot == "gr" else {},
+    }
+    return ServerState(**(fields | changes))
