@@ -94,7 +94,7 @@ class QpFollower:
         self._ranges = self._margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
         self._shares = np.where(foreign, gains.others_share, gains.barrier_share)
         self._program = QuadraticProgram(
-            self.limits.max_ddq, self.gains.rest_weight, self.gains.barrier_price, MOST_PAIRS
+            self.limits.max_ddq, self.gains.rest_weight, self.gains.barrier_price
         )
 
     def increment(self, view: View) -> Array:

@@ -4,19 +4,18 @@
     subject to  slowest <= dq <= fastest,  C dq + s >= c,  s >= 0
 
 It always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers ask
-for beyond it. The solver is ProxQP (proxsuite), started from the solution of the cycle before.
+for beyond it. The solver is quadprog's dual active-set method (Goldfarb and Idnani, 1983): exact to rounding for
+programmes of this size, and with nothing carried from one cycle to the next, so that the same view gives the same
+increment, bit for bit.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from proxsuite import proxqp
+from quadprog import solve_qp
 
 Array = NDArray[np.float64]
-
-_FREE = 1e20
-"""A bound that is none."""
 
 _MILLI = 1e3
 """Costs count in mm and mrad, so that the solver's numbers are near one."""
@@ -32,24 +31,19 @@ class QuadraticProgram:
         scale: (n,) unit of each increment, its acceleration limit over a cycle [rad or m].
         rest_weight: cost of the squared increments in these units.
         price: cost of the slack [1/m].
-        most: how many barriers there can be.
     """
 
-    def __init__(self, scale: Array, rest_weight: float, price: float, most: int) -> None:
+    def __init__(self, scale: Array, rest_weight: float, price: float) -> None:
         n = len(scale)
-        self._scale, self._n, self._most = scale, n, most
+        self._scale, self._n = scale, n
         self._hessian = np.zeros((n + 1, n + 1))
-        self._gradient = np.zeros(n + 1)
+        self._linear = np.zeros(n + 1)
         self._rest = rest_weight * np.eye(n)
         self._price = price * _SLACK_SCALE
-        self._rows = np.zeros((most, n + 1))
-        self._least, self._none = np.full(most, -_FREE), np.full(most, _FREE)
-        self._low, self._high = np.zeros(n + 1), np.full(n + 1, _FREE)
-        self._solver = proxqp.dense.QP(n + 1, 0, most, True)
-        settings = self._solver.settings
-        settings.eps_abs, settings.eps_rel, settings.max_iter = 1e-6, 0.0, 200
-        settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-        self._started = False
+        # the slack's own square keeps the programme strictly convex
+        self._hessian[n, n] = 1e-6 * self._price
+        self._linear[n] = -self._price
+        self._bounds = np.hstack([np.eye(n + 1), -np.eye(n + 1)[:, :n]])
 
     def solve(
         self,
@@ -73,32 +67,23 @@ class QuadraticProgram:
             least: (k,) least change of the distance [m].
 
         Returns:
-            (n,) increment within its bounds and the slack [m]; None if the solver did not come to an end.
+            (n,) increment within its bounds and the slack [m]; None if the solver found none.
         """
         n, k = self._n, len(least)
         scaled = rows * self._scale
         heavy = (weights * _MILLI**2)[:, None] * scaled
         self._hessian[:n, :n] = 2.0 * (scaled.T @ heavy + self._rest)
-        # the slack's own square keeps the programme strictly convex
-        self._hessian[n, n] = 1e-6 * self._price
-        self._gradient[:n] = -2.0 * (wanted @ heavy)
-        self._gradient[n] = self._price
-        self._rows[:, :] = 0.0
-        self._least[:] = -_FREE
-        self._rows[:k, :n] = barriers * (self._scale / _SLACK_SCALE)
-        self._rows[:k, n] = 1.0
-        self._least[:k] = least / _SLACK_SCALE
-        self._low[:n], self._high[:n] = slowest / self._scale, fastest / self._scale
-        problem = (self._hessian, self._gradient, None, None, self._rows, self._least, self._none)
-        if self._started:
-            self._solver.update(*problem, self._low, self._high)
-        else:
-            self._solver.init(*problem, self._low, self._high)
-            self._started = True
-        self._solver.solve()
-        result = self._solver.results
-        if result.info.status != proxqp.QPSolverOutput.PROXQP_SOLVED or not np.isfinite(result.x).all():
-            self._started = False
+        self._linear[:n] = 2.0 * (wanted @ heavy)
+        # a column for each bound of the increments and of the slack, then for each barrier
+        columns = np.ones((n + 1, 2 * n + 1 + k))
+        columns[:, : 2 * n + 1] = self._bounds
+        columns[:n, 2 * n + 1 :] = (barriers * (self._scale / _SLACK_SCALE)).T
+        low = np.concatenate([slowest / self._scale, [0.0], -fastest / self._scale, least / _SLACK_SCALE])
+        try:
+            solution = solve_qp(self._hessian, self._linear, columns, low)[0]
+        except ValueError:  # rounding made it inconsistent
             return None
-        dq = np.minimum(np.maximum(self._scale * result.x[:n], slowest), fastest)
-        return dq, max(0.0, float(result.x[n]) * _SLACK_SCALE)
+        if not np.isfinite(solution).all():
+            return None
+        dq = np.minimum(np.maximum(self._scale * solution[:n], slowest), fastest)
+        return dq, max(0.0, float(solution[n]) * _SLACK_SCALE)

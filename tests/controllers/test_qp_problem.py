@@ -10,7 +10,7 @@ NONE = np.zeros((0, N)), np.zeros(0)
 
 
 def program() -> QuadraticProgram:
-    return QuadraticProgram(np.full(N, 1e-3), rest_weight=1e-5, price=1e6, most=4)
+    return QuadraticProgram(np.full(N, 1e-3), rest_weight=1e-5, price=1e6)
 
 
 def test_a_task_within_the_bounds_is_done() -> None:
