@@ -64,10 +64,19 @@ def look(rotation: Array, position: Array, focus: Array, way_round: Array | None
         way_round: (2,) unit vector in the picture, the way round to take from 180 degrees, or its
             opposite, whichever the focus is nearer to; to the side if not given.
     """
-    to_focus = focus - position
-    distance = math.sqrt(to_focus @ to_focus)
-    u = to_focus / distance if distance > MIN_DISTANCE_M else rotation[:, 2]
-    y1, y2, y3 = (rotation.T @ u).tolist()
+    # three numbers at a time, plain floats are several times quicker than arrays
+    (a1, a2, a3), (b1, b2, b3), (c1, c2, c3) = rotation.tolist()
+    x1, x2, x3 = position.tolist()
+    p1, p2, p3 = focus.tolist()
+    u1, u2, u3 = p1 - x1, p2 - x2, p3 - x3
+    distance = math.sqrt(u1 * u1 + u2 * u2 + u3 * u3)
+    if distance > MIN_DISTANCE_M:
+        u1, u2, u3 = u1 / distance, u2 / distance, u3 / distance
+    else:
+        u1, u2, u3, distance = a3, b3, c3, MIN_DISTANCE_M
+    y1 = a1 * u1 + b1 * u2 + c1 * u3
+    y2 = a2 * u1 + b2 * u2 + c2 * u3
+    y3 = a3 * u1 + b3 * u2 + c3 * u3
     sine = math.hypot(y1, y2)
     angle = math.atan2(sine, y3)
     undecided = math.pi - angle < ANTIPODE_RAD
@@ -76,16 +85,24 @@ def look(rotation: Array, position: Array, focus: Array, way_round: Array | None
         way1, way2 = (0.0, 1.0) if way_round is None else way_round.tolist()
         sine = math.copysign(math.sin(angle), y1 * way1 + y2 * way2)
         y1, y2, y3 = sine * way1, sine * way2, math.cos(angle)
-        u, sine = rotation @ np.array([y1, y2, y3]), abs(sine)
+        u1, u2, u3 = (rotation @ np.array([y1, y2, y3])).tolist()
+        sine = abs(sine)
     # 1 + y3 loses all its digits near the antipode; tan(angle / 2) does not
     size = math.tan(0.5 * angle)
-    direction = np.array([y1, y2]) / sine if sine > 1e-12 else np.array([0.0, 1.0])
-    psi = size * direction
+    e1, e2 = (y1 / sine, y2 / sine) if sine > 1e-12 else (0.0, 1.0)
+    psi1, psi2 = size * e1, size * e2
     stretch = 0.5 * (1.0 + size * size)
     # S R^T (I - u u^T) = stretch (B - psi u^T) with B = [I2, -psi] R^T, since B u = psi
-    across = rotation[:, :2].T - np.outer(psi, rotation[:, 2] + u)
-    distance = max(distance, MIN_DISTANCE_M)
-    return Look(psi, angle, direction, distance, u, (stretch / distance) * across, stretch, undecided)
+    scale = stretch / distance
+    v1, v2, v3 = a3 + u1, b3 + u2, c3 + u3
+    P = np.array(
+        [
+            [scale * (a1 - psi1 * v1), scale * (b1 - psi1 * v2), scale * (c1 - psi1 * v3)],
+            [scale * (a2 - psi2 * v1), scale * (b2 - psi2 * v2), scale * (c2 - psi2 * v3)],
+        ]
+    )
+    u, psi, direction = np.array([u1, u2, u3]), np.array([psi1, psi2]), np.array([e1, e2])
+    return Look(psi, angle, direction, distance, u, P, stretch, undecided)
 
 
 def easiest_way_round(rotation: Array, jacobian_at_focus: Array) -> Array:
@@ -112,20 +129,33 @@ def skew(v: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def task_jacobian(P: Array, position: Array, focus: Array, jacobian: Array) -> Array:
-    """The task Jacobian of (4).
+def view_jacobians(view: Look, position: Array, focus: Array, twists: Array) -> tuple[Array, Array]:
+    """The task Jacobian of (4), and how the lens approaches the focus.
+
+    A wrench acts on the twists of all joints at once: a force f at a point o is `[f, o x f]` at the world's origin.
 
     Args:
-        P: (2, 3) from `look`.
-        position: (3,) point that `jacobian` belongs to [m].
+        view: from `look`.
+        position: (3,) lens in the world [m].
         focus: (3,) point to look at [m].
-        jacobian: (6, n) linear over angular Jacobian of that point, world axes.
+        twists: (6, n) velocities of the camera's body at the world's origin, linear over angular.
 
     Returns:
-        (2, n) derivative of psi with respect to q.
+        (2, n) derivative of psi with respect to q, and (n,) speed of the lens towards the focus per joint rate [m].
     """
-    at_focus: Array = jacobian[:3] - skew(focus - position) @ jacobian[3:]
-    return -P @ at_focus
+    (a1, a2, a3), (b1, b2, b3) = view.P.tolist()
+    p1, p2, p3 = focus.tolist()
+    u1, u2, u3 = view.u.tolist()
+    x1, x2, x3 = position.tolist()
+    wrenches = np.array(
+        [
+            [-a1, -a2, -a3, p3 * a2 - p2 * a3, p1 * a3 - p3 * a1, p2 * a1 - p1 * a2],
+            [-b1, -b2, -b3, p3 * b2 - p2 * b3, p1 * b3 - p3 * b1, p2 * b1 - p1 * b2],
+            [u1, u2, u3, x2 * u3 - x3 * u2, x3 * u1 - x1 * u3, x1 * u2 - x2 * u1],
+        ]
+    )
+    rows: Array = wrenches @ twists
+    return rows[:2], rows[2]
 
 
 def view_angle(rotation: Array, position: Array, focus: Array) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_error import Look, easiest_way_round, look, skew
+from deltaq_controllers.camera_error import Look, easiest_way_round, look, view_jacobians
 from deltaq_controllers.gains import FollowerGains, Variants
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.redundancy import WeightedGradient, damped_rates, emergency_rates
@@ -61,7 +61,6 @@ class CameraLaw:
             self._kinematics.linear[:, last],
         )
         self._focus: Array = np.zeros(3)
-        self._focus_skew: Array = np.zeros((3, 3))
         self._focus_speed = 0.0
         self._desired_distance = 1.0
         self._distance_gain, self._largest_zoom = gains.distance, math.inf
@@ -88,7 +87,7 @@ class CameraLaw:
         Returns:
             Least clearance from obstacles and floor [m].
         """
-        self._focus, self._focus_skew, self._focus_speed = focus, skew(focus), focus_speed
+        self._focus, self._focus_speed = focus, focus_speed
         self._desired_distance = desired_distance
         self._kinematics.update(q)
         clearance = self._repulsion.approach(self._kinematics, obstacles, radii)
@@ -155,13 +154,13 @@ class CameraLaw:
     def _look(self) -> tuple[Look, Array, Array]:
         """View, task Jacobian (2, n) and speed of the lens towards the focus (n,) where the robot is placed."""
         kinematics = self._kinematics
-        at_focus = kinematics.linear - self._focus_skew @ kinematics.angular
         view = look(kinematics.rotation, kinematics.position, self._focus)
         if view.undecided:
+            at_focus = kinematics.at_point(self._focus)
             way = easiest_way_round(kinematics.rotation, at_focus)
             view = look(kinematics.rotation, kinematics.position, self._focus, way)
-        lever = skew(kinematics.position) @ view.u
-        return view, -view.P @ at_focus, view.u @ kinematics.linear + lever @ kinematics.angular
+        jacobian, approach = view_jacobians(view, kinematics.position, self._focus, kinematics.twists)
+        return view, jacobian, approach
 
     def _task_rate(self, view: Look) -> Array:
         """(2,) wanted rate of psi [1/s]."""

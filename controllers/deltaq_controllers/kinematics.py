@@ -30,7 +30,8 @@ class Kinematics:
         position: (3,) origin of the frame in the world [m].
         linear: (3, n) velocity of the frame's body at the world's origin, per joint rate.
         angular: (3, n) angular velocity of the frame's body, per joint rate.
-        columns: (6, n) the same for whatever each joint carries, linear over angular.
+        twists: (6, n) both of them, linear over angular.
+        columns: (6, n) the same for whatever each joint carries.
         data: pinocchio's data, joint placements filled in.
         last: index of the outermost joint that moves the frame.
     """
@@ -58,12 +59,18 @@ class Kinematics:
         if self._others is not None:
             columns = columns.copy()
             columns[:, self._others] = 0.0
+        self.twists: Array = columns
         self.linear: Array = columns[:3]
         self.angular: Array = columns[3:]
 
     def jacobian(self) -> Array:
         """(6, n) Jacobian of the frame's origin, linear over angular, world axes."""
-        return np.vstack([self.linear - skew(self.position) @ self.angular, self.angular])
+        return np.vstack([self.at_point(self.position), self.angular])
+
+    def at_point(self, point: Array) -> Array:
+        """(3, n) linear Jacobian of the point of the frame's body that lies at `point` (3,) in the world."""
+        velocity: Array = self.linear - skew(point) @ self.angular
+        return velocity
 
 
 def joints_that_move(robot: RobotModel, carriers: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -57,14 +57,20 @@ def damped_rates(jacobian: Array, inverse_weights: Array, task: Array, field: Ar
     Returns:
         (n,) joint rates.
     """
-    g = inverse_weights * field
-    weighted = jacobian * inverse_weights
-    (a, b), (_, c) = (weighted @ jacobian.T).tolist()
+    return _weighed(np.vstack([jacobian, field]), inverse_weights, task, damping)
+
+
+def _weighed(rows: Array, inverse_weights: Array, task: Array, damping: float) -> Array:
+    """The same with the Jacobian's rows and the field as one (3, n): one product has all that the law needs."""
+    weighted = rows * inverse_weights
+    (a, b, d0), (_, c, d1), _ = (weighted @ rows.T).tolist()
     a, c = a + damping, c + damping
-    r0, r1 = (task - jacobian @ g).tolist()
+    t0, t1 = task.tolist()
+    r0, r1 = t0 - d0, t1 - d1
     determinant = a * c - b * b
-    z = np.array([c * r0 - b * r1, a * r1 - b * r0]) / determinant
-    rates: Array = g + z @ weighted
+    rates: Array = (
+        np.array([(c * r0 - b * r1) / determinant, (a * r1 - b * r0) / determinant, 1.0]) @ weighted
+    )
     return rates
 
 
@@ -115,18 +121,20 @@ class WeightedGradient:
         damping = (self._damping * stretch) ** 2
         gradient = limit_gradient(q, self._lower, self._upper)
         weighed = 1.0 / (1.0 + (self._limit_scale * gradient) ** 2)
-        rates = damped_rates(jacobian, weighed, task, field, damping)
+        rows = np.empty((3, len(q)))
+        rows[:2], rows[2] = jacobian, field
+        rates = _weighed(rows, weighed, task, damping)
         if not self._one_sided:
             return rates
         released = (gradient * rates < 0.0) & (weighed < 1.0 - _MATTERS)
-        while released.any():
-            rates = damped_rates(jacobian, np.where(released, 1.0, weighed), task, field, damping)
+        while True in released:
+            rates = _weighed(rows, np.where(released, 1.0, weighed), task, damping)
             kept = released & (gradient * rates < 0.0)
             if (kept == released).all():
                 break
             released = kept
             if not released.any():
-                rates = damped_rates(jacobian, weighed, task, field, damping)
+                rates = _weighed(rows, weighed, task, damping)
         return rates
 
 

@@ -90,8 +90,7 @@ class Repulsion:
             above = np.where(self._can_sink, centres[:, 2] - own - self._floor_m, np.inf)
             least = min(least, float(above.min(initial=np.inf)))
             low = np.flatnonzero(above < within)
-        apart = centres[:, None, :] - obstacles[None, :, :]
-        free = np.sqrt((apart * apart).sum(axis=2)) - own[:, None] - radii[None, :]
+        free = _between(centres, obstacles) - own[:, None] - radii
         least = min(least, float(free.min(initial=np.inf)))
         pairs = np.nonzero(free < within[:, None])
         used = np.concatenate([low, pairs[0]])
@@ -138,6 +137,14 @@ class _Nearby:
     obstacles: Array
     reach: Array
     floor_count: int
+
+
+def _between(points: Array, others: Array) -> Array:
+    """(m, k) distances of points (m, 3) and (k, 3), by the law of cosines [m]."""
+    squares = (
+        (points * points).sum(axis=1)[:, None] + (others * others).sum(axis=1) - 2.0 * (points @ others.T)
+    )
+    return np.sqrt(np.maximum(squares, 0.0))
 
 
 def _reach(robot: RobotModel, spheres: Spheres) -> Array:
