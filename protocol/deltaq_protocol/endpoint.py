@@ -1,0 +1,55 @@
+"""Where something listens, as cells and commands write it: `tcp/HOST:PORT` or `udp/HOST:PORT`."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from dataclasses import dataclass
+from typing import Literal, cast
+
+from deltaq_protocol.errors import DeltaqError
+
+_FORM = re.compile(r"(tcp|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
+
+
+class InvalidEndpointError(DeltaqError):
+    """A text that is no endpoint."""
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A transport, a host by name or number, and a port."""
+
+    transport: Literal["tcp", "udp"]
+    host: str
+    port: int
+
+    @classmethod
+    def parse(cls, text: str) -> Endpoint:
+        """Read an endpoint.
+
+        >>> Endpoint.parse("tcp/127.0.0.1:7447")
+        Endpoint(transport='tcp', host='127.0.0.1', port=7447)
+
+        Raises:
+            InvalidEndpointError: if it has another form, or a port beyond 1 to 65535.
+        """
+        found = _FORM.fullmatch(text)
+        if found is None or not 1 <= int(found[4]) <= 65535:
+            raise InvalidEndpointError(
+                f"{text!r} is no endpoint; write tcp/HOST:PORT or udp/HOST:PORT with a port of 1 to 65535, "
+                "e.g. tcp/127.0.0.1:7447"
+            )
+        return cls(cast(Literal["tcp", "udp"], found[1]), found[2] or found[3], int(found[4]))
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether nobody but this machine can reach it."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.transport}/{host}:{self.port}"

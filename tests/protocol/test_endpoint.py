@@ -1,0 +1,33 @@
+"""Endpoints as texts."""
+
+import pytest
+
+from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
+
+
+@pytest.mark.parametrize(
+    ("text", "is_loopback"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("udp/127.9.9.9:1", True),
+        ("tcp/localhost:65535", True),
+        ("tcp/[::1]:7447", True),
+        ("tcp/192.168.1.4:7447", False),
+        ("tcp/0.0.0.0:7447", False),
+        ("tcp/[fe80::1]:7447", False),
+        ("tcp/localhost.example:7447", False),
+    ],
+)
+def test_an_endpoint_is_read_and_written_back_and_knows_who_can_reach_it(text, is_loopback):
+    endpoint = Endpoint.parse(text)
+    assert str(endpoint) == text
+    assert endpoint.is_loopback is is_loopback
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/:1", "tcp/a b:1", "tcp/a:0", "tcp/a:65536", "quic/a:1"],
+)
+def test_what_is_no_endpoint_is_told_with_what_is_one(text):
+    with pytest.raises(InvalidEndpointError, match=r"is no endpoint; write tcp/HOST:PORT"):
+        Endpoint.parse(text)
