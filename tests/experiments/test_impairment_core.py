@@ -3,11 +3,10 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.impairment.lines import FaultyLines
-from deltaq_experiments.impairment.relay import Unit, relay
+from deltaq_experiments.impairment.relay import InvalidFaultError, Unit, relay, wire_faults
 from deltaq_experiments.impairment.stream import MAX_WAITING_BYTES, FaultyStream, StreamFaults
 from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
 
@@ -101,8 +100,10 @@ def test_a_line_that_never_ends_does_not_fill_the_memory():
 
 
 def test_a_stream_that_should_lose_something_is_refused():
-    with pytest.raises(ValidationError, match="drop"):
-        Unit.BYTES.faults(drop=0.1)
+    with pytest.raises(InvalidFaultError, match="loss cannot befall bytes, only lines"):
+        wire_faults(Unit.BYTES, {"drop": 0.1})
+    with pytest.raises(InvalidFaultError, match="a stall cannot befall lines, only bytes"):
+        wire_faults(Unit.LINES, {"stalled": True})
 
 
 def test_datagrams_over_tcp_are_refused_and_told():

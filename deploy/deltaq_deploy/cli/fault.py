@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_deploy.cli.errors import BAD
+from deltaq_deploy.cli.impair import impair
 from deltaq_deploy.cli.options import CellOption, JsonOption, RobotOption
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ fault = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+fault.command()(impair)
 
 
 @fault.command("list")

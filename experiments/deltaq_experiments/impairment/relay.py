@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractAsyncContextManager
 from enum import StrEnum
 from typing import Any, Protocol
+
+from pydantic import ValidationError
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.impairment.lines import FaultyLines
@@ -13,6 +16,7 @@ from deltaq_experiments.impairment.stream import FaultyStream, StreamFaults
 from deltaq_experiments.impairment.tcp import TcpRelay
 from deltaq_experiments.impairment.udp import UdpRelay
 from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
+from deltaq_protocol.errors import DeltaqError
 
 
 class Unit(StrEnum):
@@ -31,6 +35,54 @@ class Unit(StrEnum):
     def faults(self) -> type[StreamFaults] | type[LinkFaults]:
         """What can befall it."""
         return StreamFaults if self is Unit.BYTES else LinkFaults
+
+
+_WORDS = {
+    "drop": "loss",
+    "duplicate": "duplication",
+    "reorder": "reordering",
+    "corrupt": "corruption",
+    "rate_bytes_s": "a rate",
+    "stalled": "a stall",
+    "cut": "a cut",
+}
+
+
+class InvalidFaultError(DeltaqError):
+    """A fault that the wire cannot suffer."""
+
+
+def unit_of(endpoint: Endpoint, name: str = "") -> Unit:
+    """The unit of this name; of an empty one, what the transport itself carries.
+
+    Raises:
+        InvalidFaultError: if there is no such unit.
+    """
+    if not name:
+        return Unit.DATAGRAMS if endpoint.transport == "udp" else Unit.BYTES
+    try:
+        return Unit(name)
+    except ValueError:
+        raise InvalidFaultError(f"no unit {name!r}; there are {', '.join(Unit)}") from None
+
+
+def wire_faults(unit: Unit, asked: Mapping[str, Any]) -> StreamFaults | LinkFaults:
+    """What shall befall a wire, from the fields of `StreamFaults` or `LinkFaults`.
+
+    Raises:
+        InvalidFaultError: if it cannot befall this unit.
+    """
+    allowed = unit.faults.model_fields
+    for name in asked:
+        if name not in allowed:
+            able = ", ".join(other for other in Unit if name in other.faults.model_fields)
+            word = _WORDS.get(name, name)
+            raise InvalidFaultError(f"{word} cannot befall {unit}, only {able}; name another unit")
+    try:
+        return unit.faults.model_validate(asked)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise InvalidFaultError(f"{first['loc'][0]}: {first['msg']}, got {first['input']}") from error
 
 
 class Relay(Protocol):

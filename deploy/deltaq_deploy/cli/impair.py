@@ -1,0 +1,86 @@
+"""`deltaq fault impair`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+
+def impair(
+    listen: Annotated[
+        str, typer.Option(metavar="ENDPOINT", help="Where one of the two shall connect or send.")
+    ],
+    to: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the other one listens.")],
+    unit: Annotated[
+        str,
+        typer.Option(
+            help="What is impaired as a whole: bytes, lines or messages over TCP, datagrams over UDP; "
+            "bytes or datagrams if not given."
+        ),
+    ] = "",
+    delay_s: Annotated[float, typer.Option(min=0.0, max=10.0, help="How long each takes.")] = 0.0,
+    jitter_s: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="How much longer each takes at most.")
+    ] = 0.0,
+    loss_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that is lost.")] = 0.0,
+    duplicate_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that comes twice.")] = 0.0,
+    reorder_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that is overtaken.")] = 0.0,
+    corrupt_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that is garbled.")] = 0.0,
+    rate_bytes_s: Annotated[
+        float | None, typer.Option(min=1.0, help="Bytes that pass in a second; of a byte stream only.")
+    ] = None,
+    stall: Annotated[
+        bool, typer.Option("--stall", help="Let nothing pass and lose nothing; a byte stream only.")
+    ] = False,
+    cut: Annotated[
+        bool, typer.Option("--cut", help="Break connections, refuse new ones; bytes only.")
+    ] = False,
+    after_s: Annotated[float, typer.Option(min=0.0, help="Until the faults begin.")] = 0.0,
+    for_s: Annotated[
+        float | None, typer.Option(min=0.0, help="How long they stand; to the end if not given.")
+    ] = None,
+    duration_s: Annotated[
+        float | None, typer.Option(min=0.0, help="How long the relay works; until Ctrl-C if not given.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
+) -> None:
+    """Carry a wire between two addresses through a relay that delays, loses, doubles, stalls or cuts it."""
+    import asyncio
+    import contextlib
+    import signal
+
+    from deltaq_experiments.impairment.relay import unit_of, wire_faults
+    from deltaq_experiments.impairment.schedule import impair_for_a_while
+    from deltaq_protocol.endpoint import Endpoint
+    from deltaq_services.process import end_on_interrupt
+
+    signal.signal(signal.SIGTERM, end_on_interrupt)
+    near, far = Endpoint.parse(listen), Endpoint.parse(to)
+    chosen = unit_of(near, unit)
+    asked: dict[str, Any] = {
+        "delay_s": delay_s,
+        "jitter_s": jitter_s,
+        "drop": loss_share,
+        "duplicate": duplicate_share,
+        "reorder": reorder_share,
+        "corrupt": corrupt_share,
+        "rate_bytes_s": rate_bytes_s,
+        "stalled": stall,
+        "cut": cut,
+    }
+    faults = wire_faults(chosen, {name: value for name, value in asked.items() if value})
+    with contextlib.suppress(KeyboardInterrupt):  # that is how a relay ends
+        asyncio.run(
+            impair_for_a_while(
+                near,
+                far,
+                chosen,
+                faults,
+                typer.echo,
+                after_s=after_s,
+                for_s=for_s,
+                duration_s=duration_s,
+                seed=seed,
+            )
+        )

@@ -1,0 +1,55 @@
+"""Impair a wire for a while, as `deltaq fault impair` does."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from deltaq_emulator.faults import LinkFaults
+from deltaq_experiments.impairment.relay import Unit, relay
+from deltaq_experiments.impairment.stream import StreamFaults
+from deltaq_protocol.endpoint import Endpoint
+
+
+async def impair_for_a_while(
+    listen: Endpoint,
+    to: Endpoint,
+    unit: Unit,
+    faults: StreamFaults | LinkFaults,
+    say: Callable[[str], None],
+    *,
+    after_s: float = 0.0,
+    for_s: float | None = None,
+    duration_s: float | None = None,
+    seed: int = 0,
+) -> None:
+    """Carry a wire through a relay, and let faults befall it.
+
+    Args:
+        listen: where one of the two parties is told to connect or to send.
+        to: where the other one listens.
+        unit: what is impaired as a whole.
+        faults: what befalls the wire.
+        say: called with what happens.
+        after_s: until the faults begin.
+        for_s: how long they stand; None for as long as the relay works.
+        duration_s: how long the relay works; None for ever.
+        seed: of the random numbers.
+
+    Raises:
+        InvalidEndpointError: if the transport of an endpoint is not that of the unit.
+        ServiceUnreachableError: if `listen` cannot be listened on.
+    """
+    async with relay(listen, to, unit, seed) as running:
+        say(f"carries {unit} from {listen} to {to}; Ctrl-C ends it")
+        try:
+            async with asyncio.timeout(duration_s):
+                await asyncio.sleep(after_s)
+                running.impair(faults)
+                say(f"impaired: {faults.model_dump_json(exclude_defaults=True)}")
+                await asyncio.sleep(for_s if for_s is not None else float("inf"))
+                running.impair(unit.faults())
+                say("whole again")
+                await asyncio.Event().wait()
+        except TimeoutError:
+            return

@@ -1,0 +1,72 @@
+"""`deltaq fault impair`: options that belong together, and a wire that is cut for a while."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_cell import endpoint
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+SOMEWHERE = "tcp/127.0.0.1:9"
+
+
+def command(*options: str) -> list[str]:
+    return [DELTAQ, "fault", "impair", *options]
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "told"),
+    [
+        (("--loss-share", "0.2"), 2, "loss cannot befall bytes, only lines, messages, datagrams"),
+        (("--unit", "packets"), 2, "no unit 'packets'; there are bytes, lines, messages, datagrams"),
+        (("--loss-share", "1.2"), 2, "--loss-share"),
+        (("--listen", "tcp/192.0.2.1:9"), 3, "cannot listen on tcp/192.0.2.1:9"),
+    ],
+)
+def test_what_cannot_be_done_is_told_with_what_can(options: tuple[str, ...], status: int, told: str) -> None:
+    words = command("--listen", SOMEWHERE, "--to", SOMEWHERE, *options)
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == status, done.stderr
+    assert told in re.sub(r"[\s│]+", " ", done.stderr)
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.live
+def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() -> None:
+    listen, to = endpoint(), endpoint()
+    port = int(listen.rpartition(":")[2])
+    with socket.create_server(("127.0.0.1", int(to.rpartition(":")[2]))) as server:
+        words = command("--listen", listen, "--to", to, "--cut", "--after-s", "0.5", "--for-s", "0.5")
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as relay:
+            assert relay.stdout is not None
+            try:
+                assert relay.stdout.readline().startswith(f"carries bytes from {listen} to {to}")
+                with socket.create_connection(("127.0.0.1", port), timeout=20) as client:
+                    there, _ = server.accept()
+                    client.sendall(b"before")
+                    assert there.recv(100) == b"before"
+                    assert relay.stdout.readline() == 'impaired: {"cut":true}\n'
+                    there.settimeout(20)
+                    assert is_broken(there)
+                    there.close()
+                assert relay.stdout.readline() == "whole again\n"
+                with socket.create_connection(("127.0.0.1", port), timeout=20) as client:
+                    there, _ = server.accept()
+                    client.sendall(b"after")
+                    assert there.recv(100) == b"after"
+                    there.close()
+            finally:
+                relay.terminate()
+        assert relay.returncode == 0
+
+
+def is_broken(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(100) == b""
+    except ConnectionResetError:
+        return True
