@@ -1,8 +1,8 @@
 """The catalogue of faults: one row a fault, injected in virtual time, live, or into a cell that is up.
 
 A fault of a KRC or of its wire is a request to the emulated controller's panel and the same everywhere. A
-process that dies or freezes is so live too. What the operating system will not do to a wire on loopback is done to
-the wires between the cores in virtual time.
+process that dies or freezes is so live too. To a wire between processes a relay does live what is done to the wires
+between the cores in virtual time.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Any
 
 from deltaq_emulator.faults import LinkFaults
+from deltaq_experiments.impairment.stream import StreamFaults
 from deltaq_protocol.errors import DeltaqError
 
 
@@ -27,6 +28,7 @@ class Process(StrEnum):
     HLI = "hli"
     SIM = "sim"
     ROBOT_SERVER = "robot-server"
+    RECORDER = "recorder"
 
 
 class Link(StrEnum):
@@ -77,6 +79,24 @@ class Impair:
 
 
 @dataclass(frozen=True)
+class ImpairStream:
+    """The TCP connection under a wire does to its bytes what is said of it."""
+
+    link: Link
+    faults: StreamFaults
+
+
+@dataclass(frozen=True)
+class ReadNothing:
+    """Clients ask for everything and stop reading."""
+
+
+@dataclass(frozen=True)
+class FillDisk:
+    """The recorder's disk is full."""
+
+
+@dataclass(frozen=True)
 class Misbehave:
     """The controller itself goes wrong."""
 
@@ -103,7 +123,19 @@ class PressStop:
     """Somebody presses stop."""
 
 
-Action = Kill | Freeze | Slow | Impair | Misbehave | StepClock | AskPanel | PressStop
+Action = (
+    Kill
+    | Freeze
+    | Slow
+    | Impair
+    | ImpairStream
+    | ReadNothing
+    | FillDisk
+    | Misbehave
+    | StepClock
+    | AskPanel
+    | PressStop
+)
 
 
 @dataclass(frozen=True)
@@ -125,7 +157,15 @@ class Fault:
     @property
     def live(self) -> bool:
         """Whether real processes can be made to suffer it."""
-        return isinstance(self.action, Kill | Freeze | AskPanel | PressStop)
+        return not isinstance(self.action, Slow | Misbehave | StepClock)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether it can be had in virtual time, where there are neither connections nor a recorder."""
+        recorder = (Kill(Process.RECORDER), Freeze(Process.RECORDER))
+        return (
+            not isinstance(self.action, ImpairStream | ReadNothing | FillDisk) and self.action not in recorder
+        )
 
     @property
     def injectable(self) -> bool:
@@ -138,6 +178,18 @@ _NO_MORE_FAULTS = {"op": "fault"}
 
 def _wire(name: str, what: str, **faults: Any) -> Fault:
     return Fault(name, what, AskPanel({"op": "fault", **faults}), _NO_MORE_FAULTS)
+
+
+def _streams() -> tuple[Fault, ...]:
+    kinds = (
+        ("stalled", "stands still, and then brings everything at once", StreamFaults(stalled=True)),
+        ("broken", "is broken and refused again and again", StreamFaults(cut=True)),
+    )
+    return tuple(
+        Fault(f"{link}-{kind}", f"the connection {link} {what}", ImpairStream(link, faults))
+        for link in Link
+        for kind, what, faults in kinds
+    )
 
 
 def _links() -> tuple[Fault, ...]:
@@ -178,7 +230,12 @@ CATALOGUE: tuple[Fault, ...] = (
         "the Robot Server's clock leaps 10 s back",
         StepClock(Process.ROBOT_SERVER, -10.0),
     ),
+    Fault("clients-not-reading", "clients over TCP and zenoh stop reading", ReadNothing()),
+    Fault("recorder-dead", "kill -9 of the recorder", Kill(Process.RECORDER)),
+    Fault("recorder-frozen", "SIGSTOP of the recorder", Freeze(Process.RECORDER)),
+    Fault("recorder-disk-full", "the recorder's disk is full", FillDisk()),
     *_links(),
+    *_streams(),
     _wire("krc-cut", "nothing passes between KRC and Robot Server", drop=1.0),
     _wire("krc-telegrams-lost", "30 % of the KRC's telegrams are lost", link="to_pc", drop=0.3),
     _wire("krc-replies-lost", "30 % of the replies to the KRC are lost", link="from_pc", drop=0.3),

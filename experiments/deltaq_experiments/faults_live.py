@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_deploy.launcher import Launcher
 from deltaq_deploy.running import connect
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults import AskPanel, Fault, Freeze, Kill, PressStop, Process
-from deltaq_experiments.faults_live_cell import moving_cell, rows_of
+from deltaq_experiments.faults import Fault, FillDisk, Freeze, Kill, PressStop, Process
+from deltaq_experiments.faults_live_cell import MovingCell, moving_cell, rows_of
+from deltaq_experiments.faults_live_inject import Injector
 from deltaq_experiments.faults_loaded import LoadedCell
 from deltaq_experiments.faults_lockstep import ATTEMPTS, FaultRunError
 from deltaq_experiments.faults_mover import CRUISE_RAD_S, SWING_RAD
-from deltaq_experiments.faults_panel import PanelClient, protest, told, way_back
+from deltaq_experiments.faults_panel import protest, told, way_back
+from deltaq_experiments.faults_placed import Place
 from deltaq_experiments.faults_report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
@@ -47,42 +45,51 @@ _CYCLES_MOVED = 25
 
 
 def run_live_faults(
-    faults: Sequence[Fault], loaded: LoadedCell, robot: str, on_row: Callable[[Row], None]
+    faults: Sequence[Fault], loaded: LoadedCell, robot: str, on_row: Callable[[Row], None], seed: int = 0
 ) -> None:
     """Start the cell's services, let a moving robot suffer fault after fault, and take everything down.
+
+    Faults of one wire share a cell with a relay in that wire; others have no relay in their way.
 
     Args:
         faults: those that can be had live.
         loaded: the cell; nobody else may run it.
         robot: the one that moves.
         on_row: called with each row.
+        seed: of the relays' random numbers.
 
     Raises:
         LaunchError: if a service does not come up.
         FaultRunError: if the robot never got to its cruising speed.
     """
-    waiting = list(faults)
-    while waiting:
-        with moving_cell(loaded, robot) as (launcher, panel, records):
-            while waiting:
-                row = _Run(launcher, panel, loaded, robot, records).suffer(waiting.pop(0))
-                on_row(row)
-                if row.recovery == NEVER:
-                    break  # the rest suffers in a cell that is well
+    waiting: dict[tuple[Place | None, bool], list[Fault]] = {}
+    for fault in faults:
+        waiting.setdefault((Place.of(fault), _needs_recorder(fault)), []).append(fault)
+    for (place, recorded), group in waiting.items():
+        while group:
+            with moving_cell(loaded, robot, place, recorded=recorded, seed=seed) as cell:
+                while group:
+                    fault = group.pop(0)
+                    row = _Run(cell, loaded, robot).suffer(fault)
+                    on_row(row)
+                    # the rest suffers in a cell that is well, and a recorder writes to a file of its own
+                    if row.recovery == NEVER or recorded:
+                        break
+
+
+def _needs_recorder(fault: Fault) -> bool:
+    return isinstance(fault.action, FillDisk) or fault.action in (
+        Kill(Process.RECORDER),
+        Freeze(Process.RECORDER),
+    )
 
 
 class _Run:
     """One fault in a cell of real processes."""
 
-    def __init__(
-        self,
-        launcher: Launcher,
-        panel: PanelClient,
-        loaded: LoadedCell,
-        robot: str,
-        records: dict[str, Path],
-    ) -> None:
-        self._launcher, self._panel, self._records = launcher, panel, records
+    def __init__(self, running: MovingCell, loaded: LoadedCell, robot: str) -> None:
+        self._launcher, self._panel, self._records = running.launcher, running.panel, running.records
+        self._injector = Injector(running, loaded, robot)
         self._cell, self._robot = loaded.model, robot
         self._description = loaded.model.description
         self._cycle_s = self._description.cycle_s
@@ -91,12 +98,13 @@ class _Run:
 
     def suffer(self, fault: Fault) -> Row:
         """Move, inject, watch, lift, bring back, judge."""
+        self._injector.prepare(fault)
         self._wait_for_room()
         begun = self._status()
         time.sleep(CRUISE_S)
         phase, reason, named, injected = self._watch(fault)
         lifted = self._status()
-        steps = self._lift(fault)
+        steps = self._injector.lift(fault)
         if phase is None:
             phase, reason = self._phase()
         recovery = self._recover(steps)
@@ -157,7 +165,7 @@ class _Run:
         deadline = time.monotonic() + FAULT_S
         if fault.action in (Kill(Process.HLI), Freeze(Process.HLI)):
             cycle = self._status()["cycle"]
-            self._inject(fault)
+            self._injector.inject(fault)
             time.sleep(FAULT_S)
             return None, None, None, cycle
         named = None
@@ -166,7 +174,7 @@ class _Run:
             if isinstance(fault.action, PressStop):
                 running.stop()
             else:
-                self._inject(fault)
+                self._injector.inject(fault)
             while True:
                 status = running.status().robots[self._robot]
                 now_s = time.monotonic()
@@ -176,27 +184,7 @@ class _Run:
                     return status.phase, status.reason if status.phase is Phase.HELD else None, named, cycle
                 time.sleep(_POLL_S)
 
-    def _inject(self, fault: Fault) -> None:
-        match fault.action:
-            case Kill(process):
-                self._signal(process, signal.SIGKILL)
-            case Freeze(process):
-                self._signal(process, signal.SIGSTOP)
-            case AskPanel(request):
-                self._panel.ask(request)
-
     # --- afterwards ---------------------------------------------------------------------------------------
-
-    def _lift(self, fault: Fault) -> list[str]:
-        if fault.lift is not None:
-            self._panel.ask(fault.lift)
-        match fault.action:
-            case Kill(process):
-                self._launcher.restart(self._service(process))
-                return [f"restart of the {process}"]
-            case Freeze(process):
-                self._signal(process, signal.SIGCONT)
-        return []
 
     def _recover(self, steps: list[str]) -> str:
         for _ in range(ATTEMPTS):
@@ -260,12 +248,6 @@ class _Run:
         )
 
     # --- processes and panel ------------------------------------------------------------------------------
-
-    def _service(self, process: Process) -> str:
-        return f"{process}-{self._robot}" if process is Process.ROBOT_SERVER else str(process)
-
-    def _signal(self, process: Process, number: signal.Signals) -> None:
-        os.killpg(self._launcher.children[self._service(process)].pid, number)
 
     def _status(self) -> dict[str, Any]:
         return self._panel.ask({"op": "status"})

@@ -44,7 +44,7 @@ def run_table(
     Args:
         cell_name: name or file of a cell whose robots are driven over RSI.
         robot: the one that moves; None for the first of the cell.
-        faults: from the catalogue; live, those that processes cannot be made to suffer are left out.
+        faults: from the catalogue; those that cannot be had this way, live or in virtual time, are left out.
         live: over real processes, zenoh and UDP.
         seed: of the wires' random numbers.
         on_row: called with the number of rows done and the number of all.
@@ -55,12 +55,12 @@ def run_table(
     loaded = LoadedCell.load(cell_name)
     name = robot or next(iter(loaded.model.robots))
     loaded.check_robot(name)
-    chosen = [fault for fault in faults if fault.live or not live]
+    chosen = [fault for fault in faults if (fault.live if live else fault.virtual)]
     if not chosen:
-        raise UnknownFaultError(
-            "none of these faults can be had live; leave out --live to run them in virtual time"
-        )
+        way, other = ("live", "leave out") if live else ("in virtual time", "add")
+        raise UnknownFaultError(f"none of these faults can be had {way}; {other} --live")
     rows: list[Row] = []
+    order = {fault.name: place for place, fault in enumerate(chosen)}
 
     def add(row: Row) -> None:
         rows.append(row)
@@ -70,7 +70,7 @@ def run_table(
     if live:
         from deltaq_experiments.faults_live import run_live_faults
 
-        run_live_faults(chosen, loaded, name, add)
+        run_live_faults(chosen, loaded, name, add, seed)
     else:
         for fault in chosen:
             add(run_fault(fault, loaded, name, seed))
@@ -79,7 +79,7 @@ def run_table(
         robot=name,
         cycle_s=loaded.model.description.cycle_s,
         cruise_rad_s=float(CRUISE_RAD_S),
-        rows=tuple(rows),
+        rows=tuple(sorted(rows, key=lambda row: order[row.fault])),
     )
 
 

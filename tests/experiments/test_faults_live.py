@@ -59,6 +59,14 @@ def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
         inject(fault_named("sim-dead"), load_cell("lab"), "fr", 0.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "live", "way"), [("sim-slow", True, "live"), ("hli-sim-broken", False, "virtual")]
+)
+def test_a_fault_that_cannot_be_had_this_way_is_told(name, live, way):
+    with pytest.raises(UnknownFaultError, match=f"can be had .*{way}"):
+        run_table("lab", "fr", faults=[fault_named(name)], live=live)
+
+
 def test_a_cell_that_is_not_up_is_told(tmp_path):
     description = load_cell(write_private_cell(tmp_path))
     with pytest.raises(ServiceUnreachableError):

@@ -55,6 +55,16 @@ class Stack:
                 before = after
         pytest.fail("the robot never got there")
 
+    def wait_cycles(self, count):
+        """Until the controller has gone through so many cycles."""
+        end = self.emulator()["cycle"] + count
+        while self.emulator()["cycle"] < end:
+            pass
+
+    def setpoint(self):
+        """What the drives are sent now, (n,) [rad or m]."""
+        return np.array(self.emulator()["q_setpoint"])
+
     def wait_until_moving(self):
         bound = MOVING_RAD_S * self.cell.cycle_s
         self.wait_for(lambda before, after, cycles: np.max(np.abs(after - before)) > bound * cycles)
@@ -97,8 +107,11 @@ class Stack:
 
 
 @contextmanager
-def live_stack(folder, *, moving=False, base="lab"):
-    """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever."""
+def live_stack(folder, *, moving=False, base="lab", rewired=lambda services, file: services):
+    """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever.
+
+    `rewired` may change the services before they start; it is given the cell's file too.
+    """
     file = write_private_cell(folder, base)
     cell = CellModel.load(file)
     record = folder / "fr.csv"
@@ -109,7 +122,7 @@ def live_stack(folder, *, moving=False, base="lab"):
         for service in cell_services(cell.description, str(file))
     ]
     mover = Service("mover", Role.LEADER, (str(MOVER), str(cell.description.tcp_port)), needs=("hli",))
-    services += [mover] if moving else []
+    services = [*rewired(services, file), *([mover] if moving else [])]
     with Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher:
         launcher.start()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:

@@ -30,12 +30,18 @@ def list_faults(json: JsonOption = False) -> None:
 
     if json:
         rows = (
-            {"name": row.name, "what": row.what, "live": row.live, "injectable": row.injectable}
+            {
+                "name": row.name,
+                "what": row.what,
+                "virtual": row.virtual,
+                "live": row.live,
+                "injectable": row.injectable,
+            }
             for row in CATALOGUE
         )
         print_json({"faults": list(rows)})
         return
-    columns = ("fault", "what happens", "table --live", "inject")
+    columns = ("fault", "what happens", "table", "table --live", "inject")
     print_table("faults", columns, ((row.name, row.what, *_ways(row)) for row in CATALOGUE))
 
 
@@ -50,7 +56,7 @@ def table(
         bool,
         typer.Option("--live", help="Over real processes, zenoh and UDP; the cell must not be up already."),
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="One seed is one run, in virtual time.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the wires; one seed is one run in virtual time.")] = 0,
     json: JsonOption = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
 ) -> None:
@@ -104,5 +110,5 @@ def inject(
     typer.echo(f"{name}: {robot} is {result.phase}{reason}, its controller: {result.krc_state}{message}")
 
 
-def _ways(row: Fault) -> tuple[str, str]:
-    return ("yes" if row.live else "-", "yes" if row.injectable else "-")
+def _ways(row: Fault) -> tuple[str, ...]:
+    return tuple("yes" if way else "-" for way in (row.virtual, row.live, row.injectable))

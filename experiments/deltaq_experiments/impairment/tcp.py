@@ -158,8 +158,7 @@ class _Carrier:
         loop, direction = asyncio.get_running_loop(), self._direction
         while True:
             self._changed.clear()
-            for chunk in direction.take(loop.time()):
-                self._writer.write(chunk)
+            self._writer.write(b"".join(direction.take(loop.time())))
             self._has_room.set()
             await self._writer.drain()
             if self._ended and direction.next_s is None and not direction.waiting_bytes:
