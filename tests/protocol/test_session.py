@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 from small_cell import endpoint
 
 from deltaq_protocol.errors import ServiceUnreachableError
@@ -20,20 +23,28 @@ class Heard:
 
     def __init__(self, session: Any, key: str) -> None:
         self.payloads: list[bytes] = []
-        self._came = threading.Event()
+        self._changed = threading.Condition()
         self._subscriber = session.declare_subscriber(key, self._take)
 
     def _take(self, sample: Any) -> None:
-        self.payloads.append(sample.payload.to_bytes())
-        self._came.set()
+        with self._changed:
+            self.payloads.append(sample.payload.to_bytes())
+            self._changed.notify_all()
 
     def until(self, publish: Any) -> None:
         """Publish until something is heard."""
         give_up = time.monotonic() + 10
-        while not self._came.is_set():
-            assert time.monotonic() < give_up, "nothing heard"
-            publish()
-            self._came.wait(0.02)
+        with self._changed:
+            while not self.payloads:
+                assert time.monotonic() < give_up, "nothing heard"
+                publish()
+                self._changed.wait(0.02)
+
+    def wait_for(self, payload: bytes) -> None:
+        """Wait until this is what came last."""
+        with self._changed:
+            came = self._changed.wait_for(lambda: self.payloads[-1:] == [payload], timeout=10)
+            assert came, self.payloads[-1:]
 
 
 def test_an_endpoint_where_nobody_listens_fails_when_it_must_be_reached_and_says_what_to_do() -> None:
@@ -59,12 +70,16 @@ def test_an_endpoint_that_is_taken_cannot_be_listened_on() -> None:
 
 
 def test_sessions_that_do_not_name_one_another_never_meet() -> None:
-    one, other = open_session(listen=[endpoint()]), open_session(listen=[endpoint()])
+    there = endpoint()
+    one, other = open_session(listen=[endpoint()]), open_session(listen=[there])
     try:
         heard = Heard(other, "deltaq/**")
         for _ in range(20):
             one.put("deltaq/lab/stop", b"x")
-            time.sleep(0.01)
+        # by the time that a session which knows the address has been heard, whoever could be heard has been
+        known = open_session(connect=[there], must_connect=True)
+        Heard(other, "marker").until(lambda: known.put("marker", b"x"))
+        known.close()
         assert heard.payloads == []
         assert list(one.info.peers_zid()) == []
     finally:
@@ -110,15 +125,53 @@ def test_of_what_a_slow_reader_missed_only_the_newest_is_kept() -> None:
         after.until(lambda: server.put("deltaq/x", b"first"))
         for k in range(100):
             server.put("deltaq/x", str(k).encode())
-        give_up = time.monotonic() + 10
-        while after.payloads[-1] != b"99":
-            assert time.monotonic() < give_up
-            time.sleep(0.005)
+        after.wait_for(b"99")
         assert newest.try_recv().payload.to_bytes() == b"99"
         assert newest.try_recv() is None
     finally:
         client.close()
         server.close()
+
+
+def test_a_subscriber_that_stops_reading_neither_holds_up_the_others_nor_fills_the_memory() -> None:
+    here = endpoint()
+    server = open_session(listen=[here])
+    stuck, quick = (open_session(connect=[here], must_connect=True) for _ in range(2))
+    released, is_stuck = threading.Event(), threading.Event()
+
+    def read_no_more(_: Any) -> None:
+        is_stuck.set()
+        released.wait()
+
+    try:
+        # in the thread that reads the socket: nobody empties it from now on
+        callback = zenoh.handlers.Callback(read_no_more, indirect=False)
+        subscriber = stuck.declare_subscriber("deltaq/x", callback)
+        heard = Heard(quick, "deltaq/x")
+        publisher = declare_publisher(server, "deltaq/x")
+        while not is_stuck.is_set():
+            publisher.put(b"begin")
+        before = resident_bytes()
+        payload = b"x" * 60_000
+        for k in range(3000):
+            publisher.put(payload)
+            if k % 100 == 0:
+                heard.until(lambda: publisher.put(b"again"))
+                heard.payloads.clear()  # so that only what waits for the other could fill the memory
+        heard.until(lambda: publisher.put(b"end"))
+        assert resident_bytes() - before < 60e6  # of 180 MB
+        released.set()
+        subscriber.undeclare()
+    finally:
+        released.set()
+        for session in (stuck, quick, server):
+            session.close()
+
+
+def resident_bytes() -> int:
+    """Memory of this process."""
+    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    return int(pages) * resource.getpagesize()
 
 
 def test_importing_the_protocol_loads_neither_pinocchio_nor_coal_nor_the_cell() -> None:
