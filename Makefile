@@ -10,10 +10,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 DEMO_S ?= 60
+# how many mutants are judged at a time
+JOBS ?= 1
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
-.PHONY: help install demo test lint nightly container-test wheels image docs figures constraints clean
+.PHONY: help install demo test lint nightly mutation container-test wheels image docs figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -48,6 +50,9 @@ lint: $(INSTALLED) ## lint, format, types, rooms
 
 nightly: $(INSTALLED) ## the long proofs
 	$(BIN)/pytest -m nightly
+
+mutation: $(INSTALLED) ## change gate and guards in small ways, and see each change fail a test; takes a while
+	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS)
 
 docs: $(INSTALLED) ## write docs/reference and deploy/compose.yaml anew from the code
 	$(BIN)/python -m deltaq_deploy.reference

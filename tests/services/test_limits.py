@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deltaq_cell.load import load_cell
-from deltaq_protocol.brake import brake_travel
-from deltaq_services.sim.limits import Limits
+from deltaq_protocol.brake import brake_cycles, brake_travel
+from deltaq_protocol.messages import Reason
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.limits import Limits, share_within, shares_within
 
 CELL = load_cell("lab")
 FR = CELL.robots["fr"]
@@ -15,9 +17,91 @@ LIMITS = Limits.of(FR, CELL.cycle_s)
 NONE = np.zeros(6)
 shares = st.lists(st.floats(-1, 1), min_size=6, max_size=6).map(np.array)
 
+QUARTER = 0.25
+TWO_JOINTS = Limits(
+    joint_names=("a1", "a2"),
+    lower=np.full(2, -8.0),
+    upper=np.full(2, 8.0),
+    max_dq=np.full(2, 16 * QUARTER),
+    max_dv=np.full(2, QUARTER),
+    cycle_s=0.5,
+)
+"""Numbers that floats hold exactly, so that bounds can be met to the bit."""
+
+
+def both(a1, a2):
+    return np.array([a1, a2], dtype=float)
+
+
+def test_a_share_is_the_way_to_the_bound_on_the_side_that_the_joint_goes_to():
+    start, end = np.zeros(4), np.array([4.0, -4.0, 0.0, 1.0])
+    shares = shares_within(start, end, np.full(4, -1.0), np.full(4, 2.0))
+    np.testing.assert_array_equal(shares, [0.5, 0.25, 1.0, 2.0])
+
+
+def test_all_joints_go_together_as_far_as_the_first_that_is_bound_and_never_beyond_the_end():
+    low, high = np.full(2, -1.0), np.full(2, 2.0)
+    assert share_within(np.zeros(2), both(4, 8), low, high) == 0.25
+    assert share_within(np.zeros(2), both(0.5, 0.5), low, high) == 1.0
+    assert share_within(both(2 + 1e-12, 0), both(4, 0), low, high) == 0.0
+
 
 def test_a_request_within_all_limits_is_taken_whole():
     assert LIMITS.dynamic_scale(NONE, 0.9 * LIMITS.max_dv, NONE) == (1.0, [])
+
+
+def test_a_request_that_meets_its_bounds_to_the_bit_is_taken_whole():
+    last = both(15.5, -15.5) * QUARTER
+    assert TWO_JOINTS.dynamic_scale(0.9 * last, both(16, -16) * QUARTER, last) == (1.0, [])
+    assert TWO_JOINTS.dynamic_scale(NONE[:2], both(QUARTER, 0), NONE[:2]) == (1.0, [])
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_from_rest_a_request_beyond_both_bounds_is_bound_by_acceleration(sign):
+    scale, reasons = TWO_JOINTS.dynamic_scale(NONE[:2], both(0, sign * 32 * QUARTER), NONE[:2])
+    assert scale == 1 / 32
+    assert reasons == [
+        Reason(code=ReasonCode.ACCELERATION_LIMIT, what="a2", value=32 * QUARTER / 0.25, bound=QUARTER / 0.25)
+    ]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_in_motion_an_acceleration_is_told_as_the_change_from_the_last_increment(sign):
+    last, brake, request = (
+        sign * both(8, 0) * QUARTER,
+        sign * both(7, 0) * QUARTER,
+        sign * both(11, 0) * QUARTER,
+    )
+    scale, reasons = TWO_JOINTS.dynamic_scale(brake, request, last)
+    assert scale == 0.5
+    assert reasons == [
+        Reason(code=ReasonCode.ACCELERATION_LIMIT, what="a1", value=3 * QUARTER / 0.25, bound=QUARTER / 0.25)
+    ]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_at_full_speed_a_faster_request_is_bound_by_velocity(sign):
+    last, brake, request = (sign * both(count, 0) * QUARTER for count in (16, 15, 20))
+    scale, reasons = TWO_JOINTS.dynamic_scale(brake, request, last)
+    assert scale == 0.2
+    assert reasons == [
+        Reason(code=ReasonCode.VELOCITY_LIMIT, what="a1", value=20 * QUARTER / 0.5, bound=16 * QUARTER / 0.5)
+    ]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_turn_at_full_speed_is_bound_by_acceleration(sign):
+    last, brake = sign * both(16, 0) * QUARTER, sign * both(15, 0) * QUARTER
+    scale, reasons = TWO_JOINTS.dynamic_scale(brake, -1.25 * last, last)
+    assert scale == 0.0
+    assert reasons[0].code is ReasonCode.ACCELERATION_LIMIT
+
+
+def test_a_brake_that_rounding_put_beyond_its_bound_leaves_no_room():
+    last = both(8, 0) * QUARTER
+    brake = last - both(1 + 1e-12, 0) * QUARTER
+    scale, _ = TWO_JOINTS.dynamic_scale(brake, -last, last)
+    assert scale == 0.0
 
 
 def test_an_acceleration_names_its_joint_value_and_bound():
@@ -80,3 +164,58 @@ def test_a_joint_outside_its_limit_may_come_back_and_may_not_go_further_out():
     inward = np.array([-LIMITS.max_dv[0], 0, 0, 0, 0, 0])
     assert LIMITS.position_scale(NONE, inward, q_cmd, 1.0)[0] == 1.0
     assert LIMITS.position_scale(NONE, -inward, q_cmd, 1.0)[0] == 0.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("count", [0.5, 1, 3])
+def test_a_brake_may_end_on_a_position_limit_and_not_beyond(sign, count):
+    request = sign * both(count, 0) * QUARTER
+    travel = request + brake_travel(request, max(1, int(count)), 0)
+    on_limit = sign * 8.0 - travel
+    assert TWO_JOINTS.position_scale(NONE[:2], request, on_limit, 1.0) == (1.0, [])
+    scale, reasons = TWO_JOINTS.position_scale(NONE[:2], request, on_limit + sign * 1e-6, 1.0)
+    assert 0.98 < scale < 1.0
+    told = reasons[0]
+    assert (told.code, told.what, told.bound) == (ReasonCode.POSITION_LIMIT, "a1", sign * 8.0)
+    assert told.value == pytest.approx(sign * 8.0 + sign * 1e-6, abs=1e-9)
+
+
+@given(shares, shares, st.floats(0.0, 0.05), st.floats(0.0, 1.0))
+def test_position_takes_the_greatest_share_whose_brake_ends_inside(last_share, request_share, room, at_most):
+    """To a 128th, against the brake that Robot Servers drive."""
+    last, request = last_share * LIMITS.max_dq, request_share * LIMITS.max_dq
+    brake = last * (1 - 1 / LIMITS.brake_cycles(last))
+    toward = np.where(request >= 0, FR.upper, FR.lower)
+    q_cmd = toward + room * (FR.home - toward) - brake - brake_travel(brake, LIMITS.brake_cycles(brake), 0)
+
+    def inside(scale):
+        dq = brake + scale * (request - brake)
+        end = q_cmd + dq + brake_travel(dq, brake_cycles(dq, LIMITS.max_dv), 0)
+        low, high = np.minimum(FR.lower, q_cmd), np.maximum(FR.upper, q_cmd)
+        return bool(np.all((end >= low - 1e-11) & (end <= high + 1e-11)))
+
+    scale, reasons = LIMITS.position_scale(brake, request, q_cmd, at_most)
+    assert 0.0 <= scale <= at_most
+    assert bool(reasons) == (not inside(at_most))
+    if scale > 0:
+        assert inside(scale)
+    greater = [k / 128 for k in range(129) if scale + 1e-9 < k / 128 < at_most - 1e-9]
+    assert not any(inside(share) for share in greater)
+
+
+@pytest.mark.parametrize("at_most", [0.0, 1e-3, 1.0])
+def test_a_brake_that_ends_outside_leaves_no_share(at_most):
+    brake = both(3, 0) * QUARTER
+    scale, reasons = TWO_JOINTS.position_scale(brake, 4 / 3 * brake, both(7.5, 0), at_most)
+    assert scale == 0.0
+    dq = brake * (1 + at_most / 3)
+    end = 7.5 + dq + brake_travel(dq, TWO_JOINTS.brake_cycles(dq), 0)
+    assert (reasons[0].what, reasons[0].value) == ("a1", pytest.approx(end[0]))
+
+
+def test_what_is_told_is_the_end_of_what_was_asked_for():
+    """At the least share of the request another joint would be the one that ends outside."""
+    brake, request = both(0, 2) * QUARTER, both(16, 2) * QUARTER
+    scale, reasons = TWO_JOINTS.position_scale(brake, request, both(7.9, 7.9), 1.0)
+    assert scale == 0.0
+    assert reasons[0].what == "a1"

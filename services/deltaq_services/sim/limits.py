@@ -79,12 +79,8 @@ class Limits:
         if np.all(scales >= 1.0 - _SLACK):
             return 1.0, []
         joint = int(np.argmin(scales))
-        change = request - brake
-        beyond_speed = abs(request[joint]) > self.max_dq[joint] * (1 + _SLACK)
-        too_fast = beyond_speed and abs(fastest[joint] if change[joint] > 0 else slowest[joint]) >= (
-            self.max_dq[joint] * (1 - _SLACK)
-        )
-        if too_fast:
+        bound = fastest[joint] if request[joint] > brake[joint] else slowest[joint]
+        if abs(bound) >= self.max_dq[joint] * (1 - _SLACK):
             reason = Reason(
                 code=ReasonCode.VELOCITY_LIMIT,
                 what=self.joint_names[joint],
@@ -98,7 +94,7 @@ class Limits:
                 value=float(abs(request[joint] - last_dq[joint]) / self.cycle_s**2),
                 bound=float(self.max_dv[joint] / self.cycle_s**2),
             )
-        return float(np.clip(scales[joint], 0.0, 1.0)), [reason]
+        return max(0.0, float(scales[joint])), [reason]
 
     def position_scale(
         self, brake: Array, request: Array, q_cmd: Array, at_most: float

@@ -43,15 +43,14 @@ class Tracker:
     def observe(self, state: ServerState) -> bool:
         """Take a state in; returns False if no cycle of the robot has passed since the last."""
         if self.state is not None:
-            restarted = state.time_s > self.state.time_s and state.cycle <= self.state.cycle
             if state.cycle == self.state.cycle:
                 if state.time_s >= self.state.time_s:
                     self.state = state  # the KRC is silent, but phase and reason may have changed
                 return False
-            if state.cycle < self.state.cycle and not restarted:
-                return False
-            if restarted:
-                self._history.clear()
+            if state.cycle < self.state.cycle:
+                if state.time_s <= self.state.time_s:
+                    return False
+                self._history.clear()  # the Robot Server began anew
                 self.in_flight = None
         self.state = state
         if self.in_flight is not None:

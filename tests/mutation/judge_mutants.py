@@ -1,0 +1,119 @@
+"""Mutates the gate and the Robot Server's guards, and compares what survives with what is explained.
+
+Run by `make mutation`. A mutant that no test kills, and that no `mutants.md` beside the code explains, is a
+missing test; an explanation of a mutant that does not survive is out of date. Either fails.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from mutmut.utils.format_utils import orig_function_and_class_names_from_key
+
+ROOT = Path(__file__).parents[2]
+STAGE = ROOT / "build" / "mutation"
+PACKAGES = {package.name: package.parent for package in ROOT.glob("*/deltaq_*")}
+KILLED = ("killed", "timeout")
+
+
+@dataclass(frozen=True, order=True)
+class Mutant:
+    """One change of one function.
+
+    Attributes:
+        file: path below the package's source root, such as `deltaq_services/sim/gate.py`.
+        function: its name, that of a method with its class before it.
+        change: lines taken out, then lines put in, each with its sign and without its indentation.
+    """
+
+    file: str
+    function: str
+    change: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.file}: {self.function}", *(f"    {line}" for line in self.change)])
+
+
+def stage() -> None:
+    """Lay out packages side by side, since mutmut takes the name of a module from its path."""
+    shutil.rmtree(STAGE, ignore_errors=True)
+    for package, source_root in PACKAGES.items():
+        shutil.copytree(source_root / package, STAGE / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "tests", STAGE / "tests", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy2(ROOT / "pyproject.toml", STAGE)
+
+
+def mutmut(*arguments: str) -> str:
+    """What one of mutmut's verbs prints."""
+    command = [sys.executable, "-m", "mutmut", *arguments]
+    return subprocess.run(command, cwd=STAGE, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def verdicts() -> dict[str, str]:
+    """Each mutant by mutmut's name for it, and what became of it."""
+    return dict(re.findall(r"^ *(\S+): (.+)$", mutmut("results", "--all", "true"), re.MULTILINE))
+
+
+def source_file(name: str) -> str:
+    """Path of the file that a mutant was made of."""
+    return name.rpartition(".")[0].replace(".", "/") + ".py"
+
+
+def survivor(name: str) -> Mutant:
+    """The mutant of that name."""
+    function, owner = orig_function_and_class_names_from_key(name)
+    diff = mutmut("show", name).splitlines()
+    signed = [line for line in diff if re.match(r"[-+](?![-+]{2} )", line)]
+    return Mutant(source_file(name), f"{owner}.{function}" if owner else function, _bare(signed))
+
+
+def explained() -> set[Mutant]:
+    """The mutants of every `mutants.md`."""
+    found: set[Mutant] = set()
+    for package, source_root in PACKAGES.items():
+        for document in (source_root / package).rglob("mutants.md"):
+            folder = document.parent.relative_to(source_root).as_posix()
+            sections = re.split(r"^## ", document.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+            for section in sections:
+                heading, _, body = section.partition("\n")
+                named = re.fullmatch(r"`(\S+)` in `(\S+)`", heading)
+                if named is None:
+                    raise ValueError(f"{document}: a heading names `function` in `file`, got {heading!r}")
+                for block in re.findall(r"^```diff\n(.*?)^```", body, re.MULTILINE | re.DOTALL):
+                    for change in re.findall(r"(?:^-.*\n)*(?:^\+.*\n)+|(?:^-.*\n)+", block, re.MULTILINE):
+                        found.add(Mutant(f"{folder}/{named[2]}", named[1], _bare(change.splitlines())))
+    return found
+
+
+def _bare(signed: list[str]) -> tuple[str, ...]:
+    return tuple(line[0] + line[1:].strip() for line in signed)
+
+
+def main(workers: str) -> int:
+    """Make, judge and compare; returns the exit status."""
+    stage()
+    subprocess.run([sys.executable, "-m", "mutmut", "run", "--max-children", workers], cwd=STAGE, check=True)
+    judged = verdicts()
+    survivors = {survivor(name) for name, verdict in judged.items() if verdict not in KILLED}
+    excused = explained()
+    made = Counter(source_file(name) for name in judged)
+    alive = Counter(source_file(name) for name, verdict in judged.items() if verdict not in KILLED)
+    print(f"\n{'file':50}{'made':>8}{'killed':>8}{'survive':>8}")
+    for file in sorted(made):
+        print(f"{file:50}{made[file]:8}{made[file] - alive[file]:8}{alive[file]:8}")
+    print(f"{'':50}{made.total():8}{made.total() - alive.total():8}{alive.total():8}\n")
+    for mutant in sorted(survivors - excused):
+        print(f"survives and is not explained: {mutant}\n")
+    for mutant in sorted(excused - survivors):
+        print(f"is explained and does not survive: {mutant}\n")
+    return int(survivors != excused)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

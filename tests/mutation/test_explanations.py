@@ -1,0 +1,33 @@
+"""What is written of surviving mutants speaks of the code as it is."""
+
+import ast
+import textwrap
+
+import pytest
+from judge_mutants import PACKAGES, Mutant, explained
+
+EXPLAINED = sorted(explained())
+
+
+def source_of(mutant: Mutant) -> str:
+    """The text of the function that a mutant changes."""
+    package = mutant.file.partition("/")[0]
+    text = (PACKAGES[package] / mutant.file).read_text(encoding="utf-8")
+    scope: ast.AST = ast.parse(text)
+    for name in mutant.function.split("."):
+        scope = next(node for node in ast.iter_child_nodes(scope) if getattr(node, "name", None) == name)
+    return ast.get_source_segment(text, scope) or ""
+
+
+def test_there_are_explanations() -> None:
+    assert len(EXPLAINED) > 10
+
+
+@pytest.mark.parametrize(
+    "mutant", EXPLAINED, ids=lambda mutant: f"{mutant.function}-{mutant.change[-1]}"[:80]
+)
+def test_the_line_that_a_mutant_changes_is_there(mutant: Mutant) -> None:
+    lines = {line.strip() for line in textwrap.dedent(source_of(mutant)).splitlines()}
+    taken_out = [line[1:] for line in mutant.change if line.startswith("-")]
+    assert taken_out
+    assert set(taken_out) <= lines

@@ -1,0 +1,218 @@
+"""Standing orders to one Robot Server: when a stop and a reset are given, refused and done."""
+
+import pytest
+from small_cell import server_state, small_cell
+
+from deltaq_protocol.guarded import OrdersMemory, Plan
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.orders import Orders
+from deltaq_services.sim.tracker import Tracker
+
+LAG = 4
+HLI_TIMEOUT = 5
+TOLERANCE_OFF = 0.3
+"""Further off its setpoint than any joint of the small cell may be [rad]."""
+
+
+class Rig:
+    """The orders to one robot, which reports what it is told to report."""
+
+    def __init__(self):
+        self.tracker = Tracker("fr", small_cell().robots["fr"], LAG)
+        self.orders = Orders(self.tracker, HLI_TIMEOUT)
+        self.cycle = 100
+
+    def state(self, phase=Phase.READY, **changes):
+        """One cycle of the robot passes."""
+        self.cycle += 1
+        self.tracker.observe(server_state("fr", self.cycle, phase, **changes))
+        self.orders.cycle_passed()
+        self.orders.judge()
+        return self.orders
+
+    def settled(self, phase=Phase.READY, **changes):
+        """The robot has been at rest for as long as its drives lag."""
+        for _ in range(LAG):
+            self.state(phase, **changes)
+        return self.orders
+
+    def repeat(self, **changes):
+        """The Robot Server speaks again in the same cycle."""
+        self.tracker.observe(self.tracker.state.model_copy(update=changes))
+        self.orders.repeated(self.tracker.state)
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def refusal(orders):
+    answer = orders.reset(1)
+    assert answer is not None
+    return answer[0]
+
+
+def test_nothing_is_ordered_of_a_robot_that_is_well(rig):
+    orders = rig.settled()
+    assert (orders.standing_stop, orders.resets, orders.outputs) == (None, 0, {})
+
+
+def test_the_first_reason_of_a_stop_stands_until_the_robot_holds(rig):
+    orders = rig.settled()
+    orders.stop(ReasonCode.OPERATOR_STOP)
+    orders.stop(ReasonCode.HLI_LOST)
+    assert rig.state(Phase.BRAKING).standing_stop is ReasonCode.OPERATOR_STOP
+    assert rig.state(Phase.HELD).standing_stop is None
+
+
+def test_a_stop_that_is_given_while_a_reset_is_on_its_way_outlives_the_hold_that_the_reset_ends(rig):
+    orders = rig.settled(Phase.HELD)
+    assert orders.reset(1) is None
+    orders.stop(ReasonCode.OPERATOR_STOP)
+    assert rig.state(Phase.HELD, resets=0).standing_stop is ReasonCode.OPERATOR_STOP
+    assert rig.state(Phase.READY, resets=1).standing_stop is ReasonCode.OPERATOR_STOP
+    assert rig.state(Phase.HELD, resets=1).standing_stop is None
+
+
+@pytest.mark.parametrize("phase", [Phase.READY, Phase.ENGAGED, Phase.BRAKING])
+def test_a_robot_off_its_path_is_stopped_in_every_phase_in_which_it_may_move(rig, phase):
+    q = (0.1 + TOLERANCE_OFF, *(0.1,) * 5)
+    assert rig.state(phase, q=q).standing_stop is ReasonCode.TRACKING_ERROR
+
+
+@pytest.mark.parametrize("phase", [Phase.OFFLINE, Phase.HELD])
+def test_a_robot_that_may_not_move_is_not_stopped_again(rig, phase):
+    rig.orders.hli_heard()
+    for _ in range(HLI_TIMEOUT + 2):
+        rig.state(phase, q=(0.1 + TOLERANCE_OFF,) * 6)
+    assert rig.orders.standing_stop is None
+
+
+def test_an_hli_that_was_heard_may_be_silent_for_its_time_and_no_cycle_longer(rig):
+    rig.orders.hli_heard()
+    for _ in range(HLI_TIMEOUT):
+        rig.state()
+    assert rig.orders.standing_stop is None
+    assert rig.state().standing_stop is ReasonCode.HLI_LOST
+
+
+def test_every_sign_of_life_of_the_hli_counts_anew(rig):
+    for _ in range(3 * HLI_TIMEOUT):
+        rig.orders.hli_heard()
+        rig.state()
+    for _ in range(HLI_TIMEOUT - 1):
+        rig.state()
+    assert rig.orders.standing_stop is None
+
+
+def test_an_hli_that_was_never_heard_is_not_missed(rig):
+    for _ in range(HLI_TIMEOUT + 5):
+        rig.state()
+    assert rig.orders.standing_stop is None
+
+
+def test_a_robot_that_was_never_heard_is_not_reset(rig):
+    assert refusal(rig.orders) is ReasonCode.UNREACHABLE
+
+
+def test_a_silent_krc_is_a_standing_cause_until_its_next_cycle(rig):
+    rig.settled(Phase.HELD)
+    rig.repeat(reason=ReasonCode.KRC_LOST)
+    assert refusal(rig.orders) is ReasonCode.CAUSE_STANDS
+    rig.state(Phase.HELD)
+    assert rig.orders.reset(1) is None
+
+
+def test_a_repeated_state_without_a_lost_krc_is_no_cause(rig):
+    rig.settled(Phase.HELD)
+    rig.repeat(reason=ReasonCode.OPERATOR_STOP)
+    assert rig.orders.reset(1) is None
+
+
+def test_a_state_that_was_overtaken_says_nothing_of_the_krc(rig):
+    orders = rig.settled(Phase.HELD)
+    orders.repeated(server_state("fr", rig.cycle - 1, Phase.HELD, reason=ReasonCode.KRC_LOST))
+    assert orders.reset(1) is None
+
+
+def test_a_stop_that_no_state_shows_yet_refuses_a_reset(rig):
+    orders = rig.settled()
+    orders.stop(ReasonCode.OPERATOR_STOP)
+    assert refusal(orders) is ReasonCode.NOT_AT_REST
+
+
+def test_a_held_robot_that_still_moves_is_not_reset(rig):
+    rig.settled(Phase.HELD)
+    rig.state(Phase.HELD, plan=Plan(dq=(0.001,) * 6, brake_cycles=3, step=0))
+    assert refusal(rig.orders) is ReasonCode.NOT_AT_REST
+
+
+def test_a_held_robot_off_its_setpoint_is_not_reset_and_the_joint_is_named(rig):
+    orders = rig.settled(Phase.HELD, q=(0.1, 0.1, 0.1 + TOLERANCE_OFF, 0.1, 0.1, 0.1))
+    code, message = orders.reset(1)
+    assert code is ReasonCode.CAUSE_STANDS
+    assert message.startswith("joint 3 of fr is 0.3000 off its setpoint")
+
+
+def test_a_reset_asks_for_one_more_than_the_robot_has_had(rig):
+    orders = rig.settled(Phase.HELD, resets=4)
+    assert orders.reset(1) is None
+    assert orders.resets == 5
+
+
+def test_a_reset_is_done_when_the_robot_shows_it_and_is_answered_once(rig):
+    orders = rig.settled(Phase.HELD)
+    orders.reset(11)
+    orders.reset(12)
+    assert orders.fulfilled() == []
+    assert rig.state(Phase.READY, resets=0).fulfilled() == []  # this one the robot has not shown
+    assert rig.state(Phase.HELD, resets=1).fulfilled() == []
+    assert rig.state(Phase.READY, resets=1).fulfilled() == [11, 12]
+    assert orders.fulfilled() == []
+
+
+def test_a_reset_of_a_robot_that_is_not_held_is_done_at_once_and_resets_nothing(rig):
+    orders = rig.settled()
+    assert orders.reset(7) is None
+    assert orders.resets == 0
+    assert orders.fulfilled() == [7]
+
+
+def test_no_reset_is_done_before_the_robot_was_heard(rig):
+    assert rig.orders.fulfilled() == []
+
+
+def test_resets_that_an_earlier_gate_gave_are_taken_over(rig):
+    assert rig.state(resets=3).resets == 3
+
+
+def test_what_was_not_ordered_is_remembered_as_nothing(rig):
+    nothing = OrdersMemory(
+        standing_stop=None, resets=0, outputs={}, cycles_without_hli=None, krc_silent=False, awaited_resets=()
+    )
+    assert rig.orders.memory() == nothing
+    assert rig.state().memory() == nothing
+
+
+def test_orders_go_on_from_what_others_remember(rig):
+    orders = rig.settled(Phase.HELD, resets=2)
+    orders.outputs["gripper"] = True
+    orders.hli_heard()
+    orders.cycle_passed()
+    orders.reset(21)
+    orders.stop(ReasonCode.HLI_LOST)
+    rig.repeat(reason=ReasonCode.KRC_LOST)
+    memory = orders.memory()
+    heir = Orders(rig.tracker, HLI_TIMEOUT)
+    heir.recall(memory)
+    assert heir.memory() == memory
+    assert (memory.standing_stop, memory.resets, memory.outputs) == (
+        ReasonCode.HLI_LOST,
+        3,
+        {"gripper": True},
+    )
+    assert (memory.cycles_without_hli, memory.krc_silent, memory.awaited_resets) == (1, True, (21,))
+    heir.outputs["gripper"] = False
+    assert orders.outputs == {"gripper": True}

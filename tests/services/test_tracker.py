@@ -1,0 +1,202 @@
+"""What the gate knows of one robot: its setpoints, the courses it may take, and where its drives may be."""
+
+import numpy as np
+import pytest
+from small_cell import server_state, small_cell
+
+from deltaq_protocol.guarded import Admission, Plan
+from deltaq_services.sim.tracker import Tracker
+
+LAG = 4
+CELL = small_cell()
+FR, GR = CELL.robots["fr"], CELL.robots["gr"]
+
+
+@pytest.fixture
+def tracker():
+    return Tracker("fr", FR, LAG)
+
+
+def state(cycle, q_cmd=0.1, q=None, **changes):
+    """A state in which every joint of FR is sent to `q_cmd` and is at `q`."""
+    return server_state("fr", cycle, q_cmd=(q_cmd,) * 6, q=(q_cmd if q is None else q,) * 6, **changes)
+
+
+def admission(sequence, dq=0.001, brake_cycles=2):
+    return Admission(
+        robot="fr",
+        epoch=1,
+        sequence=sequence,
+        cycle=1,
+        follows_sequence=1,
+        follows_q_cmd=(0.1,) * 6,
+        follows_dq=(0.0,) * 6,
+        dq=(dq,) * 6,
+        brake_cycles=brake_cycles,
+    )
+
+
+def first_joint(tube):
+    """Where the first joint goes in a tube, setpoint by setpoint."""
+    return tube.points[:, 0]
+
+
+def test_every_new_cycle_is_taken_in_and_a_repeated_one_is_not(tracker):
+    assert tracker.observe(state(1, 0.1))
+    assert tracker.observe(state(2, 0.2))
+    assert not tracker.observe(state(2, 0.9))
+    np.testing.assert_array_equal(tracker.q_cmd, np.full(6, 0.2))
+
+
+def test_a_repeated_cycle_may_tell_a_new_phase_unless_it_was_overtaken(tracker):
+    tracker.observe(state(2, time_s=5.0))
+    same_time, older = state(2, time_s=5.0), state(2, time_s=4.9)
+    tracker.observe(same_time)
+    assert tracker.state is same_time
+    tracker.observe(older)
+    assert tracker.state is same_time
+
+
+@pytest.mark.parametrize("time_s", [4.9, 5.0])
+def test_a_state_that_was_overtaken_changes_nothing(tracker, time_s):
+    newest = state(2, 0.2, time_s=5.0)
+    tracker.observe(newest)
+    assert not tracker.observe(state(1, 0.1, time_s=time_s))
+    assert tracker.state is newest
+    np.testing.assert_array_equal(tracker.q_cmd, np.full(6, 0.2))
+
+
+def test_a_robot_server_that_began_anew_is_followed_from_there(tracker):
+    for cycle in range(50, 50 + LAG):
+        tracker.observe(state(cycle, 0.2, time_s=5.0 + cycle))
+    tracker.in_flight = admission(9)
+    assert tracker.observe(state(1, 0.5, time_s=500.0))
+    np.testing.assert_array_equal(first_joint(tracker.standing()), [0.5])
+    assert (tracker.in_flight, tracker.missed) == (None, 0)
+
+
+def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tracker):
+    tracker.observe(state(1))
+    for cycle, (sent, followed) in enumerate([(2, 1), (3, 1), (4, 4)], start=2):
+        tracker.in_flight = admission(sent)
+        tracker.observe(state(cycle, sequence=followed))
+        assert tracker.in_flight is None
+    assert tracker.missed == 2
+
+
+def test_an_admission_of_another_epoch_is_not_the_one_that_was_sent(tracker):
+    tracker.observe(state(1))
+    tracker.in_flight = admission(2)
+    tracker.observe(state(2, sequence=2, epoch=8))
+    assert tracker.missed == 1
+
+
+def test_the_brake_is_the_next_step_that_the_robot_server_will_send(tracker):
+    plan = Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)
+    tracker.observe(state(1, plan=plan))
+    np.testing.assert_allclose(tracker.brake(), np.full(6, 0.002))
+
+
+def test_until_a_state_confirms_it_an_admission_is_a_second_course(tracker):
+    tracker.observe(state(1, plan=Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)))
+    assert [list(first_joint(tube)) for tube in tracker.tubes()] == [pytest.approx([0.1, 0.102, 0.103])]
+    tracker.in_flight = admission(2, dq=0.01, brake_cycles=2)
+    braking, admitted = tracker.tubes()
+    np.testing.assert_allclose(first_joint(braking), [0.1, 0.102, 0.103])
+    np.testing.assert_allclose(first_joint(admitted), [0.1, 0.11, 0.115])
+
+
+def test_the_tube_begins_with_as_many_setpoints_as_the_drives_lag(tracker):
+    for cycle in range(1, LAG + 3):
+        tracker.observe(state(cycle, cycle / 10))
+    np.testing.assert_allclose(first_joint(tracker.standing()), [0.3, 0.4, 0.5, 0.6])
+
+
+@pytest.mark.parametrize("q", [0.19, 0.51])
+def test_where_the_robot_is_belongs_to_the_tube_if_its_setpoints_do_not_explain_it(tracker, q):
+    for cycle in range(1, LAG + 1):
+        tracker.observe(state(cycle, 0.1 + cycle / 10, q))
+    np.testing.assert_allclose(first_joint(tracker.standing()), [q, 0.2, 0.3, 0.4, 0.5])
+
+
+@pytest.mark.parametrize("q", [(0.1, 0.2, 0.3, 0.4, 0.5, 0.55), (0.15, 0.2, 0.3, 0.4, 0.5, 0.6)])
+def test_a_single_joint_that_is_elsewhere_brings_the_robot_into_its_tube(tracker, q):
+    setpoint = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    for cycle in range(1, LAG + 1):
+        tracker.observe(server_state("fr", cycle, q_cmd=setpoint, q=q))
+    assert len(tracker.standing().points) == LAG + 1
+
+
+def test_where_the_robot_is_does_not_belong_to_the_tube_if_it_follows_its_setpoints(tracker):
+    for cycle in range(1, LAG + 1):
+        tracker.observe(state(cycle, 0.1 + cycle / 10, 0.3))
+    assert len(tracker.standing().points) == LAG
+
+
+def test_a_robot_is_at_rest_when_its_drives_have_caught_up_and_nothing_is_left_to_send(tracker):
+    tracker.observe(state(1, 0.1))
+    for cycle in range(2, LAG + 2):
+        assert not tracker.at_rest()
+        tracker.observe(state(cycle, 0.2))
+    assert tracker.at_rest()
+    tracker.observe(state(LAG + 2, 0.2, plan=Plan(dq=(0.001,) * 6, brake_cycles=3, step=0)))
+    assert not tracker.at_rest()
+
+
+def test_even_quick_drives_are_given_two_cycles():
+    quick = Tracker("fr", FR, 1)
+    quick.observe(state(1))
+    assert not quick.at_rest()
+    quick.observe(state(2))
+    assert quick.at_rest()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_may_be_off_its_path_by_its_tolerance_and_no_more(sign):
+    tolerance = FR.tracking_tolerance[0]
+    tracker = Tracker("fr", FR, LAG)
+    tracker.observe(state(1, 0.0, sign * tolerance))
+    assert tracker.off_path() is None
+    tracker.observe(state(2, 0.0, sign * tolerance * 1.01))
+    joint, distance, allowed = tracker.off_path()
+    assert (joint, allowed) == (0, tolerance)
+    assert distance == pytest.approx(1.01 * tolerance)
+
+
+def test_no_joint_is_off_its_path_between_its_own_setpoints(tracker):
+    for cycle, share in enumerate([0.0, 0.5, 1.0], start=1):
+        q_cmd = tuple(k + share * 0.2 for k in range(6))
+        tracker.observe(server_state("fr", cycle, q_cmd=q_cmd, q=tuple(k + 0.05 for k in range(6))))
+    assert tracker.off_path() is None
+    for cycle, joint, q in ((8, 4, 1.0), (9, 1, 4.2)):
+        elsewhere = tuple(q if k == joint else k + 0.05 for k in range(6))
+        tracker.observe(tracker.state.model_copy(update={"cycle": cycle, "q": elsewhere}))
+        assert tracker.off_path()[:2] == (joint, pytest.approx(3.0))
+
+
+def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
+    tolerance = GR.tracking_tolerance
+    assert tolerance[0] != tolerance[5]  # a prismatic joint in m, a revolute one in rad
+    lesser, greater = sorted((0, 5), key=lambda joint: tolerance[joint])
+    q = np.zeros(9)
+    q[lesser], q[greater] = 1.9 * tolerance[lesser], 1.2 * tolerance[greater]
+    assert q[greater] > q[lesser]
+    tracker = Tracker("gr", GR, LAG)
+    tracker.observe(server_state("gr", 1, q_cmd=(0.0,) * 9, q=tuple(q)))
+    assert tracker.off_path()[0] == lesser
+
+
+def test_a_tracker_goes_on_from_what_another_remembers(tracker):
+    for cycle in range(1, LAG + 1):
+        tracker.in_flight = admission(7)
+        tracker.observe(state(cycle, cycle / 10))
+    tracker.in_flight = admission(8)
+    memory = tracker.memory()
+    assert memory.missed == LAG
+    assert memory.history == tuple((cycle / 10,) * 6 for cycle in range(1, LAG + 1))
+    assert (memory.state, memory.in_flight) == (tracker.state, tracker.in_flight)
+    heir = Tracker("fr", FR, LAG)
+    heir.observe(state(99, 5.0))
+    heir.recall(memory)
+    assert heir.memory() == memory
+    np.testing.assert_array_equal(first_joint(heir.tubes()[1]), first_joint(tracker.tubes()[1]))
