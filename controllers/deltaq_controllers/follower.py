@@ -11,10 +11,9 @@ from deltaq_controllers.focus import FocusTracker
 from deltaq_controllers.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
 from deltaq_controllers.integrator import integrate
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import Emergency
-from deltaq_controllers.spheres import Spheres
+from deltaq_controllers.spheres import PlacedSpheres
 
 __all__ = ["AS_PRINTED", "CORRECTED", "CameraFollower", "FollowerGains", "Variants"]
 
@@ -63,8 +62,7 @@ class CameraFollower:
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.clearance_m = np.inf
         self._law = CameraLaw(robot, cycle_s, self.limits.max_dq, gains, variants, floor_m)
-        self._leader = Kinematics(leader, "tool") if leader is not None else None
-        self._leader_spheres = Spheres.of(leader) if leader is not None else None
+        self._leader = PlacedSpheres(leader) if leader is not None else None
         self._emergency = Emergency(gains.emergency_on_m, gains.emergency_off_m)
         self._tracker = FocusTracker()
 
@@ -119,7 +117,6 @@ class CameraFollower:
 
     def _obstacles(self, q_leader: Array | None) -> tuple[Array, Array]:
         """Centres (k, 3) in the world and radii (k,) of the leader's spheres [m]."""
-        if self._leader is None or self._leader_spheres is None or q_leader is None:
+        if self._leader is None or q_leader is None:
             return np.zeros((0, 3)), np.zeros(0)
-        self._leader.update(q_leader)
-        return self._leader_spheres.placed(self._leader.data), self._leader_spheres.radii
+        return self._leader.at(q_leader), self._leader.radii

@@ -7,6 +7,7 @@ tasks share what is left by their weights (`qp_gains`). In the null space of not
     angle      (J_t / stretch) dq = -step(theta) e - (P p' / stretch) T      (3)-(5), in rad
     distance   -u . J_v dq        =  step(d) - u . p' T                      (14)
     roll       (d roll / d q) dq  =  step(roll)                              (15)
+    evasion    f . dq             =  |W^-1 F_rep| T,  f along W^-1 F_rep     (12)
     barrier    n . J dq >= n . v T - gamma (d - barrier) - s
 
 T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a share of an error, but never
@@ -29,14 +30,14 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.neighbours import Near, Neighbours
 from deltaq_controllers.qp_gains import QpGains
 from deltaq_controllers.qp_problem import QuadraticProgram
+from deltaq_controllers.redundancy import WeightedGradient
+from deltaq_controllers.repulsion import Potential, Repulsion
 from deltaq_controllers.scene import Scene
+from deltaq_controllers.spheres import PlacedSpheres
 from deltaq_controllers.subtasks import roll_effects, turn_to_level
 from deltaq_protocol.brake import brake_cycles
 
 Array = NDArray[np.float64]
-
-LEAST_DISTANCE_WEIGHT = 1e-2
-"""Part of its weight that the view distance keeps while another robot presses."""
 
 MOST_PAIRS = 10
 """Pairs of bodies that one programme takes into account, the nearest first."""
@@ -58,7 +59,7 @@ class QpFollower:
         limits: limits of the increments.
         evades_below_m: clearance from other robots below which barriers act [m].
         barrier_m: least distance from other robots, however they stand [m].
-        slack_m: by how much the last increment fell short of a barrier [m].
+        slack_m: by how much the last increment fell short of the barriers to other robots, and of all others [m].
         unsolved: cycles in which the solver gave no answer and the robot braked.
 
     Raises:
@@ -82,7 +83,7 @@ class QpFollower:
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.barrier_m = scene.cell.description.gate.stop_distance_m + self.gains.clear_of_others_m
         self.evades_below_m = self.barrier_m + self.gains.others_range_m
-        self.slack_m, self.unsolved = 0.0, 0
+        self.slack_m, self.unsolved = np.zeros(2), 0
         self._scene, self._cycle_s = scene, cycle_s
         self._last = LastIncrement(self.limits.max_ddq)
         self._camera = Kinematics(robot, "camera")
@@ -93,9 +94,11 @@ class QpFollower:
         foreign, gains = self._neighbours.foreign, self.gains
         self._ranges = self._margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
         self._shares = np.where(foreign, gains.others_share, gains.barrier_share)
-        self._program = QuadraticProgram(
-            self.limits.max_ddq, self.gains.rest_weight, self.gains.barrier_price
-        )
+        self._program = QuadraticProgram(self.limits.max_ddq, gains.rest_weight, [gains.barrier_price] * 2)
+        potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
+        self._repulsion = Repulsion(robot, potential, self.limits.max_dq, floor_m=0.0)
+        self._bodies = {name: PlacedSpheres(scene.cell.robots[name]) for name in self._others}
+        self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
@@ -106,12 +109,15 @@ class QpFollower:
             if name in self._others:
                 self._others[name].update(other.q, other.time_s)
         focus, velocity = self._focus_ahead()
-        barriers, least, room = self._barriers(q, dq_last)
+        cycles = brake_cycles(dq_last, self.limits.max_ddq)
+        # of the brake that is under way, what is left
+        travel = dq_last * (0.5 * (cycles - 1))
+        near = self._near(q + travel)
         rows, wanted, weights = self._tasks(q, focus, velocity)
-        # who is chased from the front backs off: keeping the distance would drive it sideways into a corner
-        weights[2] *= min(max(room / self.gains.give_way_m, LEAST_DISTANCE_WEIGHT), 1.0)
         slowest, fastest = self._bounds(q, dq_last)
-        solution = self._program.solve(rows, wanted, weights, slowest, fastest, barriers, least)
+        barriers, least = self._barriers(near, travel, 0.5 * (cycles + 2))
+        kinds = np.where(self._neighbours.foreign[near.pairs], 0, 1)
+        solution = self._program.solve(rows, wanted, weights, slowest, fastest, barriers, least, kinds)
         if solution is None:
             self.unsolved += 1
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
@@ -151,7 +157,7 @@ class QpFollower:
         return focus, self._leader.jacobian()[:3] @ tracker.velocity
 
     def _tasks(self, q: Array, focus: Array, velocity: Array) -> tuple[Array, Array, Array]:
-        """Rows (t, n), wanted changes (t,) and weights (t,) of angle, distance and roll."""
+        """Rows (t, n), wanted changes (t,) and weights (t,) of angle, distance, roll and evasion."""
         camera, gains, cycle_s = self._camera, self.gains, self._cycle_s
         camera.update(q)
         at_focus = camera.linear - skew(focus) @ camera.angular
@@ -162,7 +168,9 @@ class QpFollower:
         angle = (-view.P / view.stretch) @ at_focus
         apart = -(view.u @ camera.linear + (skew(camera.position) @ view.u) @ camera.angular)
         roll = roll_effects(camera.rotation, camera.angular)
-        rows = np.vstack([angle, apart, roll])
+        evasion = self._evasion(q)
+        push = math.sqrt(float(evasion @ evasion))
+        rows = np.vstack([angle, apart, roll, evasion / max(push, 1e-9)])
         turn = self._angle_step(view, angle)
         drift = (view.P @ velocity) * (cycle_s / view.stretch)
         wanted = np.array(
@@ -170,9 +178,12 @@ class QpFollower:
                 *(-turn * view.direction - drift),
                 self._distance_step(view, rows[:3]) - cycle_s * float(view.u @ velocity),
                 self._roll_step(q, roll),
+                cycle_s * push,
             ]
         )
-        weights = np.array([gains.angle_weight] * 2 + [gains.distance_weight, gains.roll_weight])
+        weights = np.array(
+            [gains.angle_weight] * 2 + [gains.distance_weight, gains.roll_weight, gains.evasion_weight]
+        )
         return rows, wanted, weights
 
     def _angle_step(self, view: Look, rows: Array) -> float:
@@ -229,34 +240,43 @@ class QpFollower:
         fastest = np.maximum(np.minimum(fastest, room * (self.limits.upper - q)), np.minimum(brake, fastest))
         return np.minimum(slowest, brake), np.maximum(fastest, brake)
 
-    def _barriers(self, q: Array, dq_last: Array) -> tuple[Array, Array, float]:
+    def _barriers(self, near: Near, travel: Array, reach: float) -> tuple[Array, Array]:
         """Rows (k, n) and least changes (k,) that keep the distances in range, judged where the brake ends [m].
 
-        Of the brake that follows an increment `dq` the end lies `reach * dq` away, as the gate will see it too. The
-        last value is the least room that another robot leaves beyond its barrier [m].
+        Args:
+            near: what is near where the brake under way ends.
+            travel: (n,) what is left of it.
+            reach: of the brake that follows an increment `dq` the end lies `reach * dq` away, as the gate will see
+                it too; at most a cycle is added to it.
         """
-        cycles = brake_cycles(dq_last, self.limits.max_ddq)
-        travel = dq_last * (0.5 * (cycles - 1))
-        # the brake after the increment is at most a cycle longer than the one before it
-        reach = 0.5 * (cycles + 2)
-        near = self._near(q + travel)
         closing = np.maximum(-(near.others @ self._rates()), 0.0)
         margins = self._margins[near.pairs] + self._reserve(closing)
         change = closing * self._cycle_s - self._shares[near.pairs] * (near.distance - margins)
-        room = (near.distance - margins)[self._neighbours.foreign[near.pairs]]
-        return near.own, (change + near.own @ travel) / reach, float(room.min(initial=np.inf))
+        return near.own, (change + near.own @ travel) / reach
+
+    def _evasion(self, q: Array) -> Array:
+        """(n,) W^-1 F_rep of (12), off the other robots and the floor, where the robot stands [rad/s or m/s]."""
+        expected = self._expected()
+        obstacles = np.concatenate([self._bodies[name].at(joints) for name, joints in expected.items()])
+        radii = np.concatenate([self._bodies[name].radii for name in expected])
+        self._repulsion.approach(self._camera, obstacles, radii)
+        force = self._repulsion.field(self._camera)
+        return self._limit_weights.inverse_weights(q, force) * force
 
     def _reserve(self, closing: Array) -> Array:
         """(k,) what is kept free for others to brake in, by their speed of approach (k,) in m/s [m]."""
         return closing * (self.gains.reaction_s + closing / (2.0 * self.gains.others_brake_m_s2))
 
     def _near(self, q: Array) -> Near:
-        expected = {
+        return self._neighbours.near(self._joined(q, self._expected()), self._ranges)
+
+    def _expected(self) -> dict[str, Array]:
+        """(m,) joints of each robot that was heard of, when the increment arrives [rad or m]."""
+        return {
             name: tracker.ahead(self._scene.latency_s)
             for name, tracker in self._others.items()
             if tracker.started
         }
-        return self._neighbours.near(self._joined(q, expected), self._ranges)
 
     def _joined(self, q: Array, others: dict[str, Array]) -> Array:
         """(m,) joints of all robots of the cell; at home who has not been heard of."""

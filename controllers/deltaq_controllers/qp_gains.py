@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from deltaq_controllers.redundancy import DEGREES
+
 
 @dataclass(frozen=True)
 class QpGains:
@@ -23,11 +25,15 @@ class QpGains:
         barrier_share: part of what is left of a distance that one cycle may take.
         others_share: the same for other robots; smaller, so that getting out of the way begins early and gently.
         reaction_s: time for which another robot is expected to come on as it does [s].
-        give_way_m: room beyond another robot's barrier below which the view distance gives way [m].
         others_brake_m_s2: deceleration that is counted on in another robot [m/s^2].
         barrier_price: cost of slack per m, on the scale of the tasks' costs.
-        angle_weight, distance_weight, roll_weight, rest_weight: of the squares: per mm of the focus' path
-            at 1 m for angle, per mm for distance, per mrad for roll, per acceleration limit for rest.
+        evasion: eta of the repulsion (12) off other robots [m^3 rad/s].
+        evasion_range_m: rho_0 of (12) [m].
+        evasion_min_m: distance at which the repulsion stops growing [m].
+        limit_scale: s_w of the weights (10) that keep the repulsion from pressing joints to their limits [rad].
+        angle_weight, evasion_weight, distance_weight, roll_weight, rest_weight: of the squares: per mm of the
+            focus' path at 1 m for angle, per mrad for evasion and roll, per mm for distance, per acceleration limit
+            for rest.
         angle_share, distance_share, roll_share: part of an error that a cycle takes away, near the goal.
         brake_share: part of the possible deceleration that approaching a goal counts on.
         zoom_m_s2: largest deceleration of the view distance that is counted on [m/s^2].
@@ -42,10 +48,14 @@ class QpGains:
     barrier_share: float = 0.2
     others_share: float = 0.06
     reaction_s: float = 0.2
-    give_way_m: float = 0.2
     others_brake_m_s2: float = 2.0
     barrier_price: float = 1e6
+    evasion: float = 1e-2
+    evasion_range_m: float = 0.3
+    evasion_min_m: float = 0.03
+    limit_scale: float = DEGREES
     angle_weight: float = 1.0
+    evasion_weight: float = 0.1
     distance_weight: float = 1e-2
     roll_weight: float = 1e-4
     rest_weight: float = 1e-5

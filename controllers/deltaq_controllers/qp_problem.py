@@ -1,15 +1,18 @@
-"""One quadratic programme per cycle, over the robot's increment and one slack.
+"""One quadratic programme per cycle, over the robot's increment and a slack for each kind of barrier.
 
-    minimise    sum_i w_i |A_i dq - b_i|^2 + rest |dq / ddq_max|^2 + price s
-    subject to  slowest <= dq <= fastest,  C dq + s >= c,  s >= 0
+    minimise    sum_i w_i |A_i dq - b_i|^2 + rest |dq / ddq_max|^2 + price . s
+    subject to  slowest <= dq <= fastest,  C dq + S s >= c,  s >= 0
 
-It always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers ask
-for beyond it. The solver is quadprog's dual active-set method (Goldfarb and Idnani, 1983): exact to rounding for
+S picks the slack of each barrier's kind, so that what one kind needs does not loosen the others. The programme
+always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers ask for
+beyond it. The solver is quadprog's dual active-set method (Goldfarb and Idnani, 1983): exact to rounding for
 programmes of this size, and with nothing carried from one cycle to the next, so that the same view gives the same
 increment, bit for bit.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,20 +33,20 @@ class QuadraticProgram:
     Args:
         scale: (n,) unit of each increment, its acceleration limit over a cycle [rad or m].
         rest_weight: cost of the squared increments in these units.
-        price: cost of the slack [1/m].
+        prices: (m,) cost of the slack of each kind of barrier [1/m].
     """
 
-    def __init__(self, scale: Array, rest_weight: float, price: float) -> None:
-        n = len(scale)
-        self._scale, self._n = scale, n
-        self._hessian = np.zeros((n + 1, n + 1))
-        self._linear = np.zeros(n + 1)
+    def __init__(self, scale: Array, rest_weight: float, prices: Sequence[float]) -> None:
+        n, m = len(scale), len(prices)
+        self._scale, self._n, self._kinds = scale, n, np.eye(m)
+        self._hessian = np.zeros((n + m, n + m))
+        self._linear = np.zeros(n + m)
         self._rest = rest_weight * np.eye(n)
-        self._price = price * _SLACK_SCALE
-        # the slack's own square keeps the programme strictly convex
-        self._hessian[n, n] = 1e-6 * self._price
-        self._linear[n] = -self._price
-        self._bounds = np.hstack([np.eye(n + 1), -np.eye(n + 1)[:, :n]])
+        price = np.array(prices) * _SLACK_SCALE
+        # the slacks' own squares keep the programme strictly convex
+        self._hessian[n:, n:] = np.diag(1e-6 * price)
+        self._linear[n:] = -price
+        self._bounds = np.hstack([np.eye(n + m), -np.eye(n + m)[:, :n]])
 
     def solve(
         self,
@@ -54,8 +57,9 @@ class QuadraticProgram:
         fastest: Array,
         barriers: Array,
         least: Array,
-    ) -> tuple[Array, float] | None:
-        """The best increment, and the slack that it needs.
+        kinds: NDArray[np.intp],
+    ) -> tuple[Array, Array] | None:
+        """The best increment, and the slacks that it needs.
 
         Args:
             rows: (t, n) change of each task per increment.
@@ -65,20 +69,24 @@ class QuadraticProgram:
             fastest: (n,) greatest increment [rad or m].
             barriers: (k, n) change of each distance per increment.
             least: (k,) least change of the distance [m].
+            kinds: (k,) kind of each barrier, an index of `prices`.
 
         Returns:
-            (n,) increment within its bounds and the slack [m]; None if the solver found none.
+            (n,) increment within its bounds and (m,) slacks [m]; None if the solver found none.
         """
-        n, k = self._n, len(least)
+        n, m, k = self._n, len(self._kinds), len(least)
         scaled = rows * self._scale
         heavy = (weights * _MILLI**2)[:, None] * scaled
         self._hessian[:n, :n] = 2.0 * (scaled.T @ heavy + self._rest)
         self._linear[:n] = 2.0 * (wanted @ heavy)
-        # a column for each bound of the increments and of the slack, then for each barrier
-        columns = np.ones((n + 1, 2 * n + 1 + k))
-        columns[:, : 2 * n + 1] = self._bounds
-        columns[:n, 2 * n + 1 :] = (barriers * (self._scale / _SLACK_SCALE)).T
-        low = np.concatenate([slowest / self._scale, [0.0], -fastest / self._scale, least / _SLACK_SCALE])
+        # a column for each bound of the increments and of the slacks, then for each barrier
+        columns = np.empty((n + m, 2 * n + m + k))
+        columns[:, : 2 * n + m] = self._bounds
+        columns[:n, 2 * n + m :] = (barriers * (self._scale / _SLACK_SCALE)).T
+        columns[n:, 2 * n + m :] = self._kinds[:, kinds]
+        low = np.concatenate(
+            [slowest / self._scale, np.zeros(m), -fastest / self._scale, least / _SLACK_SCALE]
+        )
         try:
             solution = solve_qp(self._hessian, self._linear, columns, low)[0]
         except ValueError:  # rounding made it inconsistent
@@ -86,4 +94,4 @@ class QuadraticProgram:
         if not np.isfinite(solution).all():
             return None
         dq = np.minimum(np.maximum(self._scale * solution[:n], slowest), fastest)
-        return dq, max(0.0, float(solution[n]) * _SLACK_SCALE)
+        return dq, np.maximum(_SLACK_SCALE * solution[n:], 0.0)

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
@@ -66,6 +67,27 @@ class Spheres:
     def take(self, which: NDArray[np.intp]) -> Spheres:
         """Only the spheres of these indices."""
         return Spheres(self.joints[which], self.centres[which], self.radii[which])
+
+
+class PlacedSpheres:
+    """The spheres of a robot that moves.
+
+    Args:
+        robot: the robot.
+
+    Attributes:
+        radii: (m,) radii [m].
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._spheres = Spheres.of(robot)
+        self._model, self._data = robot.model, robot.model.createData()
+        self.radii = self._spheres.radii
+
+    def at(self, q: Array) -> Array:
+        """(m, 3) centres in the world at a configuration `q` (n,) [m]."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return self._spheres.placed(self._data)
 
 
 def local_box(body: Any) -> tuple[Array, Array]:

@@ -6,11 +6,12 @@ import pytest
 from deltaq_controllers.qp_problem import QuadraticProgram
 
 N = 6
-NONE = np.zeros((0, N)), np.zeros(0)
+NONE = np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp)
+FIRST = np.zeros(1, dtype=np.intp)
 
 
 def program() -> QuadraticProgram:
-    return QuadraticProgram(np.full(N, 1e-3), rest_weight=1e-5, price=1e6)
+    return QuadraticProgram(np.full(N, 1e-3), rest_weight=1e-5, prices=(1e6, 1e7))
 
 
 def test_a_task_within_the_bounds_is_done() -> None:
@@ -24,22 +25,32 @@ def test_a_task_within_the_bounds_is_done() -> None:
 def test_bounds_outweigh_every_task_and_every_barrier() -> None:
     row, narrow = np.eye(N)[:1], np.full(N, 1e-3)
     barrier, least = np.eye(N)[:1], np.array([0.05])
-    solution = program().solve(row, np.array([-0.05]), np.ones(1), -narrow, narrow, barrier, least)
+    solution = program().solve(row, np.array([-0.05]), np.ones(1), -narrow, narrow, barrier, least, FIRST)
     assert solution is not None
     dq, slack = solution
     assert (np.abs(dq) <= 1e-3).all()
     assert dq[0] == pytest.approx(1e-3, abs=1e-6), "as far as the barrier asks, not the task"
-    assert slack == pytest.approx(0.049, abs=1e-4)
+    assert slack == pytest.approx([0.049, 0.0], abs=1e-4)
 
 
 def test_a_barrier_outweighs_the_tasks() -> None:
     row, wide = np.eye(N)[:1], np.full(N, 0.01)
     solution = program().solve(
-        row, np.array([-5e-3]), np.ones(1), -wide, wide, np.eye(N)[:1], np.array([1e-3])
+        row, np.array([-5e-3]), np.ones(1), -wide, wide, np.eye(N)[:1], np.array([1e-3]), FIRST
     )
     assert solution is not None
     assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
-    assert solution[1] < 1e-5
+    assert (solution[1] < 1e-5).all()
+
+
+def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
+    barriers, wide = np.array([np.eye(N)[0], -np.eye(N)[0]]), np.full(N, 0.01)
+    kinds = np.array([0, 1], dtype=np.intp)
+    least = np.array([5e-3, -1e-3])
+    solution = program().solve(barriers[:1], np.zeros(1), np.ones(1), -wide, wide, barriers, least, kinds)
+    assert solution is not None
+    assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
+    assert solution[1] == pytest.approx([4e-3, 0.0], abs=1e-5)
 
 
 def test_the_heavier_task_is_done_first() -> None:
@@ -65,9 +76,10 @@ def test_there_is_always_an_answer_within_the_bounds(seed: int) -> None:
             fastest,
             barriers,
             random.normal(scale=0.05, size=len(barriers)),
+            random.integers(0, 2, len(barriers)),
         )
         assert solution is not None
         dq, slack = solution
         assert (dq >= slowest).all()
         assert (dq <= fastest).all()
-        assert slack >= 0.0
+        assert (slack >= 0.0).all()
