@@ -1,15 +1,21 @@
-"""Writes `deploy/compose.yaml` from the table of services: `python -m deltaq_deploy.compose`."""
+"""Writes `deploy/compose.yaml` from the table of services: `python -m deltaq_deploy.compose`.
+
+With the name or the file of a cell it prints that cell's instead.
+"""
 
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 
+from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
 from deltaq_deploy.services import Role, Service, cell_services, demo_controllers
+from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
 FILE = Path(__file__).parents[1] / "compose.yaml"
 CELL = "lab"
@@ -23,14 +29,29 @@ HEADER = """\
 """
 
 
+_SECRET = "deltaq-guarded-key"
+_GUARDED = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
+
+
 def compose_document(cell_name: str = CELL) -> dict[str, Any]:
-    """The compose document of a cell: one container a service."""
+    """The compose document of a cell: one container a service.
+
+    Where the guarded realm leaves the loopback, its key is a secret of those that speak there.
+    """
     cell = load_cell(cell_name)
     services = cell_services(cell, cell_name)
-    document = {service.name: _container(service, cell_name) for service in services}
+    document: dict[str, Any] = {service.name: _container(service, cell_name) for service in services}
     for controller in demo_controllers(cell):
         document[controller.name] = _container(controller, cell_name) | {"profiles": ["demo"]}
-    return {"name": "deltaq", "services": document}
+    if off_loopback(cell) is None:
+        return {"name": "deltaq", "services": document}
+    for service in services:
+        if service.role in _GUARDED:
+            document[service.name]["environment"] = {KEY_FILE: f"/run/secrets/{_SECRET}"}
+            document[service.name]["secrets"] = [_SECRET]
+    needed = f"name a file made with `deltaq key` in {KEY_FILE}"
+    secret = {"file": f"${{{KEY_FILE}:?{needed}}}"}  # compose refuses to start anything without it
+    return {"name": "deltaq", "services": document, "secrets": {_SECRET: secret}}
 
 
 def compose_text(cell_name: str = CELL) -> str:
@@ -56,6 +77,8 @@ def _container(service: Service, cell_name: str) -> dict[str, Any]:
         "cap_drop": ["ALL"],
         "security_opt": ["no-new-privileges:true"],
     }
+    if Path(cell_name).is_absolute():
+        container["volumes"] = [f"{cell_name}:{cell_name}:ro"]
     if service.role is Role.ROBOT_SERVER:
         container["cap_add"] = ["SYS_NICE"]  # to reply at real-time priority
     if service.needs:
@@ -73,4 +96,7 @@ def _container(service: Service, cell_name: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    FILE.write_text(compose_text(), encoding="utf-8")
+    if len(sys.argv) > 1:
+        print(compose_text(str(find_cell(sys.argv[1]).resolve())), end="")
+    else:
+        FILE.write_text(compose_text(), encoding="utf-8")

@@ -46,6 +46,7 @@ def probe(service: Service, cell: CellDescription) -> Answer:
     Raises:
         ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
         NoProbeError: if it has nothing to be asked at.
+        GuardedKeyError: if its answer is sealed, and there is no key.
     """
     if service.probe is None or service.endpoint is None:
         raise NoProbeError(f"{service.name} has no health to ask for")
@@ -63,6 +64,9 @@ def probe(service: Service, cell: CellDescription) -> Answer:
 def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> Answer:
     import zenoh
 
+    from deltaq_services.guarded_key import guarded_seal
+
+    seal = guarded_seal(cell)
     session = open_session(connect=[endpoint], must_connect=True)
     try:
         key = topics.HEALTH.key(cell.cell, service=name)
@@ -72,7 +76,7 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> Answer
                 if time.monotonic() > deadline:
                     raise _silent(name, endpoint)
                 time.sleep(0.01)
-            health = unpack(Health, sample.payload.to_bytes())
+            health = unpack(Health, seal.open(key, sample.payload.to_bytes()))
             return Answer(health.healthy, health.detail)
     finally:
         session.close()

@@ -13,6 +13,7 @@ from typing import Any
 import zenoh
 
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.seal import UNSEALED, Seal
 
 MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session puts together; descriptions with their URDF texts are the largest."""
@@ -54,14 +55,26 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         ) from error
 
 
-def declare_publisher(session: Any, key: str) -> Any:
+class SealedPublisher:
+    """Publishes under a seal what it is given."""
+
+    def __init__(self, publisher: Any, key: str, seal: Seal) -> None:
+        self._publisher, self._key, self._seal = publisher, key, seal
+
+    def put(self, message: bytes) -> None:
+        """Seal a message and publish it."""
+        self._publisher.put(self._seal.close(self._key, message))
+
+
+def declare_publisher(session: Any, key: str, seal: Seal = UNSEALED) -> Any:
     """A publisher for small, urgent messages: sent at once, at real-time priority, dropped when blocked."""
-    return session.declare_publisher(
+    publisher = session.declare_publisher(
         key,
         express=True,
         priority=zenoh.Priority.REAL_TIME,
         congestion_control=zenoh.CongestionControl.DROP,
     )
+    return publisher if seal is UNSEALED else SealedPublisher(publisher, key, seal)
 
 
 def subscribe_newest(session: Any, key: str, capacity: int = 1) -> Any:

@@ -2,13 +2,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.compose import FILE, compose_document, compose_text
 from deltaq_deploy.services import cell_services
+from deltaq_services.guarded_key import KEY_FILE
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +64,24 @@ def test_the_hli_can_be_started_without_any_emulator(containers: dict[str, Any])
 def test_controllers_start_on_demand_only(containers: dict[str, Any]) -> None:
     on_demand = {name for name, container in containers.items() if "profiles" in container}
     assert on_demand == {"leader", "follower"}
+
+
+def test_a_cell_off_the_loopback_gets_its_key_as_a_secret_of_those_who_need_it(tmp_path: Path) -> None:
+    cell = tmp_path / "plant.yaml"
+    cell.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
+    command = [sys.executable, "-m", "deltaq_deploy.compose", str(cell)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    file = tmp_path / "compose.yaml"
+    file.write_text(printed, encoding="utf-8")
+    assert validate(str(file)).returncode == 0
+    document = YAML(typ="safe").load(printed)
+    keyed = {name for name, container in document["services"].items() if "secrets" in container}
+    assert keyed == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
+    sim = document["services"]["sim"]
+    assert sim["environment"] == {KEY_FILE: "/run/secrets/deltaq-guarded-key"}
+    assert sim["volumes"] == [f"{cell}:{cell}:ro"]
+    assert document["secrets"]["deltaq-guarded-key"]["file"].startswith("${DELTAQ_GUARDED_KEY_FILE:?")
+
+
+def test_a_cell_on_the_loopback_has_no_secrets() -> None:
+    assert "secrets" not in compose_document()

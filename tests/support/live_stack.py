@@ -107,12 +107,15 @@ class Stack:
 
 
 @contextmanager
-def live_stack(folder, *, moving=False, base="lab", rewired=lambda services, file: services):
+def live_stack(
+    folder, *, moving=False, base="lab", guarded="127.0.0.1", rewired=lambda services, file: services
+):
     """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever.
 
-    `rewired` may change the services before they start; it is given the cell's file too.
+    `guarded` is where HLI, SIM and Robot Servers meet. `rewired` may change the services before they start; it is
+    given the cell's file too.
     """
-    file = write_private_cell(folder, base)
+    file = write_private_cell(folder, base, guarded)
     cell = CellModel.load(file)
     record = folder / "fr.csv"
     services = [

@@ -24,13 +24,13 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def write_private_cell(folder: Path, base: str = "lab") -> Path:
-    """Write a cell file that differs from a shipped cell by its ports alone."""
+def write_private_cell(folder: Path, base: str = "lab", guarded: str = "127.0.0.1") -> Path:
+    """Write a cell file that differs from a shipped cell by its ports, and by where the guarded realm listens."""
     hli, sim, tcp, *robots = free_ports(9)
     drivers = {
         name: f"""
   {name}:
-    server: tcp/127.0.0.1:{server}
+    server: tcp/{guarded}:{server}
     driver: {{port: {port}, control_port: {panel}}}"""
         for name, server, port, panel in (("fr", *robots[:3]), ("gr", *robots[3:]))
     }
@@ -39,7 +39,7 @@ def write_private_cell(folder: Path, base: str = "lab") -> Path:
         f"""\
 extends: {base}
 hli: tcp/127.0.0.1:{hli}
-sim: tcp/127.0.0.1:{sim}
+sim: tcp/{guarded}:{sim}
 tcp_port: {tcp}
 robots:{"".join(drivers.values())}
 """,

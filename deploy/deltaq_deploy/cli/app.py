@@ -20,6 +20,7 @@ from deltaq_deploy.cli import (
     fault,
     health,
     hz,
+    key,
     lease,
     peg_and_valve,
     plot,
@@ -45,6 +46,7 @@ app = typer.Typer(
 )
 app.command(rich_help_panel=RUN)(up.up)
 app.command(rich_help_panel=RUN)(demo.demo)
+app.command(rich_help_panel=RUN)(key.key)
 app.command(rich_help_panel=WATCH)(status.status)
 app.command(rich_help_panel=WATCH)(echo.echo)
 app.command(rich_help_panel=WATCH)(hz.hz)

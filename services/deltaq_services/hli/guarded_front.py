@@ -14,8 +14,10 @@ from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
 from deltaq_protocol.messages import Message, Verdict
+from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topics import Topic
+from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.hli.outputs import Output
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
@@ -27,13 +29,17 @@ class GuardedFront:
     """Takes states, verdicts and replies; publishes requests and commands.
 
     It connects to every Robot Server and to the SIM, and again whenever one of them is lost.
+
+    Raises:
+        GuardedKeyError: if the realm leaves the loopback, and there is no key.
     """
 
     def __init__(self, cell: CellDescription, port: Port) -> None:
         self._cell = cell.cell
         self._port = port
         endpoints = [robot.server for robot in cell.robots.values()] + [cell.sim]
-        self._session = LoopSession(open_session(connect=endpoints), cell.cell, port.loop)
+        self._seal = guarded_seal(cell)
+        self._session = LoopSession(open_session(connect=endpoints), cell.cell, port.loop, self._seal)
         self._session.subscribe(topics.SERVER_STATE, self._on_state)
         self._session.subscribe(topics.GATE_VERDICT, self._on_verdict)
         self._session.subscribe(topics.COMMAND_REPLY, self._on_command_reply)
@@ -68,7 +74,12 @@ class GuardedFront:
 
     def _take(self, sample: zenoh.Sample, decide: Callable[[bytes], list[Output]]) -> None:
         try:
-            outputs = decide(sample.payload.to_bytes())
+            outputs = decide(self._seal.open(str(sample.key_expr), sample.payload.to_bytes()))
+        except ForgedMessageError as error:
+            self._port.core.counters["forged_guarded"] += 1
+            if self._port.core.counters["forged_guarded"] == 1:
+                _log.warning("the first forged message: %s", error)
+            return
         except ProtocolError as error:
             self._port.core.counters["malformed_guarded"] += 1
             _log.warning("%s: %s", sample.key_expr, error)

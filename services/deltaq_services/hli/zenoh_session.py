@@ -12,6 +12,7 @@ import zenoh
 from deltaq_protocol.codec import pack
 from deltaq_protocol.inbox import Inbox
 from deltaq_protocol.messages import Message
+from deltaq_protocol.seal import UNSEALED, Seal
 from deltaq_protocol.session import declare_publisher
 from deltaq_protocol.topics import Topic
 
@@ -26,12 +27,16 @@ class LoopSession:
         session: an open zenoh session; it is closed by `close`.
         cell: name of the cell, for the keys.
         loop: the loop that everything is served in.
+        seal: put on all that is published.
     """
 
-    def __init__(self, session: Any, cell: str, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, session: Any, cell: str, loop: asyncio.AbstractEventLoop, seal: Seal = UNSEALED
+    ) -> None:
         self._session = session
         self._cell = cell
         self._loop = loop
+        self._seal = seal
         self._publishers: dict[str, Any] = {}
         self._declared: list[Any] = []
         self._inboxes: dict[str, Inbox[Any]] = {}
@@ -50,7 +55,7 @@ class LoopSession:
         """Publish a message."""
         publisher = self._publishers.get(key)
         if publisher is None:
-            publisher = self._publishers[key] = declare_publisher(self._session, key)
+            publisher = self._publishers[key] = declare_publisher(self._session, key, self._seal)
         publisher.put(pack(message))
 
     def publish_once(self, key: str, message: Message) -> None:

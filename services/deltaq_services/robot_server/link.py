@@ -10,7 +10,9 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
 from deltaq_protocol.messages import Message
+from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
+from deltaq_services.guarded_key import guarded_seal
 
 M = TypeVar("M", bound=Message)
 
@@ -24,16 +26,21 @@ class Link:
         cell: the cell.
         robot: the robot's name.
         counters: where messages that are none are counted.
+
+    Raises:
+        GuardedKeyError: if the realm leaves the loopback, and there is no key.
+        ServiceUnreachableError: if its endpoint cannot be listened on.
     """
 
     def __init__(self, cell: CellDescription, robot: str, counters: Counter[str]) -> None:
         self._counters = counters
         self._service = f"robot-server-{robot}"
+        self._seal = guarded_seal(cell)
         self._session: Any = open_session(listen=[cell.robots[robot].server])
         self._admissions = subscribe_newest(self._session, topics.ADMISSION.key(cell.cell, robot=robot))
         self._supervisions = subscribe_newest(self._session, topics.SUPERVISION.key(cell.cell, robot=robot))
-        self._state = declare_publisher(self._session, topics.SERVER_STATE.key(cell.cell, robot=robot))
-        self._health = declare_publisher(self._session, topics.HEALTH.key(cell.cell, service=self._service))
+        self._state = self._publisher(topics.SERVER_STATE.key(cell.cell, robot=robot))
+        self._health = self._publisher(topics.HEALTH.key(cell.cell, service=self._service))
         self._next_health_s = 0.0
 
     def admission(self) -> Admission | None:
@@ -63,12 +70,18 @@ class Link:
         """End the session."""
         self._session.close()
 
+    def _publisher(self, key: str) -> Any:
+        return declare_publisher(self._session, key, self._seal)
+
     def _newest(self, subscriber: Any, message_type: type[M]) -> M | None:
         sample = subscriber.try_recv()
         if sample is None:
             return None
         try:
-            return unpack(message_type, sample.payload.to_bytes())
+            return unpack(message_type, self._seal.open(str(sample.key_expr), sample.payload.to_bytes()))
+        except ForgedMessageError:
+            self._counters[f"forged_{message_type.__name__.lower()}"] += 1
+            return None
         except InvalidMessageError:
             self._counters[f"invalid_{message_type.__name__.lower()}"] += 1
             return None

@@ -16,7 +16,9 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Health
+from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import GateLog
 
@@ -37,6 +39,7 @@ class Shell:
         description = cell.description
         self._name = description.cell
         self.sim = Sim(cell, epoch=secrets.randbits(62))
+        self._seal = guarded_seal(description)
         self._session: Any = open_session(
             listen=[description.sim], connect=[robot.server for robot in description.robots.values()]
         )
@@ -67,7 +70,11 @@ class Shell:
         if topic is None:
             return  # a sign of life of the others
         try:
+            payload = self._seal.open(key, payload)
             message = unpack(topic.message, payload)
+        except ForgedMessageError:
+            self.sim.counters["forged_messages"] += 1
+            return
         except InvalidMessageError as error:
             self.sim.counters["invalid_messages"] += 1
             print(f"{key}: {error}", flush=True)
@@ -82,7 +89,7 @@ class Shell:
     def _publisher(self, topic: topics.Topic, robot: str) -> Any:
         if (topic.name, robot) not in self._publishers:
             key = topic.key(self._name, robot=robot)
-            self._publishers[topic.name, robot] = declare_publisher(self._session, key)
+            self._publishers[topic.name, robot] = declare_publisher(self._session, key, self._seal)
         return self._publishers[topic.name, robot]
 
     def _say_healthy(self) -> None:
@@ -98,4 +105,5 @@ class Shell:
             nearest=self.sim.nearest(),
             fingerprint=self.sim.fingerprint,
         )
-        self._session.put(topics.HEALTH.key(self._name, service="sim"), pack(health))
+        key = topics.HEALTH.key(self._name, service="sim")
+        self._session.put(key, self._seal.close(key, pack(health)))

@@ -1,0 +1,71 @@
+"""A guarded realm off the loopback: who has the key moves the robot, who has not is counted and ignored."""
+
+import pytest
+from live_stack import live_stack
+
+from deltaq_deploy.launcher import LaunchError
+from deltaq_deploy.probes import probe
+from deltaq_deploy.running import connect
+from deltaq_deploy.services import cell_services
+from deltaq_protocol import topics
+from deltaq_protocol.codec import pack
+from deltaq_protocol.guarded import Command, Supervision
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.seal import KEY_BYTES, UNSEALED, KeyedSeal
+from deltaq_protocol.session import open_session
+from deltaq_services.guarded_key import KEY_FILE, write_new_key
+from deltaq_services.phases import MAY_MOVE
+
+pytestmark = pytest.mark.live
+
+
+def test_only_those_who_have_the_key_are_listened_to(tmp_path, monkeypatch):
+    keys = [tmp_path / "key", tmp_path / "another"]
+    for key in keys:
+        write_new_key(key)
+    monkeypatch.setenv(KEY_FILE, str(keys[0]))
+    with live_stack(tmp_path, moving=True, guarded="0.0.0.0") as stack:
+        for service in cell_services(stack.cell, "lab"):
+            assert probe(service, stack.cell).healthy
+
+        stranger = open_session(connect=[stack.cell.sim, stack.cell.robots["fr"].server], must_connect=True)
+        try:
+            with connect(stack.cell, "test") as running:
+                while not forged_and_counted(running.status()):
+                    publish_forged_stops(stranger)
+                    stack.wait_cycles(4)
+                status = running.status()
+        finally:
+            stranger.close()
+        assert status.gate.get("command_stop", 0) == 0
+        assert status.robots["fr"].phase in MAY_MOVE
+        stack.wait_until_moving()
+
+        monkeypatch.setenv(KEY_FILE, str(keys[1]))
+        stack.launcher.restart("hli")
+        stack.wait_until_at_rest()  # the gate hears no HLI any more
+        with connect(stack.cell, "test") as running:
+            while not running.status().hli.get("forged_guarded"):
+                stack.wait_cycles(4)
+            assert running.status().robots["fr"].phase is Phase.OFFLINE
+
+        monkeypatch.delenv(KEY_FILE)
+        for service in ("hli", "sim", "robot-server-fr"):
+            with pytest.raises(LaunchError, match=r"(?s)exit status 2 .*`deltaq key FILE`") as refused:
+                stack.launcher.restart(service)
+            assert "can be reached from outside this machine" in str(refused.value)
+
+
+def forged_and_counted(status):
+    fr = status.robots["fr"].counters
+    return status.gate.get("forged_messages") and fr.get("forged_supervision")
+
+
+def publish_forged_stops(stranger):
+    """Without a seal, and with one of a key that somebody guessed."""
+    command = topics.COMMAND.key("lab")
+    supervision = topics.SUPERVISION.key("lab", robot="fr")
+    for seal in (UNSEALED, KeyedSeal(bytes(KEY_BYTES))):
+        stranger.put(command, seal.close(command, pack(Command(id=2**60, kind="stop"))))
+        stop = Supervision(robot="fr", epoch=1, cycle=1, stop="operator_stop")
+        stranger.put(supervision, seal.close(supervision, pack(stop)))
