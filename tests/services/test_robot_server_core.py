@@ -1,5 +1,7 @@
 """The Robot Server's core: the last program before the drives."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,8 @@ CELL = load_cell("lab")
 FR = CELL.robots["fr"]
 EPOCH = 7
 STEP = FR.max_acceleration * CELL.cycle_s**2
-REST = np.zeros(6)
+GATE_TIMEOUT = math.ceil(CELL.gate.gate_timeout_s / CELL.cycle_s)
+KRC_TIMEOUT = math.ceil(CELL.gate.krc_timeout_s / CELL.cycle_s)
 
 
 class Rig:
@@ -70,6 +73,27 @@ def test_it_is_offline_until_the_gate_is_heard():
     assert server.state.phase is Phase.OFFLINE
 
 
+def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
+    server = RobotServer(CELL, "fr")
+    for count in range(GATE_TIMEOUT + 5):
+        q_start = FR.home if count == 0 else None
+        server.cycle(Measurement(12 * count, FR.home, q_start=q_start), 0.0)
+    state = server.state
+    assert (state.phase, state.reason) == (Phase.OFFLINE, None)
+    assert (state.cycle, state.epoch, state.sequence, state.resets) == (GATE_TIMEOUT + 5, 0, 0, 0)
+    assert not server.counters
+
+
+def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_taken():
+    server = RobotServer(CELL, "gr")
+    assert server.outputs == {"gripper": False, "tool_changer": False}
+    home = CELL.robots["gr"].home
+    orders = Supervision(robot="gr", epoch=EPOCH, cycle=0, outputs={"gripper": True, "lamp": True})
+    server.cycle(Measurement(12, home, q_start=home, inputs={"closed": True}), 0.0, None, orders)
+    assert server.outputs == server.state.outputs == {"gripper": True, "tool_changer": False}
+    assert server.state.inputs == {"closed": True}
+
+
 def test_without_admission_the_setpoint_stands_still(rig):
     for _ in range(5):
         state = rig.cycle()
@@ -93,9 +117,9 @@ def test_starved_it_drives_the_brake_and_is_ready_again(rig):
         state = rig.cycle()
         speeds.append(np.array(state.dq))
         phases.append(state.phase)
-    assert phases[0] is Phase.BRAKING
-    assert rig.cycle().phase is Phase.READY
-    assert len(speeds) == 6
+    assert phases == [Phase.BRAKING] * 4 + [Phase.READY]  # at rest in the very cycle that sends no more
+    rig.cycle()
+    assert rig.counters["braked_cycles"] == 5
     assert np.all(np.abs(np.diff(speeds, axis=0)) <= STEP * (1 + 1e-6))
 
 
@@ -154,6 +178,43 @@ def test_an_admission_a_cycle_late_costs_a_dip_in_speed_and_no_jump(rig):
     assert np.all(np.abs(np.array(state.dq) - before) <= STEP * (1 + 1e-6))
 
 
+@pytest.mark.parametrize("earlier", [0, 2])
+def test_a_gate_may_be_silent_for_its_time_and_no_cycle_longer(rig, earlier):
+    for _ in range(earlier):
+        rig.cycle(gate=False)
+    rig.cycle()
+    for _ in range(GATE_TIMEOUT):
+        assert rig.cycle(gate=False).phase is Phase.READY
+    assert rig.cycle(gate=False).phase is Phase.HELD
+
+
+def test_the_first_reason_of_a_hold_stands_and_each_hold_is_counted_once(rig):
+    for hold in (1, 2):
+        for _ in range(GATE_TIMEOUT + 5):
+            state = rig.cycle(stop=ReasonCode.OPERATOR_STOP)
+        assert state.reason is ReasonCode.OPERATOR_STOP
+        for _ in range(GATE_TIMEOUT + 5):
+            state = rig.cycle(gate=False)
+        assert state.reason is ReasonCode.OPERATOR_STOP
+        assert rig.counters["held_operator_stop"] == hold
+        rig.resets += 1
+        assert rig.cycle().phase is Phase.READY
+    assert rig.counters["held_gate_lost"] == 0
+
+
+def test_admissions_are_counted_by_what_became_of_them(rig):
+    rig.run_up(3)
+    for _ in range(2):
+        rig.cycle(rig.admission(STEP, cycle=0))
+    rig.cycle(stop=ReasonCode.OPERATOR_STOP)
+    for _ in range(4):
+        rig.cycle(rig.admission(STEP))
+    assert rig.counters["admissions"] == 3
+    assert rig.counters["admission_late"] == 2
+    assert rig.counters["admission_while_not_ready"] == 4
+    assert rig.server.state.counters == rig.counters
+
+
 def test_a_silent_gate_latches_held_until_a_reset(rig):
     rig.run_up(3)
     for _ in range(60):
@@ -166,11 +227,13 @@ def test_a_silent_gate_latches_held_until_a_reset(rig):
 
 
 def test_a_new_gate_is_not_obeyed_before_a_reset(rig):
+    rig.run_up(1)
+    rig.cycle()
     state = rig.cycle(epoch=8)
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.GATE_LOST)
     rig.resets += 1
     state = rig.cycle(epoch=8)
-    assert (state.phase, state.epoch) == (Phase.READY, 8)
+    assert (state.phase, state.epoch, state.sequence) == (Phase.READY, 8, 0)
 
 
 def test_a_stop_brakes_along_the_certified_brake_and_holds(rig):
@@ -205,12 +268,85 @@ def test_replies_missed_for_long_hold_the_robot(rig):
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
 
 
+def test_replies_may_be_missed_for_their_time_and_no_cycle_longer(rig):
+    for _ in range(2):
+        for _ in range(KRC_TIMEOUT):
+            assert rig.cycle(missed_last=True).phase is Phase.READY
+        rig.cycle()
+    for _ in range(KRC_TIMEOUT):
+        rig.cycle(missed_last=True)
+    assert rig.cycle(missed_last=True).phase is Phase.HELD
+    assert rig.counters["reply_missed"] == 3 * KRC_TIMEOUT + 1
+
+
+def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
+    server = RobotServer(CELL, "fr")
+    alive = Supervision(robot="fr", epoch=EPOCH, cycle=0)
+    for count in range(KRC_TIMEOUT + 1):
+        assert server.state is None or server.state.phase is Phase.READY
+        q_start = FR.home if count == 0 else None
+        server.cycle(Measurement(count, FR.home, q_start=q_start, missed_last=True), 0.0, None, alive)
+    assert server.state.phase is Phase.HELD
+
+
+def test_a_reset_forgives_the_replies_that_were_missed(rig):
+    for _ in range(KRC_TIMEOUT + 1):
+        rig.cycle(missed_last=True)
+    rig.resets += 1
+    for _ in range(KRC_TIMEOUT):
+        assert rig.cycle(missed_last=True).phase is Phase.READY
+
+
+def test_a_silent_krc_is_published_as_a_robot_at_rest_at_its_setpoint(rig):
+    rig.run_up(3)
+    before = rig.server.state
+    for _ in range(2):
+        rig.server.krc_silent(99.0)
+    state = rig.server.state
+    assert (state.cycle, state.q_cmd, state.time_s) == (before.cycle, before.q_cmd, 99.0)
+    assert state.dq == state.plan.dq == (0.0,) * 6
+    assert state.plan.step == state.plan.brake_cycles
+    assert (rig.counters["krc_silent"], rig.counters["held_krc_lost"]) == (2, 1)
+
+
+def test_a_krc_that_comes_back_with_a_missed_reply_still_stands(rig):
+    rig.run_up(3)
+    rig.server.krc_silent(99.0)
+    assert rig.cycle(missed_last=True).dq == (0.0,) * 6
+
+
+def test_of_several_causes_the_silent_krc_stands(rig):
+    rig.cycle(stop=ReasonCode.OPERATOR_STOP)
+    rig.server.krc_silent(99.0)
+    assert rig.server.state.reason is ReasonCode.KRC_LOST
+
+
+def test_a_krc_that_was_silent_before_its_first_telegram_changes_nothing():
+    server = RobotServer(CELL, "fr")
+    server.krc_silent(99.0)
+    assert server.state is None
+    assert server.counters == {"krc_silent": 1}
+
+
+def test_a_silent_krc_does_not_hold_a_robot_that_no_gate_has_linked():
+    server = RobotServer(CELL, "fr")
+    server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
+    server.krc_silent(99.0)
+    assert (server.state.phase, server.state.reason) == (Phase.OFFLINE, None)
+
+
 def test_a_silent_krc_holds_the_robot_where_the_krc_does(rig):
     rig.run_up(3)
     rig.server.krc_silent(99.0)
     assert (rig.server.state.phase, rig.server.state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
     stood = rig.server.state.q_cmd
     assert rig.cycle().q_cmd == stood  # and does not go on with a brake from rest
+
+
+def test_every_further_session_is_counted(rig):
+    for _ in range(2):
+        rig.cycle(q_start=FR.home)
+    assert rig.counters["session_restarted"] == 2
 
 
 def test_a_new_session_starts_from_the_measured_place_at_rest(rig):

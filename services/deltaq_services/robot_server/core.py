@@ -64,10 +64,11 @@ class RobotServer:
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        self._q_cmd = np.zeros(0)
-        self._dq = np.zeros(0)
-        self._plan = Plan(dq=(0.0,), brake_cycles=1, step=1)
-        self._plan_dq = np.zeros(0)
+        # the first session says where the robot is
+        self._q_cmd: Array
+        self._dq: Array
+        self._plan: Plan
+        self._plan_dq: Array
         self._epoch = 0
         self._sequence = 0
         self._resets = 0
@@ -172,11 +173,11 @@ class RobotServer:
         else:
             self._plan = self._plan.model_copy(update={"step": self._plan.step + 1})
             self._enter(Event.STARVED)
-            if self._phase in (Phase.ENGAGED, Phase.BRAKING) or self._plan.step <= self._plan.brake_cycles:
+            if self._plan.step <= self._plan.brake_cycles:
                 self.counters["braked_cycles"] += 1
         self._dq = brake_increment(self._plan_dq, self._plan.brake_cycles, self._plan.step)
         self._q_cmd = self._q_cmd + self._dq
-        if self._plan.step >= self._plan.brake_cycles and self._plan.step > 0:
+        if self._plan.step >= self._plan.brake_cycles:
             self._rest()
             self._enter(Event.RESTED)
 
