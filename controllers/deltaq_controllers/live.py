@@ -11,6 +11,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.load import parse_cell
@@ -20,6 +21,8 @@ from deltaq_controllers.tally import Tally
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Description, RobotState, Verdict
+
+Array = NDArray[np.float64]
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses for what was refused, asked for wrongly, or not to be reached."""
@@ -39,6 +42,16 @@ def cell_model(description: Description) -> CellModel:
     """Model of a cell, structure included, from what its HLI tells."""
     cell = parse_cell(description.yaml, f"description of cell {description.cell}")
     return CellModel.of(cell, robot_models(description), description.yaml)
+
+
+def where_others_are(cell: Cell, robot: str) -> Callable[[], dict[str, Array]]:
+    """What tells where the other robots of a running cell are commanded to be, (n,) each, once they were heard."""
+
+    def places() -> dict[str, Array]:
+        states = {name: cell.state(name) for name in cell.robots if name != robot}
+        return {name: np.array(state.q_cmd) for name, state in states.items() if state is not None}
+
+    return places
 
 
 def model_of(models: Mapping[str, RobotModel], name: str) -> RobotModel:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -42,16 +41,13 @@ class ScriptStep(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     duration_s: FiniteFloat = Field(gt=0.0)
+    """How long; a step that goes to an option is over sooner if the robot is there sooner."""
     move: dict[str, FiniteFloat] = {}
     """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
     mode: ModeName | None = None
     frame: Frame | None = None
-
-
-@dataclass(frozen=True)
-class _Timed:
-    until_s: float
-    wish: Wish
+    option: int | None = Field(default=None, ge=1)
+    """Rank of the option to go to, in mode `advisor`."""
 
 
 class Script:
@@ -59,21 +55,21 @@ class Script:
 
     Args:
         steps: the steps, their wishes in SI units, each with its duration [s].
+        arrived_at: tells the option that the robot stands at.
     """
 
-    def __init__(self, steps: Sequence[tuple[float, Wish]]) -> None:
-        self._steps: list[_Timed] = []
-        end_s = 0.0
-        for duration_s, wish in steps:
-            end_s += duration_s
-            self._steps.append(_Timed(end_s, wish))
-        self._start_s: float | None = None
+    def __init__(
+        self, steps: Sequence[tuple[float, Wish]], arrived_at: Callable[[], int | None] = lambda: None
+    ) -> None:
+        self._steps = list(steps)
+        self._arrived_at = arrived_at
+        self._began_s: float | None = None
         self._now = 0
 
     @property
     def duration_s(self) -> float:
-        """Length of the whole script."""
-        return self._steps[-1].until_s if self._steps else 0.0
+        """Length of the whole script, if no step is over sooner."""
+        return sum(duration_s for duration_s, _ in self._steps)
 
     @classmethod
     def load(cls, path: Path, teleoperator: Teleoperator) -> Self:
@@ -92,15 +88,21 @@ class Script:
             except ControllerError as error:
                 raise ControllerError(f"{where}: {error}") from None
             timed.append((duration_s, wish))
-        return cls(timed)
+        return cls(timed, lambda: teleoperator.arrived_at)
 
     def read(self, time_s: float) -> Wish | None:
         """The wish of the step at this time; the first call starts the script."""
-        if self._start_s is None:
-            self._start_s = time_s
-        while self._now < len(self._steps) and time_s - self._start_s >= self._steps[self._now].until_s:
-            self._now += 1
-        return self._steps[self._now].wish if self._now < len(self._steps) else None
+        if self._began_s is None:
+            self._began_s = time_s
+        while self._now < len(self._steps):
+            duration_s, wish = self._steps[self._now]
+            end_s = self._began_s + duration_s
+            if wish.option is not None and wish.option == self._arrived_at():
+                end_s = time_s
+            if time_s < end_s:
+                return wish
+            self._now, self._began_s = self._now + 1, end_s
+        return None
 
     def __enter__(self) -> Self:
         return self
@@ -137,7 +139,7 @@ def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, W
     for name, value in parsed.move.items():
         axis, rate = _rate(name, value, units, where)
         rates[axis] = rate
-    return parsed.duration_s, Wish(rates, parsed.mode, parsed.frame)
+    return parsed.duration_s, Wish(rates, parsed.mode, parsed.frame, parsed.option)
 
 
 def _axis_units(teleoperator: Teleoperator) -> dict[str, str]:

@@ -38,17 +38,22 @@ MODE_BUTTONS: Mapping[int, ModeName] = {
     1: ModeName.DECOUPLED,
     2: ModeName.SELF_MOTION,
     3: ModeName.JOINT,
+    9: ModeName.ADVISOR,
 }
-"""Face buttons."""
+"""Face buttons, and the left stick pressed."""
 
 NEXT_BUTTON, QUIT_BUTTON = 7, 6
-"""Start chooses the next joint for the modes that are driven by joints, back ends."""
+"""Start chooses the next joint, or the next option of the advisor; back ends."""
+
+_OPTIONS = 9
+_PUSHED = 0.5
 
 
 class Gamepad:
     """Wishes from a gamepad.
 
-    In a mode that drives joints alone the left stick drives the joint chosen, otherwise the sticks move the hand.
+    In a mode that drives joints alone the left stick drives the joint chosen, in advisor mode it goes to the option
+    chosen while it is pushed ahead; otherwise the sticks move the hand.
 
     Args:
         teleoperator: the robot that is driven.
@@ -64,14 +69,22 @@ class Gamepad:
         self._sticks: dict[int, float] = {}
         self._held: set[int] = set()
         self.joint = 0
+        self.option = 1
 
     @property
     def status(self) -> str:
         """What is chosen now."""
-        name = self._teleoperator.robot.joint_names[self.joint]
-        return (
-            f"joint {name}, {'held' if self._held & set(HOLD_BUTTONS) else 'hold a shoulder button to move'}"
-        )
+        joint = f"joint {self._teleoperator.robot.joint_names[self.joint]}"
+        chosen = f"option {self.option}" if self._is_advised else joint
+        return f"{chosen}, {'held' if self._is_held else 'hold a shoulder button to move'}"
+
+    @property
+    def _is_advised(self) -> bool:
+        return self._teleoperator.mode is ModeName.ADVISOR
+
+    @property
+    def _is_held(self) -> bool:
+        return bool(self._held & set(HOLD_BUTTONS))
 
     def read(self, time_s: float) -> Wish | None:
         """The wish from where sticks and buttons stand; None after the back button or when the device is gone."""
@@ -82,10 +95,15 @@ class Gamepad:
             return None
         if QUIT_BUTTON in pressed:
             return None
-        if NEXT_BUTTON in pressed:
+        if NEXT_BUTTON in pressed and self._is_advised:
+            self.option = self.option % _OPTIONS + 1
+        elif NEXT_BUTTON in pressed:
             self.joint = (self.joint + 1) % self._teleoperator.robot.n
         mode = next((MODE_BUTTONS[button] for button in pressed if button in MODE_BUTTONS), None)
-        return Wish(self._rates() if self._held & set(HOLD_BUTTONS) else {}, self._possible(mode))
+        if self._is_advised:
+            goes = self._is_held and self._sticks.get(1, 0.0) < -_PUSHED
+            return Wish({}, self._possible(mode), option=self.option if goes else None)
+        return Wish(self._rates() if self._is_held else {}, self._possible(mode))
 
     def _possible(self, mode: ModeName | None) -> ModeName | None:
         try:

@@ -29,8 +29,11 @@ HAND_KEYS = {
 
 HELP = (
     "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose; "
-    "m mode, t world/tool, +/- speed, q quit"
+    "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit"
 )
+
+OPTION_KEYS = "123456789"
+"""Keys of the advisor's options; a choice holds until another key is pressed."""
 
 _ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
 _STEP = 1.5
@@ -56,6 +59,7 @@ class Keyboard:
         self._file = sys.stdin.fileno() if file is None else file
         self._speed_m_s = speed_m_s
         self._until_s = 0.0
+        self._option: int | None = None
         self._rates: dict[str, float] = {}
         self._saved: list[Any] | None = None
         self._text = ""
@@ -74,6 +78,7 @@ class Keyboard:
         for key in self._keys():
             if key in ("q", ""):
                 return None
+            self._option = int(key) if key in OPTION_KEYS else None
             if key == "m":
                 mode = self._next_mode()
             elif key == "t":
@@ -93,7 +98,8 @@ class Keyboard:
                 self._press(time_s, f"{self.hand}.{axis}" if self.hand else axis, rate)
             else:
                 self._rates = {}
-        return Wish(self._rates if time_s < self._until_s else {}, mode, frame)
+        rates = self._rates if time_s < self._until_s else {}
+        return Wish(rates, mode, frame, self._option if self._teleoperator.mode is ModeName.ADVISOR else None)
 
     def _press(self, time_s: float, axis: str, rate: float) -> None:
         self._rates, self._until_s = {axis: rate}, time_s + HOLD_S

@@ -34,6 +34,7 @@ class Leg:
         cycles: its length.
         limited: cycles in which something limited the operator, by kind and what.
         moved: per hand where it ended from where it began [m, rad], and how far it was off at most.
+        chosen: options of the advisor that were wanted, in their order, each with whether the robot got there.
     """
 
     mode: ModeName
@@ -41,6 +42,7 @@ class Leg:
     limited: Counter[str] = field(default_factory=Counter)
     moved: Array = field(default_factory=lambda: np.zeros((0, 2)))
     farthest: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    chosen: list[tuple[int, bool]] = field(default_factory=list)
 
 
 class DriveLog:
@@ -66,11 +68,27 @@ class DriveLog:
             self._start = (self._hands.rotations.copy(), self._hands.positions.copy())
         leg = self.legs[-1]
         leg.cycles += 1
+        self._note_choice(leg)
         limitation = self._teleoperator.limitation
         if limitation is not None:
             leg.limited[f"{limitation.limit.value}: {limitation.what}"] += 1
         leg.moved = np.linalg.norm(self._hands.error(*self._start).reshape(-1, 2, 3), axis=2)
         leg.farthest = np.maximum(leg.farthest, leg.moved) if leg.cycles > 1 else leg.moved
+
+    def _note_choice(self, leg: Leg) -> None:
+        option = self._teleoperator.wish.option
+        if option is None or leg.mode is not ModeName.ADVISOR:
+            return
+        choice = option, self._teleoperator.arrived_at == option
+        if leg.chosen and leg.chosen[-1][0] == option:
+            leg.chosen[-1] = choice
+        else:
+            leg.chosen.append(choice)
+
+    @property
+    def missed(self) -> list[int]:
+        """Options that were wanted last in their leg and not reached."""
+        return [leg.chosen[-1][0] for leg in self.legs if leg.chosen and not leg.chosen[-1][1]]
 
     def summary(self) -> list[dict[str, Any]]:
         """Each leg as a JSON object, for people: mm and degrees."""
@@ -90,7 +108,13 @@ class DriveLog:
         }
         seconds = leg.cycles * self._cycle_s
         limited_s = {what: cycles * self._cycle_s for what, cycles in leg.limited.items()}
-        return {"mode": leg.mode.value, "seconds": seconds, "limited_s": limited_s, "hands": hands}
+        return {
+            "mode": leg.mode.value,
+            "seconds": seconds,
+            "limited_s": limited_s,
+            "hands": hands,
+            "options": [{"option": option, "reached": reached} for option, reached in leg.chosen],
+        }
 
 
 async def teleoperate(

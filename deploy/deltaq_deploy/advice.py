@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
+import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import Pose
+from deltaq_cell.description import CellDescription, Pose
 from deltaq_cell.structure import placement
 from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
-from deltaq_controllers.advisor.driving import PathController, drive_path, timed
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, Problem
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
+from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_controllers.modes.motion import ModeName
+from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.operator_input_option import GoToOption
+from deltaq_controllers.tally import Tally
+from deltaq_controllers.teleoperation import teleoperate
 from deltaq_deploy.running import connect, known_robot
+from deltaq_protocol import connect as connect_to
 from deltaq_protocol.blocking import BlockingCell
 
 Array = NDArray[np.float64]
@@ -45,6 +53,23 @@ class Request:
 
 
 @dataclass(frozen=True)
+class Driven:
+    """How an option was driven to.
+
+    Attributes:
+        option: its rank.
+        reached: whether the robot stands there; otherwise it was stopped on the way.
+        outcomes: how many increments had which outcome.
+        hands_off_m: how far the hands are from where they shall be, at the end.
+    """
+
+    option: int
+    reached: bool
+    outcomes: dict[str, int]
+    hands_off_m: float
+
+
+@dataclass(frozen=True)
 class Advice:
     """What the advisor answered.
 
@@ -59,7 +84,7 @@ class Advice:
         options: best first.
         trials: configurations tried.
         elapsed_s: from the question to the options, paths included.
-        executed: which option was driven to, and with what outcomes; None if none was.
+        executed: how the option was driven to that was to be; None if none was.
     """
 
     cell: str
@@ -72,7 +97,7 @@ class Advice:
     options: list[Option]
     trials: int
     elapsed_s: float
-    executed: dict[str, Any] | None = None
+    executed: Driven | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The answer as JSON takes it, in SI units."""
@@ -87,7 +112,7 @@ class Advice:
             "trials": self.trials,
             "elapsed_s": self.elapsed_s,
             "options": [_as_dict(rank, option) for rank, option in enumerate(self.options, start=1)],
-            "executed": self.executed,
+            "executed": None if self.executed is None else asdict(self.executed),
         }
 
 
@@ -125,7 +150,7 @@ def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True)
         executed = None
         if request.execute:
             assert running is not None  # the command refuses to execute offline
-            executed = _drive(running, tracker, cell.description.cycle_s, options, request.execute)
+            executed = _drive(cell.description, tracker, options, request.execute)
         return Advice(
             cell=cell.description.cell,
             robot=robot,
@@ -189,27 +214,58 @@ def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple
     return poses
 
 
-def _drive(
-    running: BlockingCell, tracker: ConstraintTracker, cycle_s: float, options: list[Option], rank: int
-) -> dict[str, Any]:
-    """Drive to the option of a rank; which, with what outcomes, and how far the hands are off at its end."""
+@dataclass
+class _Answered:
+    """Options that are known already, as the advisor mode takes them."""
+
+    tracker: ConstraintTracker
+    progress: Progress | None
+    trouble: str = ""
+    is_busy: bool = False
+
+    def ask(self, _q: Array) -> None:
+        """The answer is there."""
+
+    def seek(self, _back: Array, _rank: int) -> None:
+        """The robot is not where the paths begin."""
+        self.trouble = f"{self.tracker.robot.name} has been moved meanwhile; advise again"
+
+    def give_up(self) -> None:
+        """Nothing is going on."""
+
+
+def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Option], rank: int) -> Driven:
+    """Drive to the option of a rank, the robot at rest where the paths begin."""
     if rank > len(options):
         raise AdvisorError(f"there is no option {rank}; there are {len(options)}")
-    path = options[rank - 1].path
-    if path is None:
-        ways = [str(number) for number, option in enumerate(options, start=1) if option.path is not None]
+    option = options[rank - 1]
+    if option.path is None:
+        ways = [str(number) for number, other in enumerate(options, start=1) if other.path is not None]
         raise AdvisorError(
-            f"no way is known to option {rank} with the hands kept where they are; "
-            f"there is one to {', '.join(ways) or 'none'}"
+            f"no way is known to option {rank}: {option.no_path}; there is one to {', '.join(ways) or 'none'}"
         )
-    setpoints, robot = timed(path, tracker, cycle_s), tracker.robot.name
-    with running.lease(robot) as leased:
-        outcomes = drive_path(leased, PathController(setpoints))
-        state = leased.state
-    assert state is not None  # drive_path ends with a state
-    off = tracker.hands(np.array(state.q_cmd)) - tracker.hands(path[0])
-    off_m = float(np.linalg.norm(off[:, :3, 3], axis=1).max())
-    return {"option": rank, "outcomes": dict(outcomes), "hands_off_m": off_m}
+    answered = _Answered(tracker, Progress("finding paths", 1.0, options[0].energy, 0, tuple(options)))
+    return asyncio.run(_go(cell, answered, rank, tracker.hands(option.q)))
+
+
+async def _go(cell: CellDescription, answered: _Answered, rank: int, T_world_hands: Array) -> Driven:
+    robot = answered.tracker.robot
+    modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
+    teleoperator = Teleoperator(robot, cell.cycle_s, ModeName.ADVISOR, modes=modes)
+    tally, enough = Tally(), asyncio.Event()
+    asyncio.get_running_loop().add_signal_handler(signal.SIGINT, enough.set)
+    async with connect_to(cell.hli, client="deltaq advise") as running:
+        operator = GoToOption(teleoperator, rank)
+        await teleoperate(running, teleoperator, operator, tally, lambda _: None, enough)
+        state = running.state(robot.name)
+    assert state is not None  # the robot has been driven
+    off = answered.tracker.hands(np.array(state.q_cmd)) - T_world_hands
+    return Driven(
+        option=rank,
+        reached=operator.reached,
+        outcomes=tally.summary()["gate"],
+        hands_off_m=float(np.linalg.norm(off[:, :3, 3], axis=1).max()),
+    )
 
 
 def _as_dict(rank: int, option: Option) -> dict[str, Any]:
@@ -224,5 +280,7 @@ def _as_dict(rank: int, option: Option) -> dict[str, Any]:
         "pair": list(option.clearance.pair),
         "nearest_limit": option.nearest_limit,
         "limit_share": option.limit_share,
+        "hands_move": option.hands_move,
         "path": None if option.path is None else option.path.tolist(),
+        "no_path": option.no_path or None,
     }

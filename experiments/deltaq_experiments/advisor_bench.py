@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.advisor.advisor import Pool, search
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.methods import METHODS
 from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.search import Pool, search
 from deltaq_controllers.inverse.titan import TitanInverse
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 

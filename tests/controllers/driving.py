@@ -106,10 +106,12 @@ class StackDrive:
         self.stack.acquire(robot, "test")
         self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode)
 
-    def drive(self, duration_s: float, mode: ModeName | None = None, **rates: float) -> Driven:
+    def drive(
+        self, duration_s: float, mode: ModeName | None = None, option: int | None = None, **rates: float
+    ) -> Driven:
         """Hold a wish for a time; returns what happened meanwhile."""
         driven = Driven(self.robot)
-        self.teleoperator.wish = Wish(rates, mode)
+        self.teleoperator.wish = Wish(rates, mode, option=option)
         for _ in range(round(duration_s / CYCLE_S)):
             self.stack.cycle()
             state = self.stack.arms[self.name].state

@@ -9,13 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.advisor.advisor import DISTINCT, Option, Pool, Progress, advise, search
+from deltaq_controllers.advisor.advisor import DRIVABLE, NOT_LOOKED_FOR, Option, Progress, advise
 from deltaq_controllers.advisor.descent import descend, reduced_gradient
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.methods import METHODS
 from deltaq_controllers.advisor.problem import AdvisorError, Problem
+from deltaq_controllers.advisor.search import DISTINCT, Pool, search
 from deltaq_controllers.advisor.seeding import feasible
-from deltaq_controllers.advisor.self_motion import FINE, LEAP, SelfMotion
+from deltaq_controllers.advisor.space import HandsKept
+from deltaq_controllers.advisor.ways import FINE, LEAP, NoWayError, Ways
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 
 Array = NDArray[np.float64]
@@ -146,29 +148,49 @@ def test_a_path_to_an_option_keeps_the_hands_still_and_everything_clear(options:
             assert EXACT.measure(q).room_m > 0
 
 
-def test_there_is_no_path_while_the_hands_are_elsewhere() -> None:
+def test_options_that_are_barred_leave_room_for_some_that_are_not(options: list[Option]) -> None:
+    space = HandsKept(TRACKER, TRACKER.hands(DAWM.home))
+    barred = [space.barred(DAWM.home, option.q) for option in options]
+    assert barred.count("") >= DRIVABLE
+    for why, option in zip(barred, options, strict=True):
+        if why:
+            assert option.no_path == why
+            assert "on another branch" in why
+
+
+@pytest.mark.parametrize("joint", [0, 4], ids=["the torso", "an arm"])
+def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
     elsewhere = DAWM.home.copy()
-    elsewhere[4] -= 0.1
+    elsewhere[joint] -= 0.3
     found = advise(
         problem(), elsewhere, generator=np.random.default_rng(8), options=2, effort=0.2, exact=EXACT
     )
-    assert found
-    assert all(option.path is None for option in found)
+    assert all(option.hands_move for option in found)
+    paths = [option.path for option in found if option.path is not None]
+    assert paths
+    for path, option in zip(paths, found, strict=False):
+        np.testing.assert_array_equal(path[0], elsewhere)
+        np.testing.assert_allclose(path[-1], option.q, atol=1e-9)
+        assert np.abs(np.diff(path, axis=0)).max() <= FINE + 1e-9
+        assert all(EXACT.measure(q).room_m > 0 for q in path)
 
 
 def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     task = problem()
-    motion = SelfMotion(task, EXACT, np.random.default_rng(9))
-    tried = 0
-    for q in search(task, np.random.default_rng(10), effort=0.5).q[:40]:
-        if motion._walked([DAWM.home, q], 0.05) is None:
-            path = motion.path(DAWM.home, q)
-            if path is not None:
-                tried += 1
-                assert np.abs(TRACKER.hands(path[len(path) // 2]) - task.poses).max() < 1e-9
-                np.testing.assert_allclose(path[-1], q, atol=1e-6)
-                if tried == 2:
-                    return
+    ways = Ways(task, HandsKept(TRACKER, task.poses), EXACT, np.random.default_rng(9))
+    found = 0
+    for q in search(task, np.random.default_rng(10), effort=0.5).q[:60]:
+        if ways._walked([DAWM.home, q], 0.05) is not None:
+            continue
+        try:
+            path = ways.path(DAWM.home, q)
+        except NoWayError:
+            continue
+        found += 1
+        assert np.abs(TRACKER.hands(path[len(path) // 2]) - task.poses).max() < 1e-9
+        np.testing.assert_allclose(path[-1], q, atol=1e-6)
+        if found == 2:
+            return
     pytest.fail("no way round was found")
 
 
@@ -182,22 +204,33 @@ def test_a_search_that_is_cancelled_ends_with_what_it_has() -> None:
     task = problem()
     found = advise(task, DAWM.home, generator=np.random.default_rng(11), options=3, exact=EXACT, go_on=go_on)
     assert found
-    assert all(option.path is None for option in found)
+    assert all(option.path is None and option.no_path for option in found)
     searching = [progress for progress in told if progress.doing == "searching"]
     assert len(searching) == 5
     assert searching[-1].done < 0.2
 
 
-def test_progress_grows_and_tells_the_least_energy_so_far() -> None:
+def test_progress_grows_and_tells_the_least_energy_and_the_options_so_far() -> None:
     told: list[Progress] = []
-    search(
-        problem(), np.random.default_rng(12), effort=0.5, go_on=lambda progress: told.append(progress) is None
+    found = advise(
+        problem(),
+        DAWM.home,
+        generator=np.random.default_rng(12),
+        options=3,
+        effort=0.5,
+        exact=EXACT,
+        go_on=lambda progress: told.append(progress) is None,
     )
     searching = [progress for progress in told if progress.doing == "searching"]
     assert searching[-1].done == pytest.approx(1.0)
     assert all(later.done > earlier.done for earlier, later in pairwise(searching))
     assert all(later.energy <= earlier.energy for earlier, later in pairwise(searching))
     assert all(later.trials > earlier.trials for earlier, later in pairwise(searching))
+    (checked,) = [progress for progress in told if progress.doing == "checking"]
+    assert {option.no_path for option in checked.options} == {NOT_LOOKED_FOR}
+    for progress in told[told.index(checked) :]:
+        assert [option.energy for option in progress.options] == [option.energy for option in found]
+    assert list(told[-1].options) == found
 
 
 @pytest.mark.parametrize("method", METHODS)

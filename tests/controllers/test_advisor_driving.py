@@ -1,20 +1,16 @@
-"""Driving an option's path through the gate, in virtual time."""
+"""Following an option's path: at what time to be where, and what comes next."""
 
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, advise
-from deltaq_controllers.advisor.driving import PathController, timed
+from deltaq_controllers.advisor.driving import Route, timed
 from deltaq_controllers.advisor.problem import Problem
-from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-from deltaq_experiments.lockstep import Lockstep
-from deltaq_protocol.messages import Outcome
 
 Array = NDArray[np.float64]
 
@@ -61,43 +57,26 @@ def test_every_setpoint_of_a_timed_path_holds_the_hands_to_1e_9(option: Option) 
         assert np.abs(TRACKER.hands(q) - poses).max() < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("silent_cycles", "at_most_m", "at_most_deg"),
-    # while the robot brakes, on a straight line in its joints, the hands can do no better
-    [(0, 1e-4, 0.01), (4, 1e-3, 0.1)],
-    ids=["answering every cycle", "falling silent on the way"],
-)
-def test_a_path_is_driven_through_the_gate_with_the_hands_still(
-    option: Option, silent_cycles: int, at_most_m: float, at_most_deg: float
-) -> None:
+def test_a_route_goes_on_from_wherever_near_the_path_the_robot_is(option: Option) -> None:
     setpoints = timed(path_of(option), TRACKER, CYCLE_S)
-    controller = PathController(setpoints)
-    stack = Lockstep("dawm")
-    stack.run_until_ready()
-    stack.acquire("dawm", "advisor")
-    poses = TRACKER.hands(DAWM.home)
-    worst_m, worst_rad = 0.0, 0.0
-    outcomes: list[Outcome] = []
-    for cycle in range(4 * len(setpoints)):
-        stack.cycle()
-        state = stack.arms["dawm"].state
-        assert state is not None
-        increment = controller.increment(View(RobotView.from_state(state)))
-        if controller.finished:
-            break
-        if 100 <= cycle < 100 + silent_cycles:
-            continue
-        verdict = stack.ask("dawm", increment)
-        assert verdict is not None
-        outcomes.append(verdict.outcome)
-        for now, then in zip(TRACKER.hands(np.array(state.q)), poses, strict=True):
-            worst_m = max(worst_m, float(np.linalg.norm(now[:3, 3] - then[:3, 3])))
-            worst_rad = max(worst_rad, float(np.linalg.norm(pin.log3(now[:3, :3] @ then[:3, :3].T))))
-    assert controller.finished
-    assert set(outcomes) <= {Outcome.ADMITTED, Outcome.SCALED}
-    assert outcomes.count(Outcome.ADMITTED) > 0.9 * len(outcomes)
-    assert worst_m < at_most_m
-    assert np.rad2deg(worst_rad) < at_most_deg
-    state = stack.arms["dawm"].state
-    assert state is not None
-    np.testing.assert_allclose(state.q_cmd, option.q, atol=1e-6)
+    for pace in (1.0, 0.3):
+        route, q = Route(setpoints), setpoints[0]
+        for cycle in range(10 * len(setpoints)):
+            q = q + route.step(q, pace)
+            if cycle == 50:
+                q = q + 1e-3 * np.resize([1.0, -1.0], len(q))
+            if (q == route.end).all():
+                break
+            nearest = np.abs(setpoints - q).max(axis=1).min()
+            assert nearest < 2e-2
+            assert cycle < 150 / pace or nearest < 6e-3
+        assert not route.step(q, pace).any()
+        assert route.done > 0.99
+
+
+def test_a_path_that_moves_the_hands_is_timed_as_it_is(option: Option) -> None:
+    path = np.linspace(DAWM.home, DAWM.home + 0.2, 21)
+    setpoints = timed(path, TRACKER, CYCLE_S, hands_move=True)
+    off = setpoints - DAWM.home
+    np.testing.assert_allclose(off, np.tile(off[:, :1], (1, DAWM.n)), atol=1e-12)
+    np.testing.assert_array_equal(setpoints[-1], path[-1])

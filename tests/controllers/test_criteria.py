@@ -11,7 +11,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.proximity import Proximity
 from deltaq_controllers.criteria import BY_NAME, TABLE, Category, Criterion, Normalised, Postures, RobotData
 from deltaq_controllers.criteria.capsules import box_distance, box_points, segment_points
-from deltaq_controllers.criteria.normalised import CriterionError, cost, reference
+from deltaq_controllers.criteria.normalised import CriterionError, cost, references
 
 CELLS = {"dawm": CellModel.load("dawm"), "gr": CellModel.load("lab")}
 DATA = {name: RobotData(cell, name) for name, cell in CELLS.items()}
@@ -160,6 +160,13 @@ def test_distances_of_segments_and_boxes_are_those_of_coal() -> None:
     assert box_distance(np.array([0.0, 0.0, 0.1]), np.array([0.5, 0.5, 0.2])) == pytest.approx(-0.1)
 
 
+def test_a_segment_that_is_a_point_is_measured_from_its_foot_on_the_other() -> None:
+    along, point, none = np.array([[1.0, 0, 0]]), np.array([[0.7, 0.2, 0]]), np.zeros((1, 3))
+    foot = np.array([[0.7, 0.0, 0.0]])
+    for places in (segment_points(none, along, point, none), segment_points(point, none, none, along)[::-1]):
+        np.testing.assert_allclose(places, [foot, point], atol=1e-12)
+
+
 def test_costs_are_one_half_at_the_reference_and_lie_between_0_and_1_except_in_collision() -> None:
     data = DATA["dawm"]
     costs = Normalised(data, ALL).costs(some(data, 50, seed=9))
@@ -167,8 +174,7 @@ def test_costs_are_one_half_at_the_reference_and_lie_between_0_and_1_except_in_c
     others = np.delete(costs, names.index("clearance"), axis=1)
     assert np.all((others >= 0) & (others <= 1))
     assert (costs[:, names.index("clearance")] > 1).any()
-    for criterion in TABLE:
-        scale = reference(data, criterion)
+    for criterion, scale in zip(TABLE, references(data, TABLE), strict=True):
         assert cost(criterion, scale, np.array([scale])) == pytest.approx(0.5)
         worse = np.array([0.5 * scale, scale, 2 * scale])
         ordered = np.sort(cost(criterion, scale, worse))

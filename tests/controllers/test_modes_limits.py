@@ -8,7 +8,7 @@ from deltaq_controllers.modes.motion import ModeName
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
-JOINT, DECOUPLED, SELF_MOTION, COUPLED = ModeName
+JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
 
 
 def test_a_joint_at_its_limit_is_named() -> None:

@@ -42,7 +42,10 @@ def script(folder: Path, text: str, mode: ModeName = ModeName.JOINT) -> Script:
         ("- {duration_s: 1, move: {a1_m_s: 3}}", "a1 is in rad; write a1_rad_s or a1_deg_s"),
         ("- {duration_s: 1, move: {e1_deg_s: 3}}", "e1 is in m; write e1_m_s or e1_mm_s"),
         ("- {duration_s: 1, move: {x_m_s: 3}}", "task.yaml:1: axis 'x' is not driven in mode joint"),
-        ("- {duration_s: 1, mode: fly}", "Input should be 'joint', 'decoupled', 'self-motion' or 'coupled'"),
+        (
+            "- {duration_s: 1, mode: fly}",
+            "Input should be 'joint', 'decoupled', 'self-motion', 'advisor' or 'coupled'",
+        ),
     ],
 )
 def test_a_bad_script_is_refused_with_its_line_and_what_is_allowed(

@@ -6,7 +6,9 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,11 +53,13 @@ def test_a_hand_can_be_sent_elsewhere_and_the_other_stays() -> None:
     np.testing.assert_allclose(
         DAWM.forward(option["q"], "right"), DAWM.forward(DAWM.home, "right"), atol=1e-9
     )
-    assert option["path"] is None
+    assert option["hands_move"] is True
+    np.testing.assert_array_equal(option["path"][0], DAWM.home)
+    np.testing.assert_allclose(option["path"][-1], option["q"], atol=1e-9)
 
 
 def test_weights_choose_what_options_are_ranked_by() -> None:
-    _, found = advised("--weight", "manipulability=1", "--weight", "travel=0.5", "--options", "1")
+    _, found = advised("--criterion", "manipulability=1", "--weight", "travel=0.5", "--options", "1")
     (option,) = found["options"]  # type: ignore[misc] # a list
     assert found["weights"] == {"manipulability": 1.0, "travel": 0.5}
     assert option["energy"] == pytest.approx(
@@ -101,47 +105,57 @@ def test_what_is_asked_for_wrongly_is_answered_with_what_is_right(
     assert said in " ".join(done.stderr.replace("│", " ").split())
 
 
-@pytest.mark.live
-def test_an_option_is_driven_to_through_the_gate_of_a_running_cell(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     hli, sim, tcp, server = free_ports(4)
-    file = tmp_path / "private.yaml"
+    file = tmp_path_factory.mktemp("cell") / "private.yaml"
     file.write_text(
         f"extends: dawm\nhli: tcp/127.0.0.1:{hli}\nsim: tcp/127.0.0.1:{sim}\ntcp_port: {tcp}\n"
         f"robots: {{dawm: {{server: tcp/127.0.0.1:{server}}}}}\n",
         encoding="utf-8",
     )
-    launcher = subprocess.Popen(
-        [DELTAQ, "up", "--cell", str(file)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    assert launcher.stdout is not None
-    try:
+    command = [DELTAQ, "up", "--cell", str(file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as launcher:
+        assert launcher.stdout is not None
         for line in launcher.stdout:
             if "is up" in line:
                 break
         else:
             pytest.fail("the cell did not come up")
-        command = [DELTAQ, "advise", "--cell", str(file), "--options", "3", "--execute", "1", "--json"]
-        for seed in range(3):  # to the best option there may be no way with the hands still
-            done = subprocess.run(
-                [*command, "--seed", str(seed)], capture_output=True, text=True, timeout=120, check=False
-            )
-            if done.returncode == 0:
-                break
-            assert "no way is known to option 1" in done.stderr
-        found = json.loads(done.stdout)
-        assert found["executed"]["option"] == 1
-        outcomes = found["executed"]["outcomes"]
-        # a machine that is busy with other things loses cycles, and after each the robot speeds up again
-        assert outcomes["admitted"] > sum(outcomes.values()) / 2
-        assert "refused" not in outcomes
-        assert found["executed"]["hands_off_m"] < 1e-4
-        status = subprocess.run(
-            [DELTAQ, "status", "--cell", str(file), "--json"], capture_output=True, text=True, check=False
-        )
-        robot = json.loads(status.stdout)["robots"]["dawm"]
-        assert robot["lease"]["holder"] is None
-        np.testing.assert_allclose(robot["q"], found["options"][0]["q"], atol=1e-4)
-    finally:
+        yield file
         launcher.send_signal(signal.SIGINT)
         launcher.communicate(timeout=60)
-    assert launcher.returncode == 0
+        assert launcher.returncode == 0
+
+
+def executed(cell: Path, *arguments: str) -> dict[str, Any]:
+    """Go to the best option; what was found, with the robot at rest there and given back."""
+    command = [DELTAQ, "advise", "--cell", str(cell), "--execute", "1", "--json", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    driven = found["executed"]
+    assert (driven["option"], driven["reached"]) == (1, True)
+    # a machine that is busy with other things loses cycles, and after each the robot speeds up again
+    assert driven["outcomes"]["admitted"] > sum(driven["outcomes"].values()) / 2
+    assert driven["outcomes"]["refused"] == 0
+    assert driven["hands_off_m"] < 1e-4
+    command = [DELTAQ, "status", "--cell", str(cell), "--json"]
+    status = subprocess.run(command, capture_output=True, text=True, check=False)
+    robot = json.loads(status.stdout)["robots"]["dawm"]
+    assert robot["lease"]["holder"] is None
+    np.testing.assert_allclose(robot["q"], found["options"][0]["q"], atol=1e-4)
+    return found
+
+
+@pytest.mark.live
+def test_an_option_is_driven_to_through_the_gate_with_the_hands_still(cell: Path) -> None:
+    found = executed(cell, "--options", "3")
+    assert not any(option["hands_move"] for option in found["options"])
+
+
+@pytest.mark.live
+@pytest.mark.nightly
+def test_hands_are_driven_to_where_they_shall_be(cell: Path) -> None:
+    found = executed(cell, "--options", "1", "--hand", "left=1.6,0.4,1.4,0,90,0")
+    assert all(option["hands_move"] for option in found["options"])

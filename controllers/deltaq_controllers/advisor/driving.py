@@ -1,18 +1,12 @@
-"""Driving a path through the gate: at what time to be where, and one increment a cycle."""
+"""Driving a path: at what time to be where, and the next step from wherever the robot has come to."""
 
 from __future__ import annotations
-
-from collections import Counter
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-from deltaq_protocol.blocking import BlockingRobot
-from deltaq_protocol.messages import Outcome, Verdict
 
 Array = NDArray[np.float64]
 
@@ -22,28 +16,28 @@ SHARE = 0.6
 LOOK_AHEAD = 40
 """Cycles of the path among which the robot's own place is looked for."""
 
-ARRIVED = 1e-9
-"""A robot is at the path's end within this, in every joint [rad or m]."""
-
-PATIENCE_CYCLES = 200
-"""Cycles in a row in which nothing is admitted, after which driving is given up."""
+TAKEN_BACK_CYCLES = 20.0
+"""Cycles in which what a brake has left the path by is taken back."""
 
 
-def timed(path: Array, tracker: ConstraintTracker, cycle_s: float) -> Array:
-    """Where to be in every cycle, the hands exactly where they are at the path's start.
+def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: bool = False) -> Array:
+    """Where to be in every cycle; the hands exactly where they are at the path's start, unless they are to move.
 
     Over the path's length s the speed is bounded by the joints' speeds, `|q'| v <= share v_max`, and their
     accelerations, half of which go to bends, `|q''| v^2`, and half to speeding up and slowing down, `|q'| dv/dt`.
 
     Args:
-        path: (P, n) configurations of a self-motion.
+        path: (P, n) configurations.
         tracker: of the robot.
         cycle_s: sample time.
+        hands_move: whether the path takes the hands elsewhere.
 
     Returns:
         (T, n) setpoints from the path's start to its end, at rest at both.
     """
     setpoints = _timed(path, tracker.robot, cycle_s)
+    if hands_move:
+        return setpoints
     base = setpoints[:, tracker.base]
     held = tracker.track(base, tracker.hands(path[0]), setpoints)
     # the ends are where the robot is and shall be, to the bit
@@ -87,67 +81,60 @@ def _timed(path: Array, robot: RobotModel, cycle_s: float) -> Array:
     return np.concatenate([setpoints, path[-1:]])
 
 
-class PathController:
-    """Follows a timed path: where the gate lets it less far, it goes on from where the robot is.
+class Route:
+    """A timed path, and where on it the robot is.
 
     Args:
         setpoints: (T, n) of `timed`.
 
     Attributes:
-        finished: the robot stands at the end.
+        end: (n,) where it leads to.
     """
 
     def __init__(self, setpoints: Array) -> None:
         self._setpoints = setpoints
         self._place = 0
-        self.finished = False
+        self.end: Array = setpoints[-1]
 
-    def increment(self, view: View) -> Array:
-        """The increment for this cycle; zero once the robot stands at the end."""
-        q = view.own.q_cmd
+    @property
+    def done(self) -> float:
+        """Share of the way that is behind the robot, in time."""
+        return self._place / max(1, len(self._setpoints) - 1)
+
+    def step(self, q: Array, cycles: float) -> Array:
+        """The displacement (n,) along the path, from a robot at `q` (n,) near it.
+
+        Args:
+            q: setpoint [rad or m].
+            cycles: how far to go, in cycles of the timed path.
+        """
         window = self._setpoints[self._place : self._place + LOOK_AHEAD]
         self._place += int(np.abs(window - q).max(axis=1).argmin())
-        following = self._setpoints[min(self._place + 1, len(self._setpoints) - 1)]
-        self.finished = bool(np.abs(self._setpoints[-1] - q).max() < ARRIVED)
-        increment: Array = following - q
-        return increment
+        here = self._place + self._beyond(q)
+        last = len(self._setpoints) - 1
+        if here + cycles >= last:
+            return self.end - q
+        on_path = self._at(here)
+        # a brake of the gate is straight and leaves the path by a little
+        back = min(1.0, cycles / TAKEN_BACK_CYCLES) * (on_path - q)
+        displacement: Array = self._at(here + cycles) - on_path + back
+        return displacement
 
+    def _beyond(self, q: Array) -> float:
+        """How far a configuration is beyond the nearest setpoint, in cycles, from -0.5 to 0.5."""
+        place, last = self._place, len(self._setpoints) - 1
+        for after, sign in ((min(place + 1, last), 1.0), (max(place - 1, 0), -1.0)):
+            way = self._setpoints[after] - self._setpoints[place]
+            length = float(way @ way)
+            share = float(way @ (q - self._setpoints[place])) / length if length > 0.0 else 0.0
+            if share > 0.0:
+                return sign * min(share, 0.5)
+        return 0.0
 
-def drive_path(
-    robot: BlockingRobot, controller: PathController, on_verdict: Callable[[Verdict], None] = lambda _: None
-) -> Counter[str]:
-    """Drive a path to its end through the gate of a running cell.
-
-    Args:
-        robot: leased.
-        controller: of the path, which begins where the robot is.
-        on_verdict: called with every verdict.
-
-    Returns:
-        How many increments had which outcome.
-
-    Raises:
-        ControllerError: nothing was admitted for too long.
-        RefusedError: the lease was lost.
-    """
-    outcomes: Counter[str] = Counter()
-    verdict: Verdict | None = None
-    stuck = 0
-    for state in robot.states():
-        own = RobotView.from_state(state)
-        if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:
-            own = own.after(verdict.cycle, np.array(verdict.dq))
-        increment = controller.increment(View(own))
-        if controller.finished:
-            return outcomes
-        verdict = robot.move(increment.tolist())
-        outcomes[verdict.outcome] += 1
-        on_verdict(verdict)
-        stuck = 0 if verdict.outcome in (Outcome.ADMITTED, Outcome.SCALED) else stuck + 1
-        if stuck > PATIENCE_CYCLES:
-            why = ", ".join(f"{reason.code} {reason.what}".strip() for reason in verdict.reasons)
-            raise ControllerError(
-                f"{robot.name} has not been let on for {stuck} cycles: {why or verdict.outcome}; "
-                "see `deltaq status` for its phase, and advise again from where it stands"
-            )
-    return outcomes
+    def _at(self, place: float) -> Array:
+        place = max(0.0, place)
+        before = int(place)
+        after = min(before + 1, len(self._setpoints) - 1)
+        share = place - before
+        point: Array = (1.0 - share) * self._setpoints[before] + share * self._setpoints[after]
+        return point

@@ -41,16 +41,20 @@ class ExactClearance:
     def __init__(self, cell: CellModel, robot: str, others: Mapping[str, Array] | None = None) -> None:
         self._proximity = Proximity(cell)
         self._robot = robot
-        self._groups = list(self._proximity.alone[robot])
-        for name, model in cell.robots.items():
-            if name != robot:
-                self._proximity.place(name, (others or {}).get(name, model.home), np.zeros(model.n))
-                self._groups += self._proximity.between[robot, name]
+        self._lists = [self._proximity.alone[robot]]
+        self._lists += [self._proximity.between[robot, name] for name in cell.robots if name != robot]
+        self.place({name: model.home for name, model in cell.robots.items()} | dict(others or {}))
+
+    def place(self, others: Mapping[str, Array]) -> None:
+        """Place other robots, each at its configuration (n,)."""
+        for name, q in others.items():
+            if name != self._robot:
+                self._proximity.place(name, q, np.zeros(len(q)))
 
     def measure(self, q: Array) -> Clearance:
         """The tightest pair at configuration `q` (n,)."""
         self._proximity.place(self._robot, q, np.zeros(len(q)))
-        rooms = [self._proximity.least(group) - group.stop_distance_m for group in self._groups]
-        tightest = int(np.argmin(rooms))
-        nearest = self._groups[tightest].nearest()
-        return Clearance(rooms[tightest], nearest.distance_m, nearest.pair)
+        looks = [self._proximity.look(groups, 0.0) for groups in self._lists if groups]
+        look = min(looks, key=lambda look: look.tightest.swept_m - look.stop_distance_m)
+        room_m = look.tightest.swept_m - look.stop_distance_m
+        return Clearance(room_m, look.tightest.distance_m, look.tightest.pair)

@@ -37,6 +37,8 @@ class Found:
 Method = Callable[[Problem, np.random.Generator, float], Iterator[Found]]
 
 CHAINS, CHAIN_STEPS = 64, 50
+BRANCHES_EVERY = 5
+"""Steps of a chain after which it may change the branch of an arm; to try them all costs several trials."""
 FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.05, 5e-4
 FIRST_STEP, LAST_STEP = 0.12, 0.01
 
@@ -57,7 +59,10 @@ def annealing(problem: Problem, generator: np.random.Generator, effort: float = 
         size = FIRST_STEP * (LAST_STEP / FIRST_STEP) ** share
         change = generator.normal(size=(len(q), problem.free)) * size * extent
         change *= generator.random(change.shape) < 0.6  # some joints at a time
-        trial, trial_energy = problem.try_best(q[:, base] + change)
+        if step % BRANCHES_EVERY == 0:
+            trial, trial_energy = problem.try_best(q[:, base] + change)
+        else:
+            trial, trial_energy = problem.follow(q[:, base] + change, q)
         accepted = generator.random(len(q)) < np.exp(-np.maximum(trial_energy - energy, 0.0) / temperature)
         accepted &= np.isfinite(trial_energy)
         q, energy = np.where(accepted[:, None], trial, q), np.where(accepted, trial_energy, energy)

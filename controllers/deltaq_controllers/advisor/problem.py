@@ -7,6 +7,7 @@ that exceeds a limit, cannot reach or collides is rejected at once.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.criteria import TABLE, Normalised, Postures, RobotData
-from deltaq_controllers.criteria.normalised import reference
+from deltaq_controllers.criteria.normalised import references
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.errors import DeltaqError
 
@@ -90,6 +91,12 @@ class Problem:
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
         self.count = 0
 
+    def at(self, T_world_hands: Array) -> Problem:
+        """The same with the hands (h, 4, 4) elsewhere, and no trials yet."""
+        other = copy(self)
+        other.poses, other.count = _checked(T_world_hands, len(self.robot.hands)), 0
+        return other
+
     @property
     def free(self) -> int:
         """Number m of free joints."""
@@ -98,7 +105,8 @@ class Problem:
     @cached_property
     def references(self) -> dict[str, float]:
         """The value of every criterion that costs one half."""
-        return {criterion.name: reference(self.data, criterion) for criterion in TABLE}
+        values = references(self.data, TABLE).tolist()
+        return {criterion.name: value for criterion, value in zip(TABLE, values, strict=True)}
 
     def try_all(self, base: Array) -> Trials:
         """Every feasible branch of every trial.

@@ -67,7 +67,9 @@ def segment_points(c1: Array, h1: Array, c2: Array, h2: Array) -> tuple[Array, A
     a, e = (h1 * h1).sum(axis=1), (h2 * h2).sum(axis=1)
     b, c, f = (h1 * h2).sum(axis=1), (h1 * between).sum(axis=1), (h2 * between).sum(axis=1)
     determinant = a * e - b * b
-    s = np.where(determinant > _TINY, (b * f - c * e) / np.maximum(determinant, _TINY), 0.0)
+    # parallel ones are near each other wherever, and where the second is a point the first is nearest at its foot
+    foot = -c / np.maximum(a, _TINY)
+    s = np.where(determinant > _TINY, (b * f - c * e) / np.maximum(determinant, _TINY), foot)
     s = np.clip(s, -1.0, 1.0)
     free = (b * s + f) / np.maximum(e, _TINY)
     t = np.clip(free, -1.0, 1.0)

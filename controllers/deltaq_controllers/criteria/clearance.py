@@ -25,6 +25,7 @@ CHUNK = 128
 """Configurations that are measured together: their intermediate arrays stay in the processor's cache."""
 
 _ROUNDING_M = 1e-6
+_TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class Nearest:
     on_first: Array
     on_second: Array
     away: Array
+
+
+_FIELDS = tuple(Nearest.__dataclass_fields__)
 
 
 class ClearanceField:
@@ -86,8 +90,7 @@ class ClearanceField:
         self._boxes = [_box(body) for body in boxes]
         own, against, boxed = pairs([], own=True), pairs(standing, own=False), pairs(boxes, own=False)
         self._own, self._against, self._boxed = own, against, boxed
-        # room is the distance of the axes less `least`; `slack` is how much nearer than their middles axes can be
-        stand_lengths = np.linalg.norm(self._stand_halves, axis=1)
+        # room is the distance of the axes less `least`
         self._least = np.concatenate(
             [
                 radii[own[0]] + radii[own[1]] + gate.self_stop_distance_m,
@@ -95,10 +98,14 @@ class ClearanceField:
                 radii[boxed[0]] + gate.stop_distance_m,
             ]
         )
+        # first the shorter one's middle is looked at; its axis can be nearer by `slack`
+        stand_lengths = np.linalg.norm(self._stand_halves, axis=1)
+        self._own_shorter = np.where(lengths[own[0]] <= lengths[own[1]], own, own[::-1])
+        self._is_shorter = lengths[against[0]] <= stand_lengths[against[1]]
         self._slack = np.concatenate(
             [
-                lengths[own[0]] + lengths[own[1]],
-                lengths[against[0]] + stand_lengths[against[1]],
+                lengths[self._own_shorter[0]],
+                np.minimum(lengths[against[0]], stand_lengths[against[1]]),
                 lengths[boxed[0]],
             ]
         )
@@ -116,10 +123,9 @@ class ClearanceField:
         ]
         if len(parts) == 1:
             return parts[0]
-        names = Nearest.__dataclass_fields__
         if not parts:
             return self._nothing(0)
-        return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS))
 
     def _nothing(self, count: int) -> Nearest:
         index, nowhere = np.zeros(count, dtype=np.intp), np.zeros((count, 3))
@@ -142,23 +148,34 @@ class ClearanceField:
         count = len(middles)
         if not len(self._least):
             return self._nothing(count)
-        upper = self._middle_distances(middles) - self._least
-        # only pairs that may be nearer than the pair with the nearest middles are measured
-        rows, pairs = np.nonzero(upper - self._slack <= upper.min(axis=1, keepdims=True) + _ROUNDING_M)
-        measured = self._measured(middles, halves, rows, pairs)
+        upper = self._middle_distances(middles, halves) - self._least
+        lower = upper - self._slack
+        # only pairs that may be nearer than the likeliest one are measured
+        each, likeliest = np.arange(count), lower.argmin(axis=1)
+        first = self._measured(middles, halves, each, likeliest)
+        bound = np.minimum(upper.min(axis=1), first.room)
+        lower[each, likeliest] = np.inf
+        rows, pairs = np.nonzero(lower <= bound[:, None] + _ROUNDING_M)
+        others = self._measured(middles, halves, rows, pairs)
+        rows = np.append(each, rows)
+        measured = Nearest(
+            *(np.concatenate([getattr(first, name), getattr(others, name)]) for name in _FIELDS)
+        )
         order = np.lexsort((measured.room, rows))
-        best = order[np.searchsorted(rows[order], np.arange(count))]
-        return Nearest(*(getattr(measured, name)[best] for name in Nearest.__dataclass_fields__))
+        best = order[np.searchsorted(rows[order], each)]
+        return Nearest(*(getattr(measured, name)[best] for name in _FIELDS))
 
-    def _middle_distances(self, middles: Array) -> Array:
-        """(N, pairs) distances of the middles: own pairs, standing capsules, boxes."""
-        squares = (middles * middles).sum(axis=2)
-        products = middles @ middles.transpose(0, 2, 1)
-        i, j = self._own
-        own = squares[:, i] + squares[:, j] - 2.0 * products[:, i, j]
+    def _middle_distances(self, middles: Array, halves: Array) -> Array:
+        """(N, pairs) distances of the shorter one's middle from the longer one's axis, or from a box."""
+        standing = self._stand_middles, self._stand_halves
+        i, j = self._own_shorter
+        own = _from_axes(middles, middles, halves)[:, i, j]
         i, j = self._against
-        stand = (self._stand_middles * self._stand_middles).sum(axis=1)
-        against = squares[:, i] + stand[j] - 2.0 * (middles @ self._stand_middles.T)[:, i, j]
+        against = np.where(
+            self._is_shorter,
+            _from_axes(middles, *standing)[:, i, j],
+            _from_axes(self._stand_middles, middles, halves)[:, j, i],
+        )
         distances = [np.sqrt(np.maximum(np.concatenate([own, against], axis=1), 0.0))]
         for box, (centre, R, half) in enumerate(self._boxes):
             which = self._boxed[0][self._boxed[1] == box]
@@ -176,8 +193,8 @@ class ClearanceField:
         """The pairs asked for, each of one configuration, exactly."""
         owns, againsts = len(self._own[0]), len(self._against[0])
         first, second = np.empty_like(pairs), np.full_like(pairs, -1)
-        on_first, on_second = np.empty((len(pairs), 3)), np.empty((len(pairs), 3))
-        distance, sign = np.empty(len(pairs)), np.ones(len(pairs))
+        on_first, on_second = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
+        distance, sign = np.zeros(len(pairs)), np.ones(len(pairs))
 
         kind = np.flatnonzero(pairs < owns)
         i, j = self._own[:, pairs[kind]]
@@ -209,6 +226,18 @@ class ClearanceField:
         away = sign[:, None] * (on_first - on_second)
         away /= np.maximum(np.abs(distance), 1e-12)[:, None]
         return Nearest(distance - self._least[pairs], first, second, on_first, on_second, away)
+
+
+def _from_axes(points: Array, middles: Array, halves: Array) -> Array:
+    """(..., a, b) squared distances of points (..., a, 3) from axes with middles and halves (..., b, 3)."""
+    turned = np.swapaxes(middles, -1, -2), np.swapaxes(halves, -1, -2)
+    apart = (points * points).sum(axis=-1)[..., :, None] - 2.0 * (points @ turned[0])
+    apart = apart + (middles * middles).sum(axis=-1)[..., None, :]
+    along = points @ turned[1] - (middles * halves).sum(axis=-1)[..., None, :]
+    length = (halves * halves).sum(axis=-1)[..., None, :]
+    share = np.clip(along / np.maximum(length, _TINY), -1.0, 1.0)
+    squared: Array = apart + share * (share * length - 2.0 * along)
+    return squared
 
 
 def _capsules(bodies: list[Any]) -> tuple[Array, Array, Array]:

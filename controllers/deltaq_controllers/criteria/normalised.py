@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,14 +42,10 @@ class Normalised:
     """
 
     def __init__(self, data: RobotData, weights: Mapping[str, float]) -> None:
-        for name, weight in weights.items():
-            if name not in BY_NAME:
-                raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
-            if not np.isfinite(weight) or weight < 0.0:
-                raise CriterionError(f"the weight of {name} must be a number from 0 on, got {weight}")
+        check_weights(weights)
         self.criteria = tuple(BY_NAME[name] for name, weight in weights.items() if weight > 0.0)
         self.weights = np.array([weight for weight in weights.values() if weight > 0.0])
-        self.references = np.array([reference(data, criterion) for criterion in self.criteria])
+        self.references = references(data, self.criteria)
 
     def costs(self, postures: Postures) -> Array:
         """(N, k) cost by criterion."""
@@ -73,13 +69,32 @@ class Normalised:
         return gradient
 
 
-def reference(data: RobotData, criterion: Criterion) -> float:
-    """The value that costs one half: the criterion's own, or its median over the robot's workspace."""
-    if criterion.reference is not None:
-        return criterion.reference
+def check_weights(weights: Mapping[str, float]) -> None:
+    """Check that weights are numbers from 0 on, of criteria that there are.
+
+    Raises:
+        CriterionError: they are not.
+    """
+    for name, weight in weights.items():
+        if name not in BY_NAME:
+            raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
+        if not np.isfinite(weight) or weight < 0.0:
+            raise CriterionError(f"the weight of {name} must be a number from 0 on, got {weight}")
+
+
+def references(data: RobotData, criteria: Sequence[Criterion]) -> Array:
+    """(k,) the values that cost one half: the criterion's own, or its median over the robot's workspace."""
     robot = data.robot
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (SAMPLES, robot.n))
-    return float(np.median(criterion.value(Postures(data, q))))
+    postures = Postures(data, q)
+    return np.array(
+        [
+            float(np.median(criterion.value(postures)))
+            if criterion.reference is None
+            else criterion.reference
+            for criterion in criteria
+        ]
+    )
 
 
 def cost(criterion: Criterion, scale: float, value: Array) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.batch import BatchKinematics
-from deltaq_controllers.inverse.branches import Branches
+from deltaq_controllers.inverse.branches import Branches, wrapped
 from deltaq_controllers.inverse.kr16 import SHOULDER_HEIGHT, T_WRIST_FLANGE, Kr16Inverse
 from deltaq_controllers.inverse.titan import TitanInverse, TitanLengths
 from deltaq_protocol.errors import DeltaqError
@@ -131,6 +131,55 @@ class ConstraintTracker:
         q[~(np.isfinite(q).all(axis=1) & within.all(axis=1))] = np.nan
         return q
 
+    def walk(self, origin: Array, target: Array, T_world_hands: Array, pieces: int) -> Array:
+        """Ways that are straight in the base, the hands kept, each arm following without a change of branch.
+
+        All branches of all configurations are solved at once, and from each the nearest of the next one is gone on
+        with. Limits are not looked at.
+
+        Args:
+            origin: (N, n) configurations with the hands where they shall be.
+            target: (N, m) values of the base joints at the ways' ends.
+            T_world_hands: (h, 4, 4) where the hands shall be.
+            pieces: into how many equal pieces each way is divided.
+
+        Returns:
+            (N, pieces + 1, n) configurations from each origin on; NaN from where an arm cannot reach.
+        """
+        count, rows = len(origin), np.arange(len(origin))
+        shares = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
+        base = origin[:, None, self.base] + shares * (target - origin[:, self.base])[:, None]
+        way = np.empty((count, pieces + 1, self.robot.n))
+        way[:, 0], way[:, 1:, self.base] = origin, base
+        hint = origin[0] if count else None
+        solved = self.solve(base.reshape(-1, len(self.base)), T_world_hands, hint)
+        for arm, branches in zip(self.arms, solved, strict=True):
+            q = np.where(branches.exists[:, :, None], branches.q, np.nan).reshape(
+                count, pieces, 8, ARM_JOINTS
+            )
+            start = origin[:, arm.joints]
+            first = wrapped(q[:, 0] - start[:, None])
+            branch = _largest(first).argmin(axis=1)
+            angles = start + first[rows, branch]
+            changes = wrapped(q[:, 1:, None] - q[:, :-1, :, None])
+            following = _largest(changes).argmin(axis=3)
+            steps = np.take_along_axis(changes, following[..., None, None], axis=3)[:, :, :, 0]
+            for piece in range(pieces):
+                if piece > 0:
+                    angles = angles + steps[rows, piece - 1, branch]
+                    branch = following[rows, piece - 1, branch]
+                way[:, piece + 1, arm.joints] = angles
+        way[:, 1:][~np.isfinite(way[:, 1:]).all(axis=2)] = np.nan
+        return way
+
+    def branch(self, q: Array, T_world_hands: Array) -> tuple[int, ...]:
+        """Which branch each arm is on at `q` (n,); it changes at singularities only."""
+        branches = self.solve(q[None, self.base], T_world_hands, q)
+        return tuple(
+            int(_largest(wrapped(found.q[0] - q[arm.joints])).argmin())
+            for arm, found in zip(self.arms, branches, strict=True)
+        )
+
     def _arm(self, hand: str) -> Arm:
         model = self.robot.model
         frame = model.frames[self.robot.frame_of(hand)]
@@ -165,6 +214,12 @@ class ConstraintTracker:
         branches = arm.solver.inverse(np.linalg.inv(mount) @ self.robot.forward(q, arm.hand), q[arm.joints])
         difference = np.abs(np.angle(np.exp(1j * (branches.q - q[arm.joints])))).max(axis=1)
         return bool((difference[branches.exists] < 1e-6).any())
+
+
+def _largest(changes: Array) -> Array:
+    """(...) largest change of a joint, of changes (..., 6); infinite where there is none."""
+    largest: Array = np.abs(changes).max(axis=-1)
+    return np.where(np.isfinite(largest), largest, np.inf)
 
 
 def _inverted(T: Array) -> Array:

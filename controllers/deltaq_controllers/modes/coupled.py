@@ -13,6 +13,7 @@ from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.modes.avoidance import limit_weights, moves_out, travel_gradient
 from deltaq_controllers.modes.hands import Hands, turned
+from deltaq_controllers.modes.interface import Mode
 from deltaq_controllers.modes.inverse_rates import LENGTH_M, Inverse
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
@@ -61,7 +62,7 @@ def weighed(data: RobotData, weights: Mapping[str, float]) -> Criterion:
     return Criterion(gradient)
 
 
-class CoupledMode:
+class CoupledMode(Mode):
     """Shared control (Hooper & Noakes, section IV): redundancy resolved by weighted criteria.
 
     Joint rates are `g + W^-1 J^T (J W^-1 J^T)^-1 (v - J g)` (Whitney; Liegeois), g = -W^-1 grad the descent of
@@ -89,9 +90,6 @@ class CoupledMode:
         )
         self._descent_at: Array = np.empty(0)
         self._descent: Array = np.zeros(robot.n)
-
-    def enter(self, q: Array) -> None:
-        """Nothing to prepare."""
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
         """The motion, slowed towards singularities and the edge of the robot's reach."""

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.hands import Hands, turned
+from deltaq_controllers.modes.interface import Mode
 from deltaq_controllers.modes.inverse_rates import Inverse
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
@@ -15,7 +16,7 @@ from deltaq_controllers.modes.slowing import slowed
 Array = NDArray[np.float64]
 
 
-class DecoupledMode:
+class DecoupledMode(Mode):
     """The classic mode of teleoperation (Hooper & Noakes, section II).
 
     A base joint carries its hands along. The arms' displacement is found by Newton's method, so that a hand that is
@@ -29,9 +30,6 @@ class DecoupledMode:
         self._hands = Hands(robot)
         self._arms = self._hands.arms.any(axis=0)
         self.drives_joints = np.logical_not(self._arms)
-
-    def enter(self, q: Array) -> None:
-        """Nothing to prepare."""
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
         """The motion, slowed towards singularities and the edge of an arm's reach."""

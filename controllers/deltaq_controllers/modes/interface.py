@@ -32,13 +32,32 @@ class Mode(Protocol):
         """Whether an operator drives the hands."""
         ...
 
+    @property
+    def status(self) -> str:
+        """What an operator may like to know beside what limits the mode."""
+        return ""
+
+    @property
+    def arrived_at(self) -> int | None:
+        """The option that the robot stands at."""
+        return None
+
     def enter(self, q: Array) -> None:
         """The robot stands at `q` (n,) and this mode takes over."""
-        ...
+        del q
+
+    def leave(self) -> None:
+        """Another mode takes over."""
+        return
+
+    def choose(self, option: int | None) -> None:
+        """The option that is wished in this cycle."""
+        del option
 
     def bounded(self, q: Array, motion: Motion, /) -> Motion:
         """The motion, slowed as far as this mode's promise asks for at `q` (n,)."""
-        ...
+        del q
+        return motion
 
     def step(self, q: Array, motion: Motion, time_s: float, /) -> Array:
         """The joint displacement (n,) for a motion over a time from `q` (n,); zero for no motion."""

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.modes.interface import Mode
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 
 Array = NDArray[np.float64]
 
 
-class JointMode:
+class JointMode(Mode):
     """Drives joints independently (Hooper & Noakes, section II)."""
 
     name = ModeName.JOINT
@@ -20,13 +21,6 @@ class JointMode:
 
     def __init__(self, robot: RobotModel) -> None:
         self.drives_joints = np.ones(robot.n, dtype=np.bool_)
-
-    def enter(self, q: Array) -> None:
-        """Nothing to prepare."""
-
-    def bounded(self, _q: Array, motion: Motion) -> Motion:
-        """The motion as it is."""
-        return motion
 
     def step(self, _q: Array, motion: Motion, time_s: float) -> Array:
         """The displacement asked for."""

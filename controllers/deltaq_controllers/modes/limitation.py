@@ -24,6 +24,7 @@ class Limit(StrEnum):
     WORKSPACE_EDGE = "workspace_edge"
     CLEARANCE = "clearance"
     SPEED = "speed"
+    NO_WAY = "no_way"
     REFUSED = "refused"
 
 

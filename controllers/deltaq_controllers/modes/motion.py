@@ -16,11 +16,12 @@ HAND_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class ModeName(StrEnum):
-    """The modes that are driven by hand."""
+    """The modes of Hooper & Noakes, Table 1, in their order."""
 
     JOINT = "joint"
     DECOUPLED = "decoupled"
     SELF_MOTION = "self-motion"
+    ADVISOR = "advisor"
     COUPLED = "coupled"
 
 
@@ -40,11 +41,13 @@ class Wish:
             hands (`left.x`) [m/s, rad/s].
         mode: the mode wanted from here on; None leaves it as it is.
         frame: the axes wanted from here on; None leaves them as they are.
+        option: rank of the advisor's option to go to; None is rest, on the way too.
     """
 
     rates: Mapping[str, float] = field(default_factory=dict)
     mode: ModeName | None = None
     frame: Frame | None = None
+    option: int | None = None
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,12 @@ class Motion:
     Attributes:
         joints: (n,) joint rates [rad/s or m/s].
         hands: (h, 6) velocity [m/s] and angular velocity [rad/s] of each hand, world axes.
+        along: pace along a path, 1 as it is timed.
     """
 
     joints: Array
     hands: Array
+    along: float = 0.0
 
     @classmethod
     def rest(cls, joints: int, hands: int) -> Motion:
@@ -70,11 +75,11 @@ class Motion:
         return len(self.joints), len(self.hands)
 
     def __bool__(self) -> bool:
-        return bool(self.joints.any() or self.hands.any())
+        return bool(self.joints.any() or self.hands.any() or self.along)
 
     def scaled(self, share: float) -> Motion:
         """All rates times `share`."""
-        return Motion(share * self.joints, share * self.hands)
+        return Motion(share * self.joints, share * self.hands, share * self.along)
 
     def towards(self, other: Motion, share: float) -> Motion:
         """The way from this motion to `other`, at `share` of it."""
@@ -82,4 +87,5 @@ class Motion:
         return Motion(
             rest * self.joints + share * other.joints,
             rest * self.hands + share * other.hands,
+            rest * self.along + share * other.along,
         )

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.avoidance import limit_weights, moves_out
+from deltaq_controllers.modes.braking import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands, turned
+from deltaq_controllers.modes.interface import Mode
 from deltaq_controllers.modes.inverse_rates import Inverse
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
@@ -21,16 +23,12 @@ KEPT_M, KEPT_RAD = 1e-6, 1e-6
 TAKEN_BACK_M_S, TAKEN_BACK_RAD_S = 2e-3, 2e-3
 """How fast an older error is taken back, at most [m/s, rad/s]."""
 
-BRAKED_M, BRAKED_RAD = 2.5e-5, 5e-5
-"""How far a hand may be off at the end of a brake, which is straight in joint space [m, rad]."""
-
 _NEWTON_STEPS = 3
-_GLIMPSE_S = 1e-3
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Parts of a step that are tried, until the hands stay."""
 
 
-class SelfMotionMode:
+class SelfMotionMode(Mode):
     """Moves within the null space of the hands (Hooper & Noakes, section II).
 
     The hands are held where they were when the mode began: what a brake of the gate, which is straight in
@@ -65,20 +63,9 @@ class SelfMotionMode:
         self._kept = (self._hands.rotations.copy(), self._hands.positions.copy())
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
-        """The motion, slowed to where the hands stay even if the gate brakes it at any moment.
-
-        What a straight brake takes the hands off by grows with the square of its length, and that with the
-        square of the speed.
-        """
-        rates = self.step(q, motion, _GLIMPSE_S) / _GLIMPSE_S
-        brake_s = float(np.max(np.abs(rates) / self._max_acceleration))
-        hands = self._hands
-        hands.update(q)
-        rotations, positions = hands.rotations, hands.positions
-        hands.update(q + 0.5 * brake_s * rates)
-        off = np.linalg.norm(hands.error(rotations, positions).reshape(-1, 2, 3), axis=2).max(axis=0)
-        excess = float(np.max(off / (BRAKED_M, BRAKED_RAD)))
-        return motion.scaled(excess**-0.25) if excess > 1.0 else motion
+        """The motion, slowed to where the hands stay even if the gate brakes it at any moment."""
+        rates = self.step(q, motion, GLIMPSE_S) / GLIMPSE_S
+        return motion.scaled(kept_while_braked(self._hands, q, rates, self._max_acceleration))
 
     def step(self, q: Array, motion: Motion, time_s: float) -> Array:
         """The displacement of the joint that is driven, and of those that hold the hands."""

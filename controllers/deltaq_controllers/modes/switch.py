@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,15 @@ from deltaq_protocol.messages import Verdict
 
 Array = NDArray[np.float64]
 
-MODES: Mapping[ModeName, Callable[[RobotModel], Mode]] = {
+ModeTable = Mapping[ModeName, Callable[[RobotModel], Mode]]
+
+MODES: ModeTable = {
     ModeName.JOINT: JointMode,
     ModeName.DECOUPLED: DecoupledMode,
     ModeName.SELF_MOTION: SelfMotionMode,
     ModeName.COUPLED: CoupledMode,
 }
+"""The modes that need no more than the robot; `advisor` needs to know the cell."""
 
 
 class Teleoperator:
@@ -43,6 +47,7 @@ class Teleoperator:
         cycle_s: its cycle [s].
         mode: the mode to begin with.
         frame: the axes in which hands are moved.
+        modes: what makes each mode.
 
     Attributes:
         robot: as given.
@@ -60,8 +65,10 @@ class Teleoperator:
         cycle_s: float,
         mode: ModeName = ModeName.JOINT,
         frame: Frame = Frame.WORLD,
+        modes: ModeTable = MODES,
     ) -> None:
         self.robot = robot
+        self._table = modes
         self.wish = Wish()
         self.frame = frame
         self.limitation: Limitation | None = None
@@ -84,6 +91,16 @@ class Teleoperator:
         return self._mode.name
 
     @property
+    def status(self) -> str:
+        """What the mode has to say beside what limits it."""
+        return self._mode.status
+
+    @property
+    def arrived_at(self) -> int | None:
+        """The advisor's option that the robot stands at."""
+        return self._mode.arrived_at
+
+    @property
     def hand_names(self) -> tuple[str, ...]:
         """Names of the robot's hands."""
         return self._hands.names
@@ -99,8 +116,11 @@ class Teleoperator:
         Raises:
             ControllerError: the robot cannot be driven in it.
         """
+        if name not in self._table:
+            known = ", ".join(self._table)
+            raise ControllerError(f"mode {name.value} is not made here; there are {known}")
         if name not in self._modes:
-            self._modes[name] = MODES[name](self.robot)
+            self._modes[name] = self._table[name](self.robot)
         return self._modes[name]
 
     def check(self, wish: Wish, mode: ModeName) -> None:
@@ -111,6 +131,8 @@ class Teleoperator:
         """
         driver = self.mode_named(mode)
         joints = self.robot.joint_names
+        if wish.option is not None and mode is not ModeName.ADVISOR:
+            raise ControllerError(f"option {wish.option}: options are for mode advisor, not {mode.value}")
         for axis in wish.rates:
             hand, _, plain = axis.rpartition(".")
             is_hand = plain in HAND_AXES and (not hand or hand in self.hand_names)
@@ -119,9 +141,9 @@ class Teleoperator:
                 driven = bool(driver.drives_joints[joints.index(axis)])
             if not driven:
                 known = "not driven in" if is_hand or axis in joints else "unknown to"
+                drives = ", ".join(self.axes(mode)) or "to an option of its own"
                 raise ControllerError(
-                    f"axis {axis!r} is {known} mode {mode.value} of robot {self.robot.name}; it drives "
-                    f"{', '.join(self.axes(mode))}"
+                    f"axis {axis!r} is {known} mode {mode.value} of robot {self.robot.name}; it drives {drives}"
                 )
 
     def axes(self, mode: ModeName) -> tuple[str, ...]:
@@ -141,6 +163,7 @@ class Teleoperator:
         self._take_wish()
         self._still_cycles = 0 if moving else self._still_cycles + 1
         if self._next is not None and self._still_cycles >= self._settle_cycles:
+            self._mode.leave()
             self._mode, self._next = self._next, None
             self._mode.enter(q_cmd)
             self._motion = self._rest
@@ -166,13 +189,17 @@ class Teleoperator:
         if self.wish.mode is not None:
             wanted = self.mode_named(self.wish.mode)
             self._next = wanted if wanted is not self._mode else None
+        self._mode.choose(self.wish.option)
 
     def _step_from(self, q_cmd: Array) -> Callable[[Motion], Array]:
         return lambda motion: self._mode.step(q_cmd, motion, self._cycle_s)
 
     def _wished(self, q: Array) -> Motion:
         """The wish as a motion, of what the mode drives."""
-        motion = Motion.rest(self.robot.n, len(self.hand_names))
+        rest = Motion.rest(self.robot.n, len(self.hand_names))
+        if self.mode is ModeName.ADVISOR:
+            return rest if self.wish.option is None else replace(rest, along=1.0)
+        motion = rest
         joints = self.robot.joint_names
         for axis, rate in self.wish.rates.items():
             hand, _, plain = axis.rpartition(".")

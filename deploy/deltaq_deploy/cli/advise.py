@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_deploy.cli.errors import BAD
-from deltaq_deploy.cli.options import CellOption, JsonOption
+from deltaq_deploy.cli.options import CellOption, CriterionOption, JsonOption
+from deltaq_deploy.cli.weights import weights_of
 
 if TYPE_CHECKING:
     from deltaq_controllers.advisor.advisor import Option
@@ -29,10 +30,7 @@ def advise(
     method: Annotated[
         str, typer.Option(help="annealing, shotgun, genetic, monte-carlo or brute-force.")
     ] = "annealing",
-    weight: Annotated[
-        list[str] | None,
-        typer.Option(help="Weight of a criterion, NAME=NUMBER; travel=1 and clearance=1 if none is given."),
-    ] = None,
+    criterion: CriterionOption = None,
     effort: Annotated[
         float, typer.Option(min=0.1, max=100, help="How long to search; 1 is for people.")
     ] = 1.0,
@@ -66,7 +64,7 @@ def advise(
         hands=dict(_pose(text) for text in hand or []),
         options=options,
         method=method,
-        weights=dict(_weight(text) for text in weight or []) or None,
+        weights=weights_of(criterion, "--criterion"),
         effort=effort,
         seed=seed,
         offline=offline,
@@ -78,7 +76,7 @@ def advise(
         print_json(found.as_dict())
     else:
         _show(found)
-    if not found.options:
+    if not found.options or (found.executed is not None and not found.executed.reached):
         raise typer.Exit(BAD)
 
 
@@ -178,16 +176,8 @@ def _pose(text: str) -> tuple[str, tuple[float, ...]]:
     return name, values
 
 
-def _weight(text: str) -> tuple[str, float]:
-    name, _, number = text.partition("=")
-    try:
-        return name, float(number)
-    except ValueError:
-        raise typer.BadParameter(f"--weight takes NAME=NUMBER, e.g. travel=1, got {text!r}") from None
-
-
 def _show(found: Advice) -> None:
-    from deltaq_deploy.cli.console import print_table
+    from deltaq_deploy.cli.console import counts, print_table
 
     names = list(found.weights)
     columns = ("rank", "energy", *names, "clearance mm", "tightest pair", "nearest limit", "path")
@@ -199,11 +189,16 @@ def _show(found: Advice) -> None:
     if not found.options:
         typer.echo("nothing holds the hands there; move them nearer, or look longer with --effort")
     if found.executed is not None:
-        typer.echo(f"driven to option {found.executed['option']}: {found.executed['outcomes']}")
+        there = "at" if found.executed.reached else "stopped on the way to"
+        typer.echo(
+            f"{found.robot} is {there} option {found.executed.option}; gate: {counts(found.executed.outcomes)}"
+        )
 
 
 def _row(rank: int, option: Option, names: list[str]) -> tuple[str, ...]:
-    path = "none known" if option.path is None else f"{len(option.path)} points"
+    path = option.no_path if option.path is None else f"{len(option.path)} points"
+    if option.path is not None and option.hands_move:
+        path += ", hands move"
     costs = (f"{option.costs[name]:.3f}" for name in names)
     pair = " and ".join(option.clearance.pair)
     limit = f"{option.nearest_limit} {100 * option.limit_share:.0f} %"

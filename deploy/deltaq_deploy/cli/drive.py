@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import signal
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deltaq_deploy.cli.options import CellOption, JsonOption, RobotOption
+from deltaq_deploy.cli.errors import BAD
+from deltaq_deploy.cli.options import CellOption, CriterionOption, JsonOption, RobotOption
+from deltaq_deploy.cli.weights import weights_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from contextlib import ExitStack
 
     from deltaq_cell.description import CellDescription
-    from deltaq_cell.robot import RobotModel
     from deltaq_controllers.modes.switch import Teleoperator
     from deltaq_controllers.operator_input import OperatorInput
-    from deltaq_protocol.messages import Description
+    from deltaq_protocol.client import Cell
 
-MODES = ("joint", "decoupled", "self-motion", "coupled")
+MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
 FRAMES = ("world", "tool")
-SHOWN_EVERY_CYCLES = 10
 
 
 def drive(
@@ -30,8 +31,9 @@ def drive(
     mode: Annotated[str, typer.Option(help=f"Mode to begin with: {', '.join(MODES)}.")] = "joint",
     cell: CellOption = "lab",
     frame: Annotated[str, typer.Option(help="Axes in which hands are moved: world or tool.")] = "world",
+    criterion: CriterionOption = None,
     script: Annotated[
-        Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame.")
+        Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
     ] = None,
     gamepad: Annotated[
         Path | None, typer.Option(help="A joystick device, e.g. /dev/input/js0, in place of the keyboard.")
@@ -54,29 +56,29 @@ def drive(
         raise typer.BadParameter("choose one of --script and --gamepad")
     description = load_cell(cell)
     known_robot(description, robot)
-    choice = _Choice(description, robot, mode, frame, script, gamepad, speed_m_s)
+    weights = weights_of(criterion, "--criterion")
+    choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s)
     summary = choice.run()
     if json:
         print_json(summary)
     else:
         _show(summary)
+    if summary["missed"]:
+        raise typer.Exit(BAD)
 
 
+@dataclass(frozen=True)
 class _Choice:
     """What was asked for."""
 
-    def __init__(
-        self,
-        cell: CellDescription,
-        robot: str,
-        mode: str,
-        frame: str,
-        script: Path | None,
-        gamepad: Path | None,
-        speed_m_s: float,
-    ) -> None:
-        self._cell, self._robot, self._mode, self._frame = cell, robot, mode, frame
-        self._script, self._gamepad, self._speed_m_s = script, gamepad, speed_m_s
+    cell: CellDescription
+    robot: str
+    mode: str
+    frame: str
+    weights: dict[str, float] | None
+    script: Path | None
+    gamepad: Path | None
+    speed_m_s: float
 
     def run(self) -> dict[str, Any]:
         """Drive, and return the summary."""
@@ -86,78 +88,70 @@ class _Choice:
 
     async def _drive(self) -> dict[str, Any]:
         import asyncio
+        from contextlib import ExitStack
 
-        from deltaq_controllers.modes.motion import Frame, ModeName
-        from deltaq_controllers.modes.switch import Teleoperator
         from deltaq_controllers.tally import Tally
         from deltaq_controllers.teleoperation import DriveLog, teleoperate
+        from deltaq_deploy.cli.drive_display import Display
         from deltaq_deploy.running import OtherCellError
         from deltaq_protocol import connect
 
-        async with connect(self._cell.hli, client="deltaq drive") as running:
-            if running.description.cell != self._cell.cell:
+        async with connect(self.cell.hli, client="deltaq drive") as running:
+            if running.description.cell != self.cell.cell:
                 raise OtherCellError(
-                    f"{self._cell.hli} serves cell {running.description.cell}, not {self._cell.cell}; "
+                    f"{self.cell.hli} serves cell {running.description.cell}, not {self.cell.cell}; "
                     "name the right one with --cell"
                 )
-            model = self._model(running.description)
             cycle_s = running.description.cycle_s
-            teleoperator = Teleoperator(model, cycle_s, ModeName(self._mode), Frame(self._frame))
-            log, tally, enough = DriveLog(teleoperator, cycle_s), Tally(), asyncio.Event()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                asyncio.get_running_loop().add_signal_handler(number, enough.set)
-            with self._input(teleoperator) as operator:
-                show = _display(teleoperator, operator)
+            with ExitStack() as stack:
+                teleoperator = self._teleoperator(running, stack)
+                log, tally, enough = DriveLog(teleoperator, cycle_s), Tally(), asyncio.Event()
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    asyncio.get_running_loop().add_signal_handler(number, enough.set)
+                operator = stack.enter_context(self._input(teleoperator))
+                display = Display(teleoperator, operator)
 
                 def watch(q: Any) -> None:
                     log.add(q)
-                    show()
+                    display.show()
 
                 await teleoperate(running, teleoperator, operator, tally, watch, enough)
-        return {"robot": self._robot, "legs": log.summary(), **tally.summary()}
+        return {"robot": self.robot, "legs": log.summary(), "missed": log.missed, **tally.summary()}
 
-    def _model(self, description: Description) -> RobotModel:
-        from deltaq_controllers.live import model_of, robot_models
+    def _teleoperator(self, running: Cell, stack: ExitStack) -> Teleoperator:
+        """The teleoperator with all modes; the stack ends what they have going on."""
+        from functools import cache
 
-        return model_of(robot_models(description), self._robot)
+        from deltaq_cell.robot import RobotModel
+        from deltaq_controllers.advisor.adviser import Adviser
+        from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
+        from deltaq_controllers.modes.advisor import tracker_of
+        from deltaq_controllers.modes.makers import all_modes
+        from deltaq_controllers.modes.motion import Frame, ModeName
+        from deltaq_controllers.modes.switch import Teleoperator
+
+        description = running.description
+        model = model_of(robot_models(description), self.robot)
+        cell = cache(lambda: cell_model(description))
+
+        def adviser(robot: RobotModel) -> Adviser:
+            others = where_others_are(running, self.robot)
+            return stack.enter_context(Adviser(cell, tracker_of(robot), others, self.weights))
+
+        modes = all_modes(cell, description.cycle_s, adviser, self.weights)
+        return Teleoperator(model, description.cycle_s, ModeName(self.mode), Frame(self.frame), modes)
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
         from deltaq_controllers.operator_input import Script
         from deltaq_controllers.operator_input_gamepad import Gamepad
         from deltaq_controllers.operator_input_keyboard import HELP, Keyboard
 
-        if self._script is not None:
-            return Script.load(self._script, teleoperator)
-        if self._gamepad is not None:
-            return Gamepad(teleoperator, self._gamepad, self._speed_m_s)
+        if self.script is not None:
+            return Script.load(self.script, teleoperator)
+        if self.gamepad is not None:
+            return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
         print(HELP, file=sys.stderr)
-        return Keyboard(teleoperator, speed_m_s=self._speed_m_s)
-
-
-def _display(teleoperator: Teleoperator, operator: OperatorInput) -> Callable[[], None]:
-    """Tells the mode and what limits it: in place on a terminal, otherwise a line for each change."""
-    is_terminal = sys.stderr.isatty()
-    told = ""
-    cycles = 0
-
-    def show() -> None:
-        nonlocal told, cycles
-        cycles += 1
-        if cycles % SHOWN_EVERY_CYCLES:
-            return
-        limitation = teleoperator.limitation
-        limit = f"limited, {limitation.limit.value}: {limitation.text}" if limitation else "free"
-        text = f"{teleoperator.mode.value} ({teleoperator.frame.value})"
-        if is_terminal:
-            status = getattr(operator, "status", "")
-            line = f"{text} | {status} | {limit}"
-            sys.stderr.write(f"\r\x1b[2K{line[:150]}")
-            sys.stderr.flush()
-        elif f"{text} {limitation and limitation.what}" != told:
-            told = f"{text} {limitation and limitation.what}"
-            print(f"deltaq: {text}: {limit}", file=sys.stderr, flush=True)
-
-    return show
+        return Keyboard(teleoperator, speed_m_s=self.speed_m_s)
 
 
 def _show(summary: dict[str, Any]) -> None:
@@ -172,12 +166,14 @@ def _show(summary: dict[str, Any]) -> None:
             f"{figures['turned_deg']:.3f}",
             f"{figures['farthest_mm']:.2f}",
             ", ".join(f"{what} {seconds:.1f} s" for what, seconds in leg["limited_s"].items()) or None,
+            ", ".join(f"{one['option']}{'' if one['reached'] else ' missed'}" for one in leg["options"])
+            or None,
         )
         for leg in summary["legs"]
         for hand, figures in leg["hands"].items()
     ]
     if sys.stderr.isatty():
         sys.stderr.write("\n")
-    columns = ("mode", "s", "hand", "moved mm", "turned deg", "farthest mm", "limited by")
+    columns = ("mode", "s", "hand", "moved mm", "turned deg", "farthest mm", "limited by", "options")
     print_table(f"{summary['robot']} was driven", columns, rows)
     print(f"gate: {counts(summary['gate'])}")

@@ -11,6 +11,15 @@ CellOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 RobotOption = Annotated[str, typer.Option("--robot", help="Name of a robot of the cell.")]
+CriterionOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--criterion",
+        "--weight",
+        metavar="NAME=WEIGHT",
+        help="A criterion and its weight, as often as you like, e.g. clearance=1, in place of those by default.",
+    ),
+]
 TokenOption = Annotated[
     str | None,
     typer.Option(envvar="DELTAQ_OPERATOR_TOKEN", help="The operator's token, where the HLI was given one."),

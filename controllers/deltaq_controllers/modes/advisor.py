@@ -1,0 +1,208 @@
+"""Advisor mode: the computer suggests configurations, the operator chooses one, and the robot goes there."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
+from deltaq_controllers.advisor.driving import Route, timed
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
+from deltaq_controllers.modes.braking import GLIMPSE_S, kept_while_braked
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.limitation import Limit, Limitation
+from deltaq_controllers.modes.motion import ModeName, Motion
+
+Array = NDArray[np.float64]
+
+AT_START = 1e-9
+"""The robot stands where a path begins within this, in every joint [rad or m]."""
+
+ARRIVED = 1e-9
+"""The robot stands at an option within this, in every joint [rad or m]."""
+
+
+def tracker_of(robot: RobotModel) -> ConstraintTracker:
+    """The closed form that the advisor needs.
+
+    Raises:
+        ControllerError: the robot has none, or no joint to spare.
+    """
+    try:
+        tracker = ConstraintTracker(robot)
+    except TrackingError as error:
+        raise ControllerError(f"mode advisor: {error}") from None
+    if not len(tracker.base):
+        raise ControllerError(
+            f"mode advisor needs a joint to spare, robot {robot.name!r} has none; choose joint, decoupled or coupled"
+        )
+    return tracker
+
+
+class Advice(Protocol):
+    """What answers in the background of a control loop, as `Adviser` does.
+
+    Attributes:
+        tracker: of the robot.
+        trouble: why what was asked for cannot be answered; empty if it can.
+    """
+
+    tracker: ConstraintTracker
+    trouble: str
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a question has not been answered yet."""
+        ...
+
+    @property
+    def progress(self) -> Progress | None:
+        """What is known by now; None before anything is."""
+        ...
+
+    def ask(self, q: Array, /) -> None:
+        """Begin to look for options that keep the hands where they are at `q` (n,)."""
+        ...
+
+    def seek(self, back: Array, rank: int, /) -> None:
+        """Begin to look for a way to an option, if need be by `back` (P, n) to where options were asked for."""
+        ...
+
+    def give_up(self) -> None:
+        """End what is going on; what is known stays known."""
+        ...
+
+
+class AdvisorMode(Mode):
+    """Intelligent assistance (Hooper & Noakes, section III): options are asked for as the mode begins.
+
+    The robot goes to the option that is chosen along a self-motion, in the time that its joints need, and comes to
+    rest on that path when the choice is taken back. From there it can go on, or go to another option.
+
+    Args:
+        robot: the robot.
+        cycle_s: its cycle [s].
+        adviser: answers in its own time.
+    """
+
+    name = ModeName.ADVISOR
+    drives_hands = False
+
+    def __init__(self, robot: RobotModel, cycle_s: float, adviser: Advice) -> None:
+        self._robot, self._cycle_s, self._adviser = robot, cycle_s, adviser
+        self._hands = Hands(robot)
+        self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
+        self._wanted: int | None = None
+        self._driven: int | None = None
+        self._route: Route | None = None
+        self._hands_move = False
+        self._trail: Array = robot.home[None]
+        self._q: Array = np.full(robot.n, np.nan)
+        self._hindrance = ""
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What is known by now, best first."""
+        progress = self._adviser.progress
+        return () if progress is None else progress.options
+
+    @property
+    def done(self) -> float:
+        """Share of the way to the option wanted that is behind the robot, in time."""
+        return self._route.done if self._route is not None and self._driven == self._wanted else 0.0
+
+    @property
+    def status(self) -> str:
+        """What the advisor is doing, or where the robot is on its way."""
+        if self.arrived_at is not None:
+            return f"at option {self.arrived_at}"
+        if self._wanted is not None and self._driven == self._wanted:
+            return f"{100.0 * self.done:.0f} % of the way to option {self._wanted}"
+        progress = self._adviser.progress
+        if progress is None:
+            return self._adviser.trouble or "thinking"
+        if self._adviser.is_busy:
+            best = f", best energy {progress.energy:.4f}" if np.isfinite(progress.energy) else ""
+            return f"{progress.doing}{best}, {progress.trials} trials"
+        ways = sum(option.path is not None for option in progress.options)
+        return f"{len(progress.options)} options, ways to {ways}"
+
+    @property
+    def arrived_at(self) -> int | None:
+        """The option that was chosen, once the robot stands there."""
+        if self._route is None or self._driven != self._wanted:
+            return None
+        return self._driven if bool(np.abs(self._q - self._route.end).max() < ARRIVED) else None
+
+    def enter(self, q: Array) -> None:
+        """Ask for options with the hands where they are."""
+        self._driven, self._route, self._hindrance = None, None, ""
+        self._trail = q[None].copy()
+        self._adviser.ask(q)
+
+    def leave(self) -> None:
+        """Nobody waits for the advisor any more."""
+        self._adviser.give_up()
+
+    def choose(self, option: int | None) -> None:
+        """Go to the option of a rank, from 1; None is rest."""
+        self._wanted = option
+
+    def bounded(self, q: Array, motion: Motion) -> Motion:
+        """The motion as far as the hands stay even if the gate brakes it; none until there is a way."""
+        stands = bool((q == self._q).all())
+        self._q = q
+        if self._driven != self._wanted:
+            if stands:
+                self._take_up(q)
+            return motion.scaled(0.0)
+        if self._hands_move:
+            return motion
+        rates = self.step(q, motion, GLIMPSE_S) / GLIMPSE_S
+        return motion.scaled(kept_while_braked(self._hands, q, rates, self._robot.max_acceleration))
+
+    def step(self, q: Array, motion: Motion, time_s: float) -> Array:
+        """The displacement along the way."""
+        if self._route is None or motion.along == 0.0:
+            return np.zeros_like(q)
+        return self._route.step(q, motion.along * time_s / self._cycle_s)
+
+    def limitation(self, _q: Array, _motion: Motion) -> Limitation | None:
+        """Why there is no going to the option that is wanted."""
+        if self._driven == self._wanted or not self._hindrance:
+            return None
+        return Limitation(Limit.NO_WAY, f"option {self._wanted}", self._hindrance)
+
+    def _take_up(self, q: Array) -> None:
+        """Take the way to the option that is wanted, if it is known; otherwise see that it is looked for."""
+        self._hindrance = self._adviser.trouble
+        options = self.options
+        if self._wanted is None or self._hindrance or (not options and self._adviser.is_busy):
+            return
+        if not 1 <= self._wanted <= len(options):
+            if not self._adviser.is_busy:
+                self._hindrance = f"there is no option {self._wanted}; there are {len(options)}"
+            return
+        option = options[self._wanted - 1]
+        is_start = bool(np.abs(option.start - q).max() < AT_START)
+        if is_start and option.path is not None:
+            self._adviser.give_up()  # a control loop in motion wants the processor
+            setpoints = timed(option.path, self._adviser.tracker, self._cycle_s, option.hands_move)
+            self._trail = np.concatenate([self._back(q)[::-1], option.path])
+            self._route, self._driven, self._hands_move = Route(setpoints), self._wanted, option.hands_move
+        elif self._adviser.is_busy:
+            return
+        elif is_start and option.no_path != NOT_LOOKED_FOR:
+            self._hindrance = f"no self-motion leads to option {self._wanted}: {option.no_path}"
+        else:
+            self._adviser.seek(self._back(q), self._wanted)
+
+    def _back(self, q: Array) -> Array:
+        """(P, n) the way from `q` (n,) on or near the trail to where it begins."""
+        nearest = int(np.abs(self._trail - q).max(axis=1).argmin())
+        return np.concatenate([q[None], self._trail[nearest::-1]])

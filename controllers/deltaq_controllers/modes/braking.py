@@ -1,0 +1,37 @@
+"""Slow a self-motion to where the hands stay even if the gate brakes it at any moment."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.modes.hands import Hands
+
+Array = NDArray[np.float64]
+
+BRAKED_M, BRAKED_RAD = 2.5e-5, 5e-5
+"""How far a hand may be off at the end of a brake, which is straight in joint space [m, rad]."""
+
+GLIMPSE_S = 1e-3
+"""Time over which the rates of a motion are looked at [s]."""
+
+
+def kept_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Array) -> float:
+    """The share of its rates at which a self-motion can be braked without the hands.
+
+    What a straight brake takes the hands off by grows with the square of its length, and that with the square of the
+    speed.
+
+    Args:
+        hands: of the robot.
+        q: (n,) configuration [rad or m].
+        rates: (n,) of a motion that keeps the hands [rad/s or m/s].
+        max_acceleration: (n,) of the robot [rad/s^2 or m/s^2].
+    """
+    brake_s = float(np.max(np.abs(rates) / max_acceleration))
+    hands.update(q)
+    rotations, positions = hands.rotations, hands.positions
+    hands.update(q + 0.5 * brake_s * rates)
+    off = np.linalg.norm(hands.error(rotations, positions).reshape(-1, 2, 3), axis=2).max(axis=0)
+    excess = float(np.max(off / (BRAKED_M, BRAKED_RAD)))
+    return excess**-0.25 if excess > 1.0 else 1.0

@@ -1,0 +1,20 @@
+"""Weights of criteria as they are given on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import typer
+
+
+def weights_of(texts: Sequence[str] | None, option: str) -> dict[str, float] | None:
+    """Criterion to weight, from texts such as `travel=1`; None for none."""
+    return dict(_weight(text, option) for text in texts or ()) or None
+
+
+def _weight(text: str, option: str) -> tuple[str, float]:
+    name, _, number = text.partition("=")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise typer.BadParameter(f"{option} takes NAME=NUMBER, got {text!r}") from None

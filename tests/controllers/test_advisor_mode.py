@@ -1,0 +1,181 @@
+"""Advisor mode: options with the hands still, one chosen and driven to, taken back and gone on with at will."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
+import numpy as np
+import pytest
+from advising import AtOnce, advised, advisor_of, cell_of
+from driving import PlainDrive, StackDrive, model
+
+from deltaq_controllers.advisor.adviser import Adviser
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.modes.advisor import tracker_of
+from deltaq_controllers.modes.limitation import Limit
+from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_protocol.messages import Outcome
+
+KEPT_M, KEPT_RAD = 1e-4, np.deg2rad(0.01)
+LONGEST_CYCLES = 4000
+
+
+def plain(robot: str) -> PlainDrive:
+    """A robot in advisor mode that stands, its options known."""
+    run = PlainDrive(robot, ModeName.JOINT)
+    run.teleoperator = advised(run.robot)
+    run.drive(0.3)
+    return run
+
+
+def drivable(run: PlainDrive) -> list[int]:
+    options = advisor_of(run.teleoperator).options
+    return [rank for rank, option in enumerate(options, start=1) if option.path is not None]
+
+
+def go_to(run: PlainDrive, rank: int, cycles: int = LONGEST_CYCLES) -> None:
+    for _ in range(cycles):
+        run.step(Wish(option=rank))
+        if run.teleoperator.arrived_at == rank:
+            return
+
+
+@pytest.mark.parametrize("robot", ["gr", "dawm"])
+def test_one_option_after_the_other_is_gone_to_with_the_hands_still(robot: str) -> None:
+    run = plain(robot)
+    home = run.now
+    ranks = drivable(run)
+    assert len(ranks) >= 2
+    for rank in ranks[:2]:
+        go_to(run, rank)
+        assert run.teleoperator.arrived_at == rank
+        assert run.teleoperator.limitation is None
+        assert run.now == pytest.approx(advisor_of(run.teleoperator).options[rank - 1].q, abs=1e-6)
+        off_m, off_rad = run.driven.hand_errors(run.driven.q_cmd[::3], home)
+        assert off_m < KEPT_M
+        assert off_rad < KEPT_RAD
+    assert run.violations == 0
+
+
+def test_a_choice_taken_back_on_the_way_is_rest_on_the_way_and_can_be_gone_on_with() -> None:
+    run = plain("gr")
+    home = run.now
+    (rank, *_) = drivable(run)
+    go_to(run, rank, 150)
+    assert not run.teleoperator.is_at_rest
+    run.rest()
+    assert run.teleoperator.is_at_rest
+    assert run.teleoperator.arrived_at is None
+    between = run.now
+    assert np.abs(between - home).max() > 0.05
+    go_to(run, rank)
+    assert run.teleoperator.arrived_at == rank
+    off_m, off_rad = run.driven.hand_errors(run.driven.q_cmd, home)
+    assert off_m < KEPT_M
+    assert off_rad < KEPT_RAD
+    assert run.violations == 0
+
+
+def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
+    run = plain("gr")
+    first, second, *_ = drivable(run)
+    go_to(run, first, 150)
+    assert not run.teleoperator.is_at_rest
+    go_to(run, second)
+    assert run.teleoperator.arrived_at == second
+    assert run.violations == 0
+
+
+def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming_back() -> None:
+    other = ModeName.COUPLED
+    run = plain("gr")
+    (rank, *_) = drivable(run)
+    go_to(run, rank, 150)
+    before = advisor_of(run.teleoperator).options
+    axis = run.teleoperator.axes(other)[0]
+    run.drive(1.5, other, **{axis: 0.1})
+    assert run.teleoperator.mode is other
+    assert not run.teleoperator.is_at_rest
+    run.drive(1.5, ModeName.ADVISOR)
+    assert run.teleoperator.mode is ModeName.ADVISOR
+    assert advisor_of(run.teleoperator).options != before
+    np.testing.assert_array_equal(advisor_of(run.teleoperator).options[0].start, run.now)
+    assert run.violations == 0
+
+
+def test_an_option_that_there_is_none_is_told_and_nothing_moves() -> None:
+    run = plain("gr")
+    home = run.now
+    go_to(run, 9, 50)
+    limitation = run.teleoperator.limitation
+    assert limitation is not None
+    assert (limitation.limit, limitation.what) == (Limit.NO_WAY, "option 9")
+    assert limitation.text == "there is no option 9; there are 3"
+    assert (run.now == home).all()
+    go_to(run, drivable(run)[0])
+    assert run.teleoperator.limitation is None
+
+
+def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refused() -> None:
+    with pytest.raises(ControllerError, match="advisor needs a joint to spare, robot 'fr' has none"):
+        advised(model("fr"))
+    with pytest.raises(ControllerError, match=r"'x' is not driven in mode advisor .* an option of its own"):
+        advised(model("gr")).check(Wish({"x": 0.1}), ModeName.ADVISOR)
+    with pytest.raises(ControllerError, match="option 1: options are for mode advisor, not coupled"):
+        advised(model("gr")).check(Wish(option=1), ModeName.COUPLED)
+
+
+def test_the_robot_rests_while_the_advisor_thinks_and_the_answer_is_given_up_on_leaving() -> None:
+    run = PlainDrive("gr", ModeName.JOINT)
+    with ThreadPoolExecutor(1) as executor:
+        hold = Event()
+        executor.submit(hold.wait)  # the thread is busy: the question waits
+        run.teleoperator = advised(run.robot, executor=executor)
+        home = run.now
+        go_to(run, 1, 50)
+        assert advisor_of(run.teleoperator).status == "thinking"
+        assert (run.now == home).all()
+        run.drive(0.5, ModeName.JOINT, a1=0.2)
+        assert not run.teleoperator.is_at_rest
+        hold.set()
+    assert advisor_of(run.teleoperator).options == ()
+
+
+def test_a_question_that_cannot_be_answered_is_told() -> None:
+    robot = model("gr")
+    adviser = Adviser(lambda: cell_of("gr"), tracker_of(robot), weights={"travle": 1.0}, executor=AtOnce())
+    adviser.ask(robot.home)
+    assert "no criterion 'travle'" in adviser.trouble
+
+
+@pytest.mark.parametrize(
+    ("silent_cycles", "at_most_m", "at_most_deg"),
+    [(0, 1e-4, 0.01), (6, 1e-4, 0.01)],
+    ids=["answering every cycle", "falling silent on the way"],
+)
+def test_measured_hands_stay_on_the_way_to_an_option_through_the_whole_stack(
+    silent_cycles: int, at_most_m: float, at_most_deg: float
+) -> None:
+    run = StackDrive("dawm", ModeName.JOINT)
+    run.teleoperator = advised(run.robot)
+    run.drive(0.3)
+    home = run.robot.home
+    option = next(
+        rank for rank, one in enumerate(advisor_of(run.teleoperator).options, start=1) if one.path is not None
+    )
+    ways = [run.drive(1.0, option=option)]
+    for _ in range(silent_cycles):
+        run.stack.cycle()
+    while run.teleoperator.arrived_at is None:
+        assert len(ways) < 60
+        ways.append(run.drive(1.0, option=option))
+    off = [way.hand_errors(way.q, home) for way in ways]
+    assert max(m for m, _ in off) < at_most_m
+    assert np.rad2deg(max(rad for _, rad in off)) < at_most_deg
+    outcomes = [verdict.outcome for way in ways for verdict in way.verdicts]
+    assert set(outcomes) <= {Outcome.ADMITTED, Outcome.SCALED}
+    assert outcomes.count(Outcome.ADMITTED) > 0.9 * len(outcomes)
+    tracker = ConstraintTracker(run.robot)
+    assert np.abs(tracker.hands(ways[-1].q_cmd[-1]) - tracker.hands(home)).max() < 1e-6
