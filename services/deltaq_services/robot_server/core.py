@@ -64,11 +64,10 @@ class RobotServer:
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        # the first session says where the robot is
-        self._q_cmd: Array
-        self._dq: Array
-        self._plan: Plan
-        self._plan_dq: Array
+        self._q_cmd = np.zeros(0)
+        self._dq = np.zeros(0)
+        self._plan = Plan(dq=(0.0,), brake_cycles=1, step=1)
+        self._plan_dq = np.zeros(0)
         self._epoch = 0
         self._sequence = 0
         self._resets = 0
