@@ -6,12 +6,17 @@ import argparse
 import asyncio
 import contextlib
 import math
+from functools import partial
 from typing import Any
 
-from deltaq_controllers.camera_controllers import NAMES, camera_controller_named
+import numpy as np
+
+from deltaq_controllers.camera_controllers import NAMES, FocusController, camera_controller_named
 from deltaq_controllers.gains import FollowerGains
 from deltaq_controllers.interface import View
+from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, run
+from deltaq_controllers.rehearsal import Rehearsal
 from deltaq_controllers.scene import Scene
 from deltaq_controllers.tally import ErrorFigures, Tally
 from deltaq_protocol import connect
@@ -29,6 +34,7 @@ class FollowerProcess:
         self._options = options
         self._tally = Tally()
         self._angle, self._distance = ErrorFigures(), ErrorFigures()
+        self._began_s: float | None = None
 
     async def follow(self) -> None:
         """Follow for as long as asked."""
@@ -38,29 +44,39 @@ class FollowerProcess:
             for name in (options.robot, options.leader):
                 model_of(model.robots, name)
             scene = Scene(model, options.robot, options.leader, options.latency_s)
-            controller = camera_controller_named(options.controller, scene, options.distance_m)
-            loop = asyncio.get_running_loop()
-            begin_s = loop.time()
-
-            def watch(view: View) -> None:
-                other = view.others.get(options.leader)
-                if other is None:
-                    return
-                angle, distance = controller.errors(view.own.q, other.q)
-                settled = loop.time() - begin_s >= options.settle_s
-                self._angle.add(angle, settled)
-                self._distance.add(distance, settled)
-
+            focus = None if options.focus_m is None else np.array(options.focus_m)
+            camera = camera_controller_named(options.controller, scene, options.distance_m, focus)
+            limits = IncrementLimits.of(scene.robot, scene.cycle_s)
+            start = None if options.start is None else np.array(options.start)
+            rehearsal = Rehearsal(camera, limits, start, options.distances_m or (), options.hold_s)
             print(f"ready: {options.robot} follows {options.leader}", flush=True)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(options.duration_s):
-                    await drive(cell, options.robot, controller, self._tally, watch)
+                async with asyncio.timeout(None) as timeout:
+                    watch = partial(self._watch, camera, rehearsal, timeout)
+                    await drive(cell, options.robot, rehearsal, self._tally, watch)
+
+    def _watch(
+        self, camera: FocusController, rehearsal: Rehearsal, timeout: asyncio.Timeout, view: View
+    ) -> None:
+        """Keep the figures of a view; the time to follow for counts from where following began."""
+        options, other = self._options, view.others.get(self._options.leader)
+        if rehearsal.began_s is None or other is None:
+            return
+        if self._began_s is None:
+            self._began_s = rehearsal.began_s
+            if options.duration_s is not None:
+                timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
+        angle, distance = camera.errors(view.own.q, other.q)
+        settled = view.own.time_s - self._began_s >= options.settle_s
+        self._angle.add(angle, settled)
+        self._distance.add(distance, settled)
 
     def summary(self) -> dict[str, Any]:
         """The figures as one JSON object."""
         return {
             "controller": self._options.controller,
             "robot": self._options.robot,
+            "began_s": self._began_s,
             **self._tally.summary(),
             "angle_deg": self._angle.figures(math.pi / 180.0),
             "distance_m": self._distance.figures(),
@@ -83,12 +99,26 @@ def main() -> int:
     )
     parser.add_argument("--distance-m", type=float, default=1.25, help="view distance (default: %(default)s)")
     parser.add_argument(
+        "--distances-m", type=float, nargs="+", help="view distances to turn to, one after the other"
+    )
+    parser.add_argument(
+        "--hold-s", type=float, default=8.0, help="time that each of them is kept (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--focus-m", type=float, nargs=3, help="point in the world to look at (default: the leader's tool)"
+    )
+    parser.add_argument(
+        "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"
+    )
+    parser.add_argument(
         "--latency-s",
         type=float,
         default=FollowerGains().latency_s,
         help="from the leader's motion to the camera's, which the focus is carried ahead by (default: %(default)s)",
     )
-    parser.add_argument("--duration-s", type=float, default=None, help="end after this time (default: never)")
+    parser.add_argument(
+        "--duration-s", type=float, default=None, help="time to follow for (default: for ever)"
+    )
     parser.add_argument(
         "--settle-s",
         type=float,

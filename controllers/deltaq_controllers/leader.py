@@ -6,6 +6,8 @@ import argparse
 import asyncio
 import contextlib
 
+from deltaq_controllers.attacking_leader import TARGETS, AttackingLeader
+from deltaq_controllers.interface import Controller
 from deltaq_controllers.live import drive, model_of, robot_models, run
 from deltaq_controllers.scripted_leader import ScriptedLeader, Workspace
 from deltaq_controllers.tally import Tally
@@ -18,9 +20,19 @@ __all__ = ["ScriptedLeader", "Workspace", "main"]
 async def lead(options: argparse.Namespace, tally: Tally) -> None:
     """Connect and lead for as long as asked."""
     async with connect(options.url, client="scripted-leader") as cell:
-        model = model_of(robot_models(cell.description), options.robot)
-        controller = ScriptedLeader(model, cell.description.cycle_s, options.speed_m_s, options.seed)
-        print(f"ready: {options.robot} leads at {options.speed_m_s:g} m/s", flush=True)
+        models, cycle_s = robot_models(cell.description), cell.description.cycle_s
+        model = model_of(models, options.robot)
+        controller: Controller
+        if options.attack is None:
+            controller = ScriptedLeader(model, cycle_s, options.speed_m_s, options.seed)
+            does = "leads"
+        else:
+            victim = model_of(models, options.attack)
+            controller = AttackingLeader(
+                model, victim, cycle_s, options.speed_m_s, options.seed, options.target
+            )
+            does = f"attacks {options.attack}"
+        print(f"ready: {options.robot} {does} at {options.speed_m_s:g} m/s", flush=True)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(options.duration_s):
                 await drive(cell, options.robot, controller, tally)
@@ -36,6 +48,10 @@ def main() -> int:
     parser.add_argument("--robot", default="gr", help="robot to lead with (default: %(default)s)")
     parser.add_argument("--speed-m-s", type=float, default=0.25, help="tool speed (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="one seed is one motion (default: %(default)s)")
+    parser.add_argument("--attack", metavar="ROBOT", help="a robot to run into, again and again")
+    parser.add_argument(
+        "--target", default="lens", help=f"at what: {', '.join(TARGETS)} (default: %(default)s)"
+    )
     parser.add_argument("--duration-s", type=float, default=None, help="end after this time (default: never)")
     options, tally = parser.parse_args(), Tally()
     return run(

@@ -144,7 +144,8 @@ def _between(points: Array, others: Array) -> Array:
     squares = (
         (points * points).sum(axis=1)[:, None] + (others * others).sum(axis=1) - 2.0 * (points @ others.T)
     )
-    return np.sqrt(np.maximum(squares, 0.0))
+    distances: Array = np.sqrt(np.maximum(squares, 0.0))
+    return distances
 
 
 def _reach(robot: RobotModel, spheres: Spheres) -> Array:

@@ -17,7 +17,6 @@ from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_c
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import Recording, record
-from deltaq_protocol.errors import DeltaqError
 
 Array = NDArray[np.float64]
 
@@ -52,18 +51,14 @@ class ApproachReport(Report):
 
 
 def run(options: Options) -> Outcome:
-    """Run the experiment.
+    """Run the experiment in virtual time, or live over real processes, where the robot goes to each start first.
 
     Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, no
-            start was found, or it shall run live.
+        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, or no
+            start was found.
     """
     options = options.lasting(DURATION_S)
     cell = load(options, "approach")
-    if options.live:
-        raise DeltaqError(
-            "approach starts where no robot stands: it runs in virtual time only, without --live"
-        )
     began_s = time.perf_counter()
     runs = [
         _run_from(options, cell, math.radians(error), options.seed + index)
@@ -80,8 +75,16 @@ Run = tuple[Recording, Array]
 def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> Run:
     camera = camera_controller(cell, options.controller, options.latency_s)
     start = start_with_error(cell, camera, error, seed)
-    recording = record(options, camera, start={FOLLOWER: start})
+    recording = (
+        _run_live(options, cell, start) if options.live else record(options, camera, start={FOLLOWER: start})
+    )
     return recording, recording.trace.views(camera, FOLLOWER, LEADER)
+
+
+def _run_live(options: Options, cell: CellModel, start: Array) -> Recording:
+    from deltaq_experiments.live import run_live
+
+    return run_live(options, cell, ["--start", *(f"{value:.9f}" for value in start)], leading=None)
 
 
 def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> Approach:
@@ -112,7 +115,7 @@ def _report(options: Options, cell: CellModel, runs: list[Run], elapsed_s: float
         experiment="approach",
         controller=options.controller,
         seed=options.seed,
-        live=False,
+        live=options.live,
         cycles=len(together),
         cycle_s=cell.description.cycle_s,
         latency_s=options.latency_s,

@@ -7,7 +7,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.attacking_leader import TARGETS, AttackingLeader
+from deltaq_controllers.camera_controllers import FocusController
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Line, Marks, Panel
 from deltaq_experiments.report import Outcome, Report
@@ -38,29 +40,21 @@ class CollisionReport(Report):
 
 
 def run(options: Options) -> Outcome:
-    """Run the experiment in virtual time.
+    """Run the experiment in virtual time, or live over real processes.
 
     Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, there is
-            no such target, or it shall run live.
+        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, or there
+            is no such target.
     """
     options = options.lasting(DURATION_S)
     cell = load(options, "collision")
-    if options.live:
-        raise DeltaqError(
-            "collision attacks a robot on purpose: it runs in virtual time only, without --live"
-        )
     if options.target not in TARGETS:
         raise DeltaqError(f"--target {options.target}: there are {', '.join(TARGETS)}")
-    robot, leader_model = cell.robots[FOLLOWER], cell.robots[LEADER]
+    leader_model = cell.robots[LEADER]
     focus = leader_model.forward(leader_model.home)[:3, 3]
     camera = camera_controller(cell, options.controller, options.latency_s, focus=focus)
-    cycle_s = cell.description.cycle_s
-    leader = AttackingLeader(
-        leader_model, robot, cycle_s, options.leader_speed_m_s, options.seed, options.target
-    )
     began_s = time.perf_counter()
-    recording = record(options, camera, leader)
+    recording = _run_live(options, cell, focus) if options.live else _run_virtual(options, cell, camera)
     elapsed_s = time.perf_counter() - began_s
     trace = recording.trace
     views = trace.views(camera, FOLLOWER, LEADER)
@@ -75,6 +69,25 @@ def run(options: Options) -> Outcome:
         angle_below_1_deg_share=float((views[:, 0] < 1.0).mean()),
     )
     return Outcome(report, _panels(recording, views, between, evading))
+
+
+def _run_virtual(options: Options, cell: CellModel, camera: FocusController) -> Recording:
+    leader = AttackingLeader(
+        cell.robots[LEADER],
+        cell.robots[FOLLOWER],
+        cell.description.cycle_s,
+        options.leader_speed_m_s,
+        options.seed,
+        options.target,
+    )
+    return record(options, camera, leader)
+
+
+def _run_live(options: Options, cell: CellModel, focus: Array) -> Recording:
+    from deltaq_experiments.live import run_live
+
+    following = ["--focus-m", *(f"{value:.9f}" for value in focus)]
+    return run_live(options, cell, following, ["--attack", FOLLOWER, "--target", options.target])
 
 
 def _panels(

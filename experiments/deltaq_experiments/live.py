@@ -1,4 +1,4 @@
-"""The tracking experiment over real processes, zenoh and UDP, recorded by the emulated controllers themselves."""
+"""A camera experiment over real processes, zenoh and UDP, recorded by the emulated controllers themselves."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_deploy.child import Exited
 from deltaq_deploy.launcher import Launcher, LaunchError
 from deltaq_deploy.rest import bring_to_rest
 from deltaq_deploy.running import connect, listen
 from deltaq_deploy.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_experiments.options import Options
+from deltaq_experiments.recorded import not_there_yet
 from deltaq_experiments.report import GateCounts
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import Recording
@@ -27,42 +29,56 @@ from deltaq_protocol.messages import RobotState
 Array = NDArray[np.float64]
 
 
-def run_live(options: Options, cell: CellModel) -> Recording:
+START_S = 30.0
+"""Most time that going to the start of a run may take [s]."""
+
+
+def run_live(
+    options: Options, cell: CellModel, following: Sequence[str] = (), leading: Sequence[str] | None = ()
+) -> Recording:
     """Start the cell's services, lead and follow, and take everything down again.
 
+    Args:
+        options: with `length_s` known.
+        cell: the cell.
+        following: further arguments of `deltaq_controllers.camera_follower`.
+        leading: further arguments of `deltaq_controllers.leader`; None lets the leader stand.
+
     Raises:
-        LaunchError: if a service does not come up, or dies on the way.
+        LaunchError: if a service does not come up, or dies on the way, or the follower does not get to its start.
     """
     description = cell.description
     with tempfile.TemporaryDirectory() as folder:
         records = {name: Path(folder, f"{name}.csv") for name in cell.robots}
         services = [_recorded(service, records) for service in cell_services(description, str(options.cell))]
         leader, follower = demo_controllers(description)
-        leader = _with(leader, "--speed-m-s", f"{options.leader_speed_m_s}", "--seed", f"{options.seed}")
         follower = _with(follower, "--controller", options.controller, "--latency-s", f"{options.latency_s}")
+        follower = _with(follower, "--duration-s", f"{options.length_s}", *following)
+        if leading is not None:
+            speed, seed = f"{options.leader_speed_m_s}", f"{options.seed}"
+            services.append(_with(leader, "--speed-m-s", speed, "--seed", seed, *leading))
         if options.record is not None:
-            services.append(recorder(str(options.cell), str(options.record)))
+            services.append(recorder(str(options.cell), str(not_there_yet(options.record))))
         lines = _Lines()
-        launcher = Launcher(
-            [*services, leader, follower], lines, lambda: bring_to_rest(description, "experiment")
-        )
+        launcher = Launcher([*services, follower], lines, lambda: bring_to_rest(description, "experiment"))
         with launcher:
             launcher.start()
-            with connect(description, "experiment") as running, listen(description) as listener:
-                samples: list[bytes] = []
+            samples: list[bytes] = []
+            with listen(description) as listener:
                 # states alone, undecoded: a callback that works would slow the processes that are measured
-                subscriber = listener.subscribe(topics.STATE, lambda s: samples.append(s.payload.to_bytes()))
-                event = launcher.wait(options.length_s)
-                subscriber.undeclare()
+                listener.subscribe(topics.STATE, lambda sample: samples.append(sample.payload.to_bytes()))
+                event = launcher.wait(START_S + options.length_s)
+            if event != Exited(follower.name, 0):
+                why = "the follower did not get to its start" if event is None else f"{event}"
+                raise LaunchError(f"the run was cut short: {why}; the last lines were\n{lines.text()}")
+            with connect(description, "experiment") as running:
                 status = running.status()
-            if event is not None:
-                raise LaunchError(f"the run was cut short: {event}; the last lines were\n{lines.text()}")
-            launcher.stop_service("follower")
             launcher.stop_service("leader")
+            told = launcher.last_json(follower.name) or {}
         states = [unpack(RobotState, sample) for sample in samples]
         setpoints = {name: _setpoints(path, cell.robots[name].n) for name, path in records.items()}
     reasons = {k.removeprefix("reason_"): v for k, v in status.gate.items() if k.startswith("reason_")}
-    trace = trace_of(states, tuple(cell.robots), setpoints)
+    trace = trace_of(states, tuple(cell.robots), setpoints, told["began_s"], options.length_s)
     return Recording(trace, GateCounts.of(status.gate), reasons)
 
 
@@ -99,13 +115,29 @@ def _setpoints(record: Path, joints: int) -> Array:
     return np.loadtxt(record, delimiter=",", skiprows=1, usecols=columns, ndmin=2)
 
 
-def trace_of(states: Sequence[RobotState], names: tuple[str, ...], setpoints: dict[str, Array]) -> Trace:
-    """The robots' measured joints on the first one's time stamps, the others interpolated."""
+def trace_of(
+    states: Sequence[RobotState],
+    names: tuple[str, ...],
+    setpoints: dict[str, Array],
+    began_s: float | None = None,
+    length_s: float = np.inf,
+) -> Trace:
+    """The robots' measured joints on the first one's time stamps, the others interpolated.
+
+    Args:
+        states: of all robots, in order.
+        names: of the robots.
+        setpoints: (m, n) per robot [rad or m].
+        began_s: stamp that time counts from; None for the first state's [s].
+        length_s: time after it that counts [s].
+    """
     times = {name: np.array([s.time_s for s in states if s.robot == name]) for name in names}
     joints = {name: np.array([s.q for s in states if s.robot == name]) for name in names}
-    clock = times[names[0]]
+    begin = times[names[0]][0] if began_s is None else began_s
+    clock = times[names[0]] - begin
+    clock = clock[(clock >= 0.0) & (clock <= length_s)]
     q = {
-        name: np.column_stack([np.interp(clock, times[name], column) for column in joints[name].T])
+        name: np.column_stack([np.interp(clock, times[name] - begin, column) for column in joints[name].T])
         for name in names
     }
-    return Trace(clock - clock[0], q, setpoints)
+    return Trace(clock, q, setpoints)

@@ -39,14 +39,15 @@ def lockstep(
     if record is None:
         yield Lockstep(cell_name, start)
         return
-    stack = RecordedLockstep(cell_name, start, _not_there_yet(record))
+    stack = RecordedLockstep(cell_name, start, not_there_yet(record))
     try:
         yield stack
     finally:
         stack.writer.close()
 
 
-def _not_there_yet(path: Path) -> Path:
+def not_there_yet(path: Path) -> Path:
+    """The path, or where there is such a file already, the same with the next number added to its name."""
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return next(candidate for candidate in chain([path], numbered) if not candidate.exists())
 

@@ -18,7 +18,6 @@ from deltaq_experiments.report import Outcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.summary import summary
 from deltaq_experiments.virtual import Recording, record
-from deltaq_protocol.errors import DeltaqError
 
 Array = NDArray[np.float64]
 
@@ -70,28 +69,19 @@ class Views:
 
 
 def run(options: Options) -> Outcome:
-    """Run the experiment in virtual time.
+    """Run the experiment in virtual time, or live over real processes.
 
     Raises:
-        DeltaqError: if the loop alone is slower than the latency asked for, the cell has no such robots, or it
-            shall run live.
+        DeltaqError: if the loop alone is slower than the latency asked for, or the cell has no such robots.
     """
     options = options.lasting(DURATION_S)
     cell = load(options, "zoom")
-    if options.live:
-        raise DeltaqError(
-            "zoom turns the view distance from inside the run: virtual time only, without --live"
-        )
     hold_s = options.length_s / len(DISTANCES_M)
     camera = camera_controller(cell, options.controller, options.latency_s)
-
-    def turn_the_dial(time_s: float) -> None:
-        camera.desired_distance_m = desired_at(time_s, hold_s)
-
     began_s = time.perf_counter()
-    speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
-    leader = ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed)
-    recording = record(options, camera, leader, before_cycle=turn_the_dial)
+    recording = (
+        _run_live(options, cell, hold_s) if options.live else _run_virtual(options, cell, camera, hold_s)
+    )
     elapsed_s = time.perf_counter() - began_s
     views = _views(cell, recording, camera, hold_s)
     error = views.distance_m - views.desired_m
@@ -103,6 +93,22 @@ def run(options: Options) -> Outcome:
         ),
     )
     return Outcome(report, _panels(clock, views))
+
+
+def _run_virtual(options: Options, cell: CellModel, camera: FocusController, hold_s: float) -> Recording:
+    def turn_the_dial(time_s: float) -> None:
+        camera.desired_distance_m = desired_at(time_s, hold_s)
+
+    speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
+    leader = ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed)
+    return record(options, camera, leader, before_cycle=turn_the_dial)
+
+
+def _run_live(options: Options, cell: CellModel, hold_s: float) -> Recording:
+    from deltaq_experiments.live import run_live
+
+    distances = [f"{distance:g}" for distance in DISTANCES_M]
+    return run_live(options, cell, ["--hold-s", f"{hold_s}", "--distances-m", *distances])
 
 
 def desired_at(time_s: float, hold_s: float) -> float:

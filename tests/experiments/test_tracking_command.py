@@ -46,6 +46,30 @@ def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
     assert report["angle_deg"]["rms"] < 5.0
 
 
+@pytest.mark.live
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["approach", "zoom", "collision"])
+def test_live_every_experiment_runs_and_draws(name, tmp_path):
+    """An approach goes to each of its starts first, a zoom turns the distance, a collision attacks."""
+    cell, figure = write_private_cell(tmp_path), tmp_path / "figure.png"
+    status, out, error = deltaq(
+        "experiment", name, "--live", "--controller", "qp", "--duration-s", "8", "--cell", str(cell), "--json",
+        "--figure", str(figure),
+    )  # fmt: skip
+    assert status in (0, 1), error  # 1: a cycle that the machine lost shows as a jump in acceleration
+    report = json.loads(out)
+    assert report["live"]
+    assert report["limits"]["position_violations"] == report["limits"]["velocity_violations"] == 0
+    assert report["clearance_m"]["min"] >= 0.05
+    assert figure.stat().st_size > 10_000
+    if name == "approach":
+        assert [start["start_deg"] for start in report["starts"]] == pytest.approx([83, 134, 145], abs=2.0)
+    if name == "zoom":
+        assert [plateau["desired_m"] for plateau in report["plateaus"]] == [1.25, 1.0, 1.5, 0.8, 2.6]
+    if name == "collision":
+        assert report["contacts"] == 0
+
+
 def test_bench_tells_ratios_against_a_reference_of_the_same_run():
     status, out, error = deltaq("bench", "--cycles", "20", "--json")
     assert status in (0, 1), error
