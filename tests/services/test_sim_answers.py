@@ -1,0 +1,308 @@
+"""All that the SIM's core says, field by field, and to whom."""
+
+import math
+
+import numpy as np
+import pytest
+from gate_rig import CELL, SMALL, Rig
+
+from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_protocol import topics
+from deltaq_protocol.brake import brake_cycles
+from deltaq_protocol.guarded import Admission, Command, CommandReply, Health, Request, Supervision
+from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.receipts import first_receipt, receipt_of
+from deltaq_services.sim.core import Output, Sim
+
+CYCLE_S = CELL.description.cycle_s
+GATE = CELL.description.gate
+MAX_DV = CELL.robots["fr"].max_acceleration * CYCLE_S**2
+TOO_NEAR = CELL.robots["fr"].home.copy()
+TOO_NEAR[1] = np.deg2rad(21.6)  # brings link 3 within the stop distance of the floor
+DOWN = (0.0, 1e-4, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def next_state(rig, robot="fr", **changes):
+    """The state that a robot at rest would publish next."""
+    state = rig.servers[robot].state
+    return state.model_copy(update={"cycle": state.cycle + 1, "time_s": state.time_s + CYCLE_S} | changes)
+
+
+def ask(rig, seq=1, dq=SMALL, cycle=None, robot="fr"):
+    cycle = rig.servers[robot].state.cycle if cycle is None else cycle
+    return Request(robot=robot, cycle=cycle, lease_epoch=1, seq=seq, dq=dq)
+
+
+def test_every_message_goes_to_its_own_handler_and_is_counted(rig):
+    taken = rig.sim.taken
+    assert isinstance(rig.sim.take(next_state(rig))[0].message, Supervision)
+    assert isinstance(rig.sim.take(ask(rig))[-1].message, Verdict)
+    assert isinstance(rig.sim.take(Command(id=1, kind="stop"))[0].message, CommandReply)
+    assert rig.sim.taken == taken + 3
+    with pytest.raises(TypeError):
+        rig.sim.take(Health(service="hli", healthy=True, time_s=0.0))
+
+
+def test_a_gate_begins_with_nothing():
+    sim = Sim(CELL, epoch=5)
+    assert (sim.epoch, sim.taken, sim.counters) == (5, 0, {})
+    assert sim.memory().sequence == 0
+    assert sim.memory().receipt == first_receipt(sim.fingerprint, 5)
+
+
+def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
+    for _ in range(2):
+        assert rig.sim.on_state(next_state(rig).model_copy(update={"robot": "nobody"})) == []
+        assert rig.sim.on_state(next_state(rig, q=(0.0,) * 9)) == []
+        assert rig.sim.on_request(Request(robot="nobody", cycle=1, lease_epoch=1)) == []
+    assert (rig.sim.counters["unknown_state"], rig.sim.counters["unknown_request"]) == (4, 2)
+
+
+def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
+    rig.sim.on_command(Command(id=3, kind="io", robot="gr", outputs={"gripper": True}))
+    state = next_state(rig, robot="gr", resets=4)
+    expected = Supervision(robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True})
+    for _ in range(2):
+        assert rig.sim.on_state(state) == [Output(topics.SUPERVISION, "gr", expected)]
+    assert rig.mail["fr"][1].outputs == {}
+
+
+def test_a_stop_is_repeated_by_supervision_until_the_state_shows_it(rig):
+    rig.sim.on_command(Command(id=3, kind="stop", robot="gr", reason=ReasonCode.HLI_LOST))
+    assert rig.sim.on_state(next_state(rig, "gr"))[0].message.stop is ReasonCode.HLI_LOST
+    assert rig.sim.on_state(next_state(rig))[0].message.stop is None
+    held = next_state(rig, "gr", phase=Phase.HELD).model_copy(update={"cycle": 10_000})
+    assert rig.sim.on_state(held)[0].message.stop is None
+
+
+def test_a_repeated_state_can_show_that_a_reset_is_done(rig):
+    assert rig.sim.on_command(Command(id=17, kind="reset", robot="fr")) == []
+    done = rig.sim.on_state(rig.state)
+    assert done[1:] == [Output(topics.COMMAND_REPLY, "", CommandReply(id=17, accepted=True))]
+
+
+def test_the_gate_s_times_are_whole_cycles_that_are_not_shorter(rig):
+    for _ in range(20):
+        rig.cycle()
+    lag_cycles = math.ceil(GATE.servo_lag_s / CYCLE_S)
+    assert lag_cycles > 2
+    assert len(rig.sim._robots["fr"].standing().points) == lag_cycles
+    rig.alive()
+    for _ in range(math.ceil(GATE.hli_timeout_s / CYCLE_S)):
+        rig.cycle()
+        assert rig.mail["fr"][1].stop is None
+    rig.cycle()
+    assert rig.mail["fr"][1].stop is ReasonCode.HLI_LOST
+
+
+def test_a_sign_of_life_is_no_request(rig):
+    assert rig.sim.on_request(Request(robot="fr", cycle=rig.state.cycle, lease_epoch=1)) == []
+
+
+def test_an_admission_is_bound_to_the_state_it_was_decided_on(rig):
+    for count, dq in enumerate([MAX_DV, 1.5 * MAX_DV], start=1):
+        state = rig.state
+        admission, _ = rig.sim.on_request(ask(rig, seq=count, dq=tuple(dq.tolist())))
+        assert (admission.topic, admission.robot) == (topics.ADMISSION, "fr")
+        assert admission.message == Admission(
+            robot="fr",
+            epoch=5,
+            sequence=count,
+            cycle=state.cycle,
+            follows_sequence=state.sequence,
+            follows_q_cmd=state.q_cmd,
+            follows_dq=state.dq,
+            dq=tuple(dq.tolist()),
+            brake_cycles=brake_cycles(dq, MAX_DV),
+        )
+        rig.deliver([admission])
+        rig.cycle()
+        assert rig.state.sequence == count
+
+
+def test_admissions_to_one_robot_and_the_other_are_numbered_together(rig):
+    first = rig.sim.on_request(ask(rig))[0].message
+    second = rig.sim.on_request(ask(rig, robot="gr", dq=(1e-5,) * 9))[0].message
+    assert (first.sequence, second.sequence) == (1, 2)
+
+
+def test_a_request_that_is_admitted_is_told_so_without_a_receipt(rig):
+    state = rig.state
+    output = rig.sim.on_request(ask(rig, seq=4, cycle=state.cycle - 2))[-1]
+    verdict = output.message
+    assert (output.topic, output.robot) == (topics.GATE_VERDICT, "fr")
+    assert (verdict.robot, verdict.cycle, verdict.seq) == ("fr", state.cycle, 4)
+    assert (verdict.outcome, verdict.scale, verdict.dq) == (Outcome.ADMITTED, 1.0, SMALL)
+    assert (verdict.reasons, verdict.receipt) == ((), None)
+    assert 0.05 < verdict.clearance_m < 1.0
+    assert len(verdict.pair) == 2
+    assert rig.sim.counters["admitted"] == 1
+
+
+def test_a_request_that_is_scaled_is_told_by_how_much_and_why(rig):
+    for count in (1, 2):
+        admission, verdict = rig.sim.on_request(ask(rig, seq=count, dq=tuple((4 * MAX_DV).tolist())))
+        scaled = verdict.message
+        rig.deliver([admission])
+        rig.cycle()
+    assert scaled.outcome is Outcome.SCALED
+    assert 0 < scaled.scale < 1
+    assert scaled.dq == admission.message.dq
+    assert scaled.reasons[0].code is ReasonCode.ACCELERATION_LIMIT
+    assert scaled.receipt is None
+    assert (rig.sim.counters["scaled"], rig.sim.counters["reason_acceleration_limit"]) == (2, 2)
+
+
+def test_a_request_that_is_held_gets_a_receipt_and_no_admission():
+    rig = Rig(fr=TOO_NEAR)
+    before = rig.sim.memory().receipt
+    outputs = rig.sim.on_request(ask(rig, dq=DOWN))
+    assert [output.topic for output in outputs] == [topics.GATE_VERDICT]
+    held = outputs[0].message
+    assert (held.outcome, held.scale, held.dq) == (Outcome.HELD, 0.0, (0.0,) * 6)
+    assert "structure/floor" in held.pair
+    assert held.clearance_m < 0.05
+    assert held.receipt == rig.sim.memory().receipt == receipt_of(before, held)
+    assert (rig.sim.counters["held"], rig.sim.counters["reason_retreat"]) == (1, 1)
+    assert rig.sim.memory().sequence == 0
+
+
+def test_refusals_are_links_of_one_chain_and_each_is_counted(rig):
+    receipt = rig.sim.memory().receipt
+    for count in (1, 2):
+        output = rig.sim.on_request(ask(rig, seq=count, dq=(0.0,) * 7, cycle=3))[0]
+        assert (output.topic, output.robot) == (topics.GATE_VERDICT, "fr")
+        refused = output.message
+        assert (refused.robot, refused.cycle, refused.seq) == ("fr", 3, count)
+        assert (refused.outcome, refused.dq) == (Outcome.REFUSED, ())
+        assert refused.reasons == (Reason(code=ReasonCode.BAD_SHAPE, what="dq", value=7, bound=6),)
+        receipt = receipt_of(receipt, refused)
+        assert refused.receipt == rig.sim.memory().receipt == receipt
+    assert (rig.sim.counters["refused"], rig.sim.counters["reason_bad_shape"]) == (2, 2)
+
+
+def test_nothing_is_admitted_to_a_robot_server_that_follows_another_gate(rig):
+    rig.sim.on_state(next_state(rig, epoch=4))
+    verdict = rig.sim.on_request(ask(rig))[-1].message
+    assert verdict.reasons == (Reason(code=ReasonCode.NOT_READY, what="gate epoch"),)
+
+
+def test_a_robot_that_may_not_move_is_told_that_before_all_else(rig):
+    rig.sim.on_state(next_state(rig, epoch=4, phase=Phase.HELD))
+    assert rig.sim.on_request(ask(rig))[-1].message.reasons == (Reason(code=ReasonCode.STOPPED),)
+    alone = Sim(CELL, epoch=5)
+    alone.on_state(next_state(rig, phase=Phase.OFFLINE))
+    assert alone.on_request(ask(rig))[-1].message.reasons == (Reason(code=ReasonCode.NOT_READY),)
+
+
+def test_a_refused_request_leaves_the_state_to_be_decided_for_the_next(rig):
+    state = rig.state
+    stale = rig.sim.on_request(ask(rig, seq=1, cycle=0))
+    assert stale[-1].message.outcome is Outcome.ADMITTED  # a young cell: nothing is stale yet
+    rig.sim.on_state(next_state(rig, cycle=state.cycle + 50))
+    assert rig.sim.on_request(ask(rig, seq=2, cycle=1))[-1].message.outcome is Outcome.REFUSED
+    assert rig.sim.on_request(ask(rig, seq=3, cycle=state.cycle + 50))[-1].message.outcome is Outcome.ADMITTED
+
+
+def test_a_missed_admission_is_counted_for_its_robot(rig):
+    rig.sim.on_request(ask(rig))
+    rig.cycle()
+    assert rig.sim.counters["missed_admissions_fr"] == 1
+    assert rig.sim.counters["missed_admissions_gr"] == 0
+
+
+def test_a_command_to_a_robot_that_is_not_here_is_refused_and_not_counted(rig):
+    output = rig.sim.on_command(Command(id=8, kind="stop", robot="nobody"))[0]
+    assert (output.topic, output.robot) == (topics.COMMAND_REPLY, "")
+    reply = output.message
+    assert (reply.id, reply.accepted, reply.code) == (8, False, ReasonCode.UNKNOWN_ROBOT)
+    assert "nobody" in reply.message
+    assert rig.sim.counters["command_stop"] == 0
+
+
+def test_commands_are_counted_by_kind(rig):
+    for _ in range(2):
+        rig.sim.on_command(Command(id=8, kind="stop"))
+    rig.sim.on_command(Command(id=9, kind="io", robot="gr", outputs={"gripper": True}))
+    assert (rig.sim.counters["command_stop"], rig.sim.counters["command_io"]) == (2, 1)
+
+
+def test_a_stop_refuses_the_request_that_waits_and_that_one_only(rig):
+    rig.sim.on_request(ask(rig, seq=1))
+    rig.sim.on_request(ask(rig, seq=2))  # waits for the next state
+    stopped = rig.sim.on_command(Command(id=8, kind="stop"))
+    assert stopped[0].message == CommandReply(id=8, accepted=True)
+    assert [(output.message.seq, output.message.reasons) for output in stopped[1:]] == [
+        (2, (Reason(code=ReasonCode.STOPPED),))
+    ]
+
+
+def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
+    rig.sim.on_command(Command(id=8, kind="stop"))
+    replies = [output.message for output in rig.sim.on_command(Command(id=9, kind="reset"))]
+    assert [(reply.id, reply.accepted, reply.code) for reply in replies] == [
+        (9, False, ReasonCode.NOT_AT_REST)
+    ] * 2
+    assert "fr" in replies[0].message + replies[1].message
+    assert all(reply.message for reply in replies)
+
+
+def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):
+    rig.request(seq=3, lease_epoch=2)
+    rig.cycle()
+    rig.request(seq=4, lease_epoch=2)
+    rig.request(seq=5, lease_epoch=2)  # waits
+    rig.sim.on_command(Command(id=8, kind="stop", robot="gr"))
+    rig.request(dq=(0.0,) * 7)
+    memory = rig.sim.memory()
+    fr = memory.robots["fr"]
+    assert (memory.epoch, memory.number, memory.sequence) == (5, rig.sim.taken, 2)
+    assert (fr.waiting.seq, fr.decided_cycle, fr.lease_epoch, fr.seq) == (5, rig.state.cycle, 2, 5)
+    assert memory.robots["gr"].orders.standing_stop is ReasonCode.OPERATOR_STOP
+    heir = Sim(CELL, epoch=9)
+    heir.recall(memory)
+    assert heir.memory() == memory
+    assert heir.taken == memory.number
+    state = next_state(rig)
+    for message in (state, ask(rig, seq=5), Command(id=3, kind="reset", robot="gr")):
+        assert heir.take(message) == rig.sim.take(message)
+    assert heir.memory() == rig.sim.memory()
+
+
+def test_the_nearest_pair_of_robots_that_were_never_heard_is_none():
+    assert Sim(CELL, epoch=5).nearest() is None
+
+
+def test_the_nearest_pair_is_one_of_the_robots_that_were_heard(rig):
+    alone = Sim(CELL, epoch=5)
+    alone.on_state(next_state(rig, "gr"))
+    assert not any(name.startswith("fr") for name in alone.nearest().pair)
+
+
+@pytest.mark.parametrize(
+    ("fr", "gr", "pair"),
+    [
+        (TOO_NEAR, CELL.robots["gr"].home, {"fr/link_3", "structure/floor"}),
+        (
+            (-0.874, -0.806, 0.250, -1.742, 0.600, 2.117),
+            (0.860, 1.820, -0.602, 0.577, -1.549, -0.785, 0.551, 0.490, 1.334),
+            {"fr/link_1", "gr/link_3"},
+        ),
+    ],
+)
+def test_the_nearest_pair_is_that_of_the_setpoints_wherever_the_drives_are(rig, fr, gr, pair):
+    here = {"fr": np.array(fr), "gr": np.array(gr)}
+    for name, q in here.items():
+        rig.sim.on_state(next_state(rig, name, q_cmd=tuple(q.tolist())))
+    near, truth = rig.sim.nearest(), ClearanceOracle(CELL)
+    assert set(near.pair) == pair
+    nearest = min(
+        truth.between_robots_and_structure(here), truth.of_one_robot(here), key=lambda item: item.distance_m
+    )
+    assert near.distance_m == pytest.approx(nearest.distance_m, abs=1e-3)

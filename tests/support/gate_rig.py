@@ -1,0 +1,81 @@
+"""The gate with real Robot Servers' cores behind it, and what it says, message by message."""
+
+from __future__ import annotations
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, Supervision
+from deltaq_protocol.messages import Verdict
+from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.sim.core import Sim
+
+CELL = CellModel.load("lab")
+SMALL = (1e-5, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Rig:
+    """Two robots that are always where they were sent, their servers, and the gate."""
+
+    def __init__(self, **start):
+        self.sim = Sim(CELL, epoch=5)
+        self.servers = {name: RobotServer(CELL.description, name) for name in CELL.robots}
+        self.q = {name: robot.home.copy() for name, robot in CELL.robots.items()} | start
+        self.mail = dict.fromkeys(CELL.robots, (None, None))
+        self.time_s = 0.0
+        self.seq = 0
+        self.said = []
+        for _ in range(10):
+            self.cycle()
+
+    def cycle(self, offset=0.0):
+        """One cycle; FR is measured `offset` rad away from where it is."""
+        self.time_s += 0.012
+        self.said = []
+        for name, server in self.servers.items():
+            start = self.q[name] if server.state is None else None
+            q = self.q[name] + (offset if name == "fr" else 0.0)
+            measured = Measurement(round(self.time_s * 1000), q, start)
+            admission, supervision = self.mail[name]
+            self.mail[name] = (None, None)
+            self.q[name] = server.cycle(measured, self.time_s, admission, supervision)
+            self.deliver(self.sim.on_state(server.state))
+
+    def deliver(self, outputs):
+        for output in outputs:
+            self.said.append(output.message)
+            admission, supervision = self.mail.get(output.robot, (None, None))
+            if isinstance(output.message, Admission):
+                self.mail[output.robot] = (output.message, supervision)
+            elif isinstance(output.message, Supervision):
+                self.mail[output.robot] = (admission, output.message)
+
+    def request(self, dq=SMALL, cycle=None, seq=None, lease_epoch=1, robot="fr"):
+        """Ask, and return what the gate said of it."""
+        self.seq = seq if seq is not None else self.seq + 1
+        cycle = self.state.cycle if cycle is None else cycle
+        self.said = []
+        self.deliver(
+            self.sim.on_request(
+                Request(robot=robot, cycle=cycle, lease_epoch=lease_epoch, seq=self.seq, dq=dq)
+            )
+        )
+        return self.verdict()
+
+    def verdict(self):
+        verdicts = [message for message in self.said if isinstance(message, Verdict)]
+        return verdicts[-1] if verdicts else None
+
+    def command(self, **fields):
+        self.said = []
+        self.deliver(self.sim.on_command(Command(id=1, **fields)))
+        return self.reply()
+
+    def reply(self):
+        replies = [message for message in self.said if isinstance(message, CommandReply)]
+        return replies[-1] if replies else None
+
+    def alive(self):
+        self.sim.on_request(Request(robot="fr", cycle=self.state.cycle, lease_epoch=1))
+
+    @property
+    def state(self):
+        return self.servers["fr"].state
