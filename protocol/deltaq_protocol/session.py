@@ -17,6 +17,10 @@ from deltaq_protocol.seal import UNSEALED, Seal
 
 MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session puts together; descriptions with their URDF texts are the largest."""
+MAX_SESSIONS = 64
+"""Peers that one session serves; one more is kept out until another leaves."""
+_ACCEPT_MS = 1000
+"""Those who connect and stay silent are sent away after this: until then they keep others waiting."""
 
 
 def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_connect: bool = False) -> Any:
@@ -42,6 +46,8 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         "scouting/delay": 0,  # nobody is scouted for, so nobody is to be waited for
         "transport/link/tx/lease": 1000,
         "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,
+        "transport/unicast/max_sessions": MAX_SESSIONS,
+        "transport/unicast/accept_timeout": _ACCEPT_MS,
     }
     config = zenoh.Config()
     for key, value in settings.items():
@@ -51,7 +57,8 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
     except zenoh.ZError as error:
         where = ", ".join([*listen, *connect])
         raise ServiceUnreachableError(
-            f"no zenoh session on {where}: {error}; is the cell up (`deltaq up`), and the address right?"
+            f"no zenoh session on {where}: {error}; is the cell up (`deltaq up`), the address right, and fewer than "
+            f"{MAX_SESSIONS} others there?"
         ) from error
 
 

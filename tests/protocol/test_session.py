@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import resource
+import socket
 import subprocess
 import sys
 import threading
@@ -15,7 +17,7 @@ import zenoh
 from small_cell import endpoint
 
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
+from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, open_session, subscribe_newest
 
 
 class Heard:
@@ -131,6 +133,38 @@ def test_of_what_a_slow_reader_missed_only_the_newest_is_kept() -> None:
     finally:
         client.close()
         server.close()
+
+
+def test_one_session_too_many_is_kept_out_until_another_leaves() -> None:
+    here = endpoint()
+    server = open_session(listen=[here])
+    others = [open_session(connect=[here], must_connect=True) for _ in range(MAX_SESSIONS)]
+    try:
+        with pytest.raises(ServiceUnreachableError, match=f"fewer than {MAX_SESSIONS} others there"):
+            open_session(connect=[here], must_connect=True)
+        others.pop().close()
+        others.append(open_session(connect=[here], must_connect=True))
+    finally:
+        for session in (*others, server):
+            session.close()
+
+
+def test_connections_that_stay_silent_keep_a_session_waiting_but_not_out() -> None:
+    here = endpoint()
+    server = open_session(listen=[here])
+    client = open_session(connect=[here], must_connect=True)
+    address = ("127.0.0.1", int(here.rpartition(":")[2]))
+    with contextlib.ExitStack() as silent:
+        try:
+            for _ in range(300):
+                silent.enter_context(socket.create_connection(address))
+            Heard(client, "deltaq/x").until(lambda: server.put("deltaq/x", b"x"))
+            patient = open_session(connect=[here])  # tries until it is let in
+            Heard(patient, "deltaq/x").until(lambda: server.put("deltaq/x", b"x"))
+            patient.close()
+        finally:
+            client.close()
+            server.close()
 
 
 def test_a_subscriber_that_stops_reading_neither_holds_up_the_others_nor_fills_the_memory() -> None:

@@ -16,6 +16,7 @@ from small_cell import small_cell, told, tool_pose
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli import tcp_connection
 from deltaq_services.hli.shell import Hli
 from deltaq_services.hli.tcp_connection import MAX_LINE_BYTES, MAX_UNREAD_BYTES
 from deltaq_services.hli.tcp_front import MAX_CONNECTIONS
@@ -339,6 +340,39 @@ async def test_a_client_that_asks_and_does_not_read_is_disconnected(running: Run
             rude.send_bytes(b'{"type":"describe"}\n' * 100)
             await asyncio.sleep(0.001)
         await running.counted("connections_lost")
+
+
+async def test_a_client_that_is_sent_away_and_does_not_read_why_leaves_its_place_all_the_same(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tcp_connection, "CLOSE_DEADLINE_S", 0.05)
+    async with json_client(running.port) as rude:
+        rude.writer.transport.pause_reading()
+        (connection,) = running.hli._tcp.connections
+        while connection._transport.get_write_buffer_size() < MAX_UNREAD_BYTES // 2:
+            rude.send_bytes(b'{"type":"describe"}\n' * 10)
+            await asyncio.sleep(0)
+        rude.send_bytes(b"nonsense\n" * 100)
+        await running.counted("tcp_given_up")
+        await running.counted("connections_lost")
+        assert not running.hli._tcp.connections
+
+
+async def test_a_flood_of_connections_is_refused_and_keeps_nobody_waiting_who_is_in(running: Running) -> None:
+    async with json_client(running.port) as client:
+        cycle = await running.peer.turn()
+        await leased(client)
+        flood = []
+        for _ in range(10 * MAX_CONNECTIONS):
+            _, writer = await asyncio.open_connection("127.0.0.1", running.port)
+            flood.append(writer)
+        client.send(**increment(1, cycle))
+        assert (await client.receive("verdict"))["outcome"] in ("admitted", "refused")
+        status = running.hli.status().hli
+        assert status["tcp_connections_open"] == MAX_CONNECTIONS
+        assert status["tcp_connections_refused"] == 9 * MAX_CONNECTIONS + 1
+        for writer in flood:
+            writer.close()
 
 
 async def test_one_connection_too_many_is_refused_and_told_so(running: Running) -> None:

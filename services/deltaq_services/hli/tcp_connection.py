@@ -30,6 +30,8 @@ MAX_MALFORMED_IN_A_ROW = 100
 MAX_UNREAD_BYTES = 1024 * 1024
 """Answers that a client has asked for and not read; beyond, the connection ends."""
 HELLO_DEADLINE_S = 10.0
+CLOSE_DEADLINE_S = 2.0
+"""How long a client that is sent away may take to read why."""
 _LINES_A_TURN = 16
 """Lines served before the loop turns to others, so that one flood does not starve the rest."""
 _SEND_BUFFER_BYTES = 64 * 1024
@@ -93,7 +95,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         sock: socket.socket = transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         if not self._front.admit(self):
-            transport.close()
+            self.close()
             return
         self._hello_deadline = self._port.loop.call_later(HELLO_DEADLINE_S, self._hello_is_overdue)
 
@@ -145,8 +147,9 @@ class TcpConnection(asyncio.Protocol, Sender):
             self._transport.write(line)
 
     def close(self) -> None:
-        """Close the connection when everything has been sent."""
+        """Close the connection when everything has been sent, or could have been."""
         self._transport.close()
+        self._port.loop.call_later(CLOSE_DEADLINE_S, self._transport.abort)
 
     # --- in -----------------------------------------------------------------------------------------
 
@@ -220,7 +223,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         outputs = self._port.core.on_hello(hello, self)
         self._port.carry_out(outputs)
         if hello.protocol != PROTOCOL_VERSION:
-            self._transport.close()
+            self.close()
         else:
             self._client = hello
             if self._hello_deadline is not None:
@@ -252,7 +255,7 @@ class TcpConnection(asyncio.Protocol, Sender):
     def _give_up(self, text: str, hint: str) -> None:
         self._front.counters["tcp_given_up"] += 1
         self.deliver(Error(code=ReasonCode.MALFORMED, message=f"{text}; the connection ends", hint=hint))
-        self._transport.close()
+        self.close()
 
     def _hello_is_overdue(self) -> None:
         self._give_up(f"no hello within {HELLO_DEADLINE_S:g} s", "the first line of a client is its hello")

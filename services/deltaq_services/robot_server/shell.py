@@ -21,6 +21,8 @@ from deltaq_services.robot_server.link import Link
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _DATAGRAM_BYTES = 65_536
+_MOST_WAITING = 1024
+"""Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
 _REAL_TIME_PRIORITY = 20
 
 
@@ -123,12 +125,13 @@ def _bound(driver: RsiDescription) -> socket.socket:
 def _newest(sock: socket.socket, server: RobotServer) -> tuple[bytes, tuple[str, int]]:
     """The newest of the datagrams that have arrived; older ones are past their time and are counted."""
     newest: tuple[bytes, tuple[str, int]] = sock.recvfrom(_DATAGRAM_BYTES)
-    while True:
+    for _ in range(_MOST_WAITING):
         try:
             newest = sock.recvfrom(_DATAGRAM_BYTES)
         except BlockingIOError:
-            return newest
+            break
         server.counters["telegrams_skipped"] += 1
+    return newest
 
 
 def _read(rsi: RsiDriver, datagram: bytes, server: RobotServer) -> Measurement | None:
