@@ -1,6 +1,7 @@
 """All that the SIM's core says, field by field, and to whom."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -171,6 +172,30 @@ def test_a_request_that_is_held_gets_a_receipt_and_no_admission():
     assert held.receipt == rig.sim.memory().receipt == receipt_of(before, held)
     assert (rig.sim.counters["held"], rig.sim.counters["reason_retreat"]) == (1, 1)
     assert rig.sim.memory().sequence == 0
+
+
+class Otherwise:
+    """A gate whose decisions are those of another in all but a few fields."""
+
+    def __init__(self, gate, **changes):
+        self.gate, self.changes = gate, changes
+
+    def decide(self, robot, others, request):
+        return replace(self.gate.decide(robot, others, request), **self.changes)
+
+
+def test_of_several_reasons_the_first_is_counted(rig):
+    reasons = (Reason(code=ReasonCode.RETREAT), Reason(code=ReasonCode.CLEARANCE))
+    rig.sim.gate = Otherwise(rig.sim.gate, reasons=reasons)
+    assert rig.sim.on_request(ask(rig))[-1].message.reasons == reasons
+    assert (rig.sim.counters["reason_retreat"], rig.sim.counters["reason_clearance"]) == (1, 0)
+
+
+def test_where_there_are_no_two_bodies_no_clearance_is_told(rig):
+    rig.sim.gate = Otherwise(rig.sim.gate, binding=None)
+    verdict = rig.sim.on_request(ask(rig))[-1].message
+    assert verdict.outcome is Outcome.ADMITTED
+    assert (verdict.clearance_m, verdict.pair) == (None, None)
 
 
 def test_refusals_are_links_of_one_chain_and_each_is_counted(rig):

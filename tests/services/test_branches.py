@@ -1,0 +1,63 @@
+"""The courses a robot may take, setpoint by setpoint, and the tube around one."""
+
+import numpy as np
+import pytest
+
+from deltaq_services.sim.tube import Branch, tube
+
+HERE = np.array([1.0, 2.0])
+DQ = np.array([0.4, -0.8])
+LAG = 3
+
+
+def rising(count):
+    """The last setpoints of a robot that came along a diagonal."""
+    return np.array([HERE - 0.1 * k for k in reversed(range(count))])
+
+
+@pytest.mark.parametrize(
+    ("step", "shares"),
+    [(-1, [1.0, 1.75, 2.25, 2.5]), (0, [0.75, 1.25, 1.5]), (1, [0.5, 0.75]), (2, [0.25]), (3, []), (9, [])],
+)
+def test_a_branch_goes_on_with_what_was_not_sent_yet(step, shares):
+    setpoints = Branch(DQ, 4, step).setpoints(HERE)
+    assert setpoints.shape == (len(shares), 2)
+    np.testing.assert_allclose(setpoints, [HERE + share * DQ for share in shares] if shares else setpoints)
+
+
+@pytest.mark.parametrize("step", range(-1, 6))
+def test_a_branch_ends_at_its_last_setpoint(step):
+    branch = Branch(DQ, 4, step)
+    np.testing.assert_allclose(branch.end(HERE), [HERE, *branch.setpoints(HERE)][-1], atol=1e-12)
+
+
+def test_a_branch_without_motion_has_no_setpoints_to_come():
+    assert Branch(np.zeros(2), 4, -1).setpoints(HERE).shape == (0, 2)
+    assert len(Branch(np.array([0.0, 0.1]), 4, -1).setpoints(HERE)) == 4
+
+
+def test_a_tube_holds_the_last_setpoints_and_those_to_come():
+    piece = tube(rising(3), Branch(DQ, 2, -1), LAG)
+    np.testing.assert_allclose(piece.points, [*rising(3), HERE + DQ, HERE + 1.5 * DQ])
+    assert piece.lag == LAG
+
+
+def test_a_tube_reaches_from_the_present_window_to_the_one_in_which_the_drives_have_settled():
+    piece = tube(rising(3), Branch(DQ, 2, -1), LAG)
+    assert (piece.first, piece.last) == (2, 4 + LAG)
+
+
+def test_where_the_robot_is_comes_first_in_a_tube_that_its_setpoints_do_not_explain():
+    measured = np.array([5.0, 5.0])
+    piece = tube(rising(3), Branch(DQ, 2, -1), LAG, measured)
+    np.testing.assert_allclose(piece.points[:2], [measured, rising(3)[0]])
+    assert (piece.first, piece.last) == (3, 5 + LAG)
+
+
+def test_drives_that_still_settle_have_windows_to_come_and_a_robot_at_rest_has_one():
+    settling = tube(rising(3), Branch(np.zeros(2), 1, 0), LAG)
+    assert (settling.first, settling.last) == (2, 2 + LAG)
+    one_joint = tube(np.array([[1.0, 1.9], [1.0, 2.0]]), Branch(np.zeros(2), 1, 0), LAG)
+    assert (one_joint.first, one_joint.last) == (1, 1 + LAG)
+    at_rest = tube(np.tile(HERE, (3, 1)), Branch(np.zeros(2), 1, 0), LAG)
+    assert (at_rest.first, at_rest.last) == (2, 2)

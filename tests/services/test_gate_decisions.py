@@ -1,0 +1,211 @@
+"""One decision of the gate at a time: how much of a request is admitted, and what it says of the rest."""
+
+import numpy as np
+import pytest
+from gate_rig import CELL
+from small_cell import server_state
+
+from deltaq_cell.proximity import Proximity
+from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_protocol.guarded import Admission, Plan
+from deltaq_protocol.messages import Outcome
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.certificate import Certificate, Certifier
+from deltaq_services.sim.gate import Gate, _largest
+from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import Branch
+
+LAG = 6
+STOP_M = CELL.description.gate.stop_distance_m
+PROXIMITY = Proximity(CELL)
+ORACLE = ClearanceOracle(CELL)
+LIMITS = {name: Limits.of(robot, CELL.description.cycle_s) for name, robot in CELL.description.robots.items()}
+HOME = {name: robot.home for name, robot in CELL.robots.items()}
+FR_BESIDE_GR = np.array((-0.874, -0.806, 0.250, -1.742, 0.600, 2.117))
+GR_BESIDE_FR = np.array((0.860, 1.820, -0.602, 0.577, -1.549, -0.785, 0.551, 0.490, 1.334))
+
+
+def at_rest(name, q):
+    """A tracker of a robot that has stood at `q` for as long as its drives lag."""
+    tracker = Tracker(name, CELL.description.robots[name], LAG)
+    here = tuple(q.tolist())
+    still = Plan(dq=(0.0,) * q.size, brake_cycles=1, step=1)
+    for cycle in range(1, LAG + 1):
+        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=still.dq, plan=still))
+    return tracker
+
+
+def in_motion(name, q, dq):
+    """A tracker of a robot that has come to `q` at a constant `dq` and was admitted it last."""
+    tracker = Tracker(name, CELL.description.robots[name], LAG)
+    sent = tuple(dq.tolist())
+    plan = Plan(dq=sent, brake_cycles=LIMITS[name].brake_cycles(dq), step=0)
+    for cycle in range(1, LAG + 1):
+        here = tuple((q - (LAG - cycle) * dq).tolist())
+        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=sent, plan=plan))
+    return tracker
+
+
+def decide(robot, request, others=()):
+    return Gate(PROXIMITY, LIMITS, CELL.description.gate).decide(robot, list(others), request)
+
+
+def one_joint(name, joint, increment):
+    request = np.zeros(HOME[name].size)
+    request[joint] = increment
+    return request
+
+
+def with_room(room_m, moved, here, joint):
+    """Where robot `moved` keeps the stop distance with `room_m` to spare; its `joint` leads nearer as it grows."""
+    far, near = -0.3, 0.3
+    for _ in range(40):
+        middle = (far + near) / 2
+        there = here | {moved: here[moved] + one_joint(moved, joint, middle)}
+        if ORACLE.between_robots_and_structure(there).distance_m > STOP_M + room_m:
+            far = middle
+        else:
+            near = middle
+    return here[moved] + one_joint(moved, joint, far)
+
+
+def above_the_floor(room_m):
+    low = HOME | {"fr": HOME["fr"] + one_joint("fr", 1, np.deg2rad(21.0) - HOME["fr"][1])}
+    return with_room(room_m, "fr", low, 1)
+
+
+def test_a_request_that_nothing_binds_is_admitted_as_it_is():
+    request = 0.5 * LIMITS["fr"].max_dv
+    decision = decide(at_rest("fr", HOME["fr"]), request, [at_rest("gr", HOME["gr"])])
+    assert (decision.outcome, decision.scale, decision.brake_cycles) == (Outcome.ADMITTED, 1.0, 1)
+    assert decision.reasons == ()
+    np.testing.assert_array_equal(decision.dq, request)
+    assert decision.binding.room_m > 0
+
+
+def test_what_is_admitted_in_part_lies_between_brake_and_request_and_names_its_own_brake():
+    dq = 3 * one_joint("fr", 0, LIMITS["fr"].max_dv[0])
+    robot = in_motion("fr", HOME["fr"], dq)
+    decision = decide(robot, 3 * dq)
+    np.testing.assert_allclose(decision.dq, 4 / 3 * dq)  # one step of acceleration more
+    brake = robot.brake()
+    np.testing.assert_allclose(decision.dq, brake + decision.scale * (3 * dq - brake))
+    assert decision.outcome is Outcome.SCALED
+    assert decision.brake_cycles == 4
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.ACCELERATION_LIMIT]
+
+
+def test_the_tighter_of_two_limits_is_told():
+    q = HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 1e-3)
+    decision = decide(at_rest("fr", q), one_joint("fr", 5, 2 * LIMITS["fr"].max_dv[5]))
+    assert decision.outcome is Outcome.SCALED
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.POSITION_LIMIT]
+
+
+def test_a_request_of_which_next_to_nothing_is_left_is_held_and_the_brake_goes_on():
+    q = HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 1e-6)
+    decision = decide(at_rest("fr", q), one_joint("fr", 5, LIMITS["fr"].max_dv[5]))
+    assert (decision.outcome, decision.scale, decision.brake_cycles) == (Outcome.HELD, 0.0, 1)
+    np.testing.assert_array_equal(decision.dq, np.zeros(6))
+    assert decision.reasons[0].code is ReasonCode.POSITION_LIMIT
+
+
+def test_a_request_held_in_motion_names_the_brake_that_is_left():
+    step = LIMITS["fr"].max_dv[5]
+    dq = one_joint("fr", 5, 4 * step)
+    # its brake ends on the limit
+    robot = in_motion(
+        "fr", HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 6 * step), dq
+    )
+    decision = decide(robot, 2 * dq)
+    assert decision.outcome is Outcome.HELD
+    np.testing.assert_allclose(decision.dq, 0.75 * dq)
+    assert decision.brake_cycles == 3
+
+
+def test_near_a_body_about_as_much_is_admitted_as_the_stop_distance_leaves():
+    room_m, request = 2e-4, one_joint("fr", 1, LIMITS["fr"].max_dv[1])
+    q = above_the_floor(room_m)
+    decision = decide(at_rest("fr", q), request, [at_rest("gr", HOME["gr"])])
+    assert decision.outcome is Outcome.SCALED
+    np.testing.assert_array_equal(decision.dq, decision.scale * request)
+    assert decision.brake_cycles == 1
+    (reason,) = decision.reasons
+    assert (reason.code, reason.what) == (ReasonCode.CLEARANCE, "fr/link_3 structure/floor")
+    assert reason.value < reason.bound == STOP_M
+    assert decision.binding.nearest.pair == ("fr/link_3", "structure/floor")
+
+    def distance_m(scale):
+        return ORACLE.between_robots_and_structure(HOME | {"fr": q + scale * request}).distance_m
+
+    assert distance_m(decision.scale) >= STOP_M
+    assert distance_m(decision.scale + 0.1) < STOP_M  # and the gate is not timid
+
+
+def test_at_the_stop_distance_a_request_that_leads_nearer_is_held_for_clearance():
+    q = above_the_floor(2e-5)
+    decision = decide(at_rest("fr", q), one_joint("fr", 1, LIMITS["fr"].max_dv[1]))
+    assert decision.outcome is Outcome.HELD
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.CLEARANCE]
+
+
+def test_from_within_the_stop_distance_slow_motion_outwards_is_admitted_and_told_as_retreat():
+    q = above_the_floor(-2e-3)
+    robot = at_rest("fr", q)
+    out = decide(robot, one_joint("fr", 1, -LIMITS["fr"].max_dv[1]))
+    assert out.outcome is Outcome.ADMITTED
+    slow = CELL.description.gate.retreat_speed * LIMITS["fr"].max_dq[1]
+    moving = in_motion("fr", q, one_joint("fr", 1, -0.9 * slow))
+    decision = decide(moving, one_joint("fr", 1, -1.1 * slow))
+    assert decision.outcome is Outcome.SCALED
+    assert decision.dq[1] == pytest.approx(-slow)
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.RETREAT]
+    further_in = decide(robot, one_joint("fr", 1, 1e-4))
+    assert further_in.outcome is Outcome.HELD
+    assert [reason.code for reason in further_in.reasons] == [ReasonCode.RETREAT]
+
+
+def test_the_other_robot_is_kept_clear_of():
+    gr = with_room(1e-3, "gr", {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}, 4)
+    toward = in_motion("gr", gr, one_joint("gr", 4, 5e-4))
+    request = one_joint("gr", 4, 1.1e-3)
+    assert decide(toward, request).outcome is Outcome.ADMITTED
+    decision = decide(toward, request, [at_rest("fr", FR_BESIDE_GR)])
+    assert decision.outcome is not Outcome.ADMITTED
+    assert decision.reasons[0].code is ReasonCode.CLEARANCE
+    assert {part.split("/")[0] for part in decision.reasons[0].what.split()} == {"fr", "gr"}
+
+
+def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
+    gr = at_rest("gr", with_room(2e-3, "gr", {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}, 4))
+    robot = at_rest("fr", FR_BESIDE_GR)
+    turns = [one_joint("fr", 0, 1e-4), one_joint("fr", 0, -1e-4)]
+    assert [decide(robot, turn, [gr]).outcome for turn in turns] == [Outcome.ADMITTED] * 2
+    gr.in_flight = Admission(
+        robot="gr",
+        epoch=1,
+        sequence=2,
+        cycle=LAG,
+        follows_sequence=1,
+        follows_q_cmd=gr.state.q_cmd,
+        follows_dq=gr.state.dq,
+        dq=tuple(one_joint("gr", 4, 0.01).tolist()),
+        brake_cycles=5,
+    )
+    assert Outcome.HELD in [decide(robot, turn, [gr]).outcome for turn in turns]  # the one that leads nearer
+
+
+@pytest.mark.parametrize("greatest", [0.0, 0.03, 0.3, 0.49, 0.79])
+def test_the_greatest_certified_share_is_found_to_a_thirty_second(greatest):
+    refused = 0.8
+    found = _largest(lambda s: Certificate(s <= greatest, None), refused)
+    assert greatest - refused / 32 <= found <= greatest
+
+
+def test_what_is_admitted_for_clearance_is_what_the_certifier_certifies():
+    q = above_the_floor(3e-4)
+    robot, request = at_rest("fr", q), one_joint("fr", 1, LIMITS["fr"].max_dv[1])
+    decision = decide(robot, request)
+    tube = robot.tube(Branch(decision.dq, decision.brake_cycles, -1))
+    assert Certifier(PROXIMITY).certify("fr", tube, []).holds
