@@ -255,8 +255,12 @@ class QpFollower:
         return near.own, (change + near.own @ travel) / reach
 
     def _evasion(self, q: Array) -> Array:
-        """(n,) W^-1 F_rep of (12), off the other robots and the floor, where the robot stands [rad/s or m/s]."""
-        expected = self._expected()
+        """(n,) W^-1 F_rep of (12), off the floor and where the other robots will be [rad/s or m/s].
+
+        Where they go on to within `reaction_s`: the barriers keep that free, and who begins to slide aside only
+        there has the gate hold him.
+        """
+        expected = self._expected(self._scene.latency_s + self.gains.reaction_s)
         obstacles = np.concatenate([self._bodies[name].at(joints) for name, joints in expected.items()])
         radii = np.concatenate([self._bodies[name].radii for name in expected])
         self._repulsion.approach(self._camera, obstacles, radii)
@@ -268,15 +272,11 @@ class QpFollower:
         return closing * (self.gains.reaction_s + closing / (2.0 * self.gains.others_brake_m_s2))
 
     def _near(self, q: Array) -> Near:
-        return self._neighbours.near(self._joined(q, self._expected()), self._ranges)
+        return self._neighbours.near(self._joined(q, self._expected(self._scene.latency_s)), self._ranges)
 
-    def _expected(self) -> dict[str, Array]:
-        """(m,) joints of each robot that was heard of, when the increment arrives [rad or m]."""
-        return {
-            name: tracker.ahead(self._scene.latency_s)
-            for name, tracker in self._others.items()
-            if tracker.started
-        }
+    def _expected(self, ahead_s: float) -> dict[str, Array]:
+        """(m,) joints of each robot that was heard of, a time after it was measured [rad or m]."""
+        return {name: tracker.ahead(ahead_s) for name, tracker in self._others.items() if tracker.started}
 
     def _joined(self, q: Array, others: dict[str, Array]) -> Array:
         """(m,) joints of all robots of the cell; at home who has not been heard of."""
