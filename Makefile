@@ -10,8 +10,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 DEMO_S ?= 60
-# how many mutants are judged at a time
+# how many mutants are judged at a time, and of which modules; of all if none is given
 JOBS ?= 1
+MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
@@ -52,7 +53,7 @@ nightly: $(INSTALLED) ## the long proofs
 	$(BIN)/pytest -m nightly
 
 mutation: $(INSTALLED) ## change gate and guards in small ways, and see each change fail a test; takes a while
-	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS)
+	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)
 
 docs: $(INSTALLED) ## write docs/reference and deploy/compose.yaml anew from the code
 	$(BIN)/python -m deltaq_deploy.reference

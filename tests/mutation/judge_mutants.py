@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from mutmut.utils.format_utils import orig_function_and_class_names_from_key
 ROOT = Path(__file__).parents[2]
 STAGE = ROOT / "build" / "mutation"
 PACKAGES = {package.name: package.parent for package in ROOT.glob("*/deltaq_*")}
+MUTMUT = Path(sys.executable).with_name("mutmut")
 KILLED = ("killed", "timeout")
 
 
@@ -51,8 +53,9 @@ def stage() -> None:
 
 def mutmut(*arguments: str) -> str:
     """What one of mutmut's verbs prints."""
-    command = [sys.executable, "-m", "mutmut", *arguments]
-    return subprocess.run(command, cwd=STAGE, check=True, stdout=subprocess.PIPE, text=True).stdout
+    return subprocess.run(
+        [MUTMUT, *arguments], cwd=STAGE, check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
 
 
 def verdicts() -> dict[str, str]:
@@ -73,9 +76,9 @@ def survivor(name: str) -> Mutant:
     return Mutant(source_file(name), f"{owner}.{function}" if owner else function, _bare(signed))
 
 
-def explained() -> set[Mutant]:
-    """The mutants of every `mutants.md`."""
-    found: set[Mutant] = set()
+def explained() -> Counter[Mutant]:
+    """The mutants of every `mutants.md`; one that stands there twice is two alike."""
+    found: Counter[Mutant] = Counter()
     for package, source_root in PACKAGES.items():
         for document in (source_root / package).rglob("mutants.md"):
             folder = document.parent.relative_to(source_root).as_posix()
@@ -87,7 +90,7 @@ def explained() -> set[Mutant]:
                     raise ValueError(f"{document}: a heading names `function` in `file`, got {heading!r}")
                 for block in re.findall(r"^```diff\n(.*?)^```", body, re.MULTILINE | re.DOTALL):
                     for change in re.findall(r"(?:^-.*\n)*(?:^\+.*\n)+|(?:^-.*\n)+", block, re.MULTILINE):
-                        found.add(Mutant(f"{folder}/{named[2]}", named[1], _bare(change.splitlines())))
+                        found[Mutant(f"{folder}/{named[2]}", named[1], _bare(change.splitlines()))] += 1
     return found
 
 
@@ -95,25 +98,30 @@ def _bare(signed: list[str]) -> tuple[str, ...]:
     return tuple(line[0] + line[1:].strip() for line in signed)
 
 
-def main(workers: str) -> int:
-    """Make, judge and compare; returns the exit status."""
+def main(jobs: int, modules: Sequence[str]) -> int:
+    """Make mutants of some modules, or of all, judge them and compare; returns the exit status."""
     stage()
-    subprocess.run([sys.executable, "-m", "mutmut", "run", "--max-children", workers], cwd=STAGE, check=True)
-    judged = verdicts()
-    survivors = {survivor(name) for name, verdict in judged.items() if verdict not in KILLED}
-    excused = explained()
-    made = Counter(source_file(name) for name in judged)
-    alive = Counter(source_file(name) for name, verdict in judged.items() if verdict not in KILLED)
-    print(f"\n{'file':50}{'made':>8}{'killed':>8}{'survive':>8}")
-    for file in sorted(made):
-        print(f"{file:50}{made[file]:8}{made[file] - alive[file]:8}{alive[file]:8}")
-    print(f"{'':50}{made.total():8}{made.total() - alive.total():8}{alive.total():8}\n")
+    patterns = [f"{module}.x*" for module in modules]
+    subprocess.run([MUTMUT, "run", "--max-children", str(jobs), *patterns], cwd=STAGE, check=True)
+    judged = {name: verdict for name, verdict in verdicts().items() if verdict != "not checked"}
+    files = sorted({source_file(name) for name in judged})
+    survivors = Counter(survivor(name) for name, verdict in judged.items() if verdict not in KILLED)
+    excused = Counter({mutant: count for mutant, count in explained().items() if mutant.file in files})
+    print(f"\n{'file':42}{'mutants':>10}{'killed':>10}{'timed out':>10}{'alive':>10}")
+    for file in [*files, ""]:
+        counts = Counter(
+            verdict if verdict in KILLED else "alive"
+            for name, verdict in judged.items()
+            if source_file(name).startswith(file)
+        )
+        columns = (counts.total(), counts["killed"], counts["timeout"], counts["alive"])
+        print(f"{file or 'all':42}" + "".join(f"{count:10}" for count in columns))
     for mutant in sorted(survivors - excused):
-        print(f"survives and is not explained: {mutant}\n")
+        print(f"\nsurvives and is not explained: {mutant}")
     for mutant in sorted(excused - survivors):
-        print(f"is explained and does not survive: {mutant}\n")
+        print(f"\nis explained and does not survive: {mutant}")
     return int(survivors != excused)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(int(sys.argv[1]), sys.argv[2:]))

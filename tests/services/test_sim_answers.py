@@ -268,6 +268,12 @@ def test_a_stop_refuses_the_request_that_waits_and_that_one_only(rig):
     ]
 
 
+def test_from_the_moment_of_a_stop_nothing_is_admitted(rig):
+    rig.sim.on_command(Command(id=8, kind="stop", robot="fr"))
+    assert rig.state.phase is Phase.READY  # it has not heard of it yet
+    assert rig.sim.on_request(ask(rig))[-1].message.reasons == (Reason(code=ReasonCode.STOPPED),)
+
+
 def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
     rig.sim.on_command(Command(id=8, kind="stop"))
     replies = [output.message for output in rig.sim.on_command(Command(id=9, kind="reset"))]
