@@ -157,7 +157,6 @@ def test_a_connection_that_was_cut_leaves_neither_a_queue_nor_a_lease(stack):
         with pytest.raises(OSError, match=r"reset|Broken pipe"):
             client.ask_for_ever(last)
     stack.live.wait_for_reason("controller_lost")
-    stack.live.wait_cycles(TWO_SECONDS)
     rest, admitted = stack.made_ready(), stack.admitted()
     stack.lines.impair(WHOLE)
     with lines(stack.lines_port) as again:

@@ -1,10 +1,18 @@
 """The key of the guarded realm: when it is needed, and what is no key."""
 
+import asyncio
+from collections import Counter
+from types import SimpleNamespace
+
 import pytest
 from small_cell import small_cell
 
+from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.seal import UNSEALED, KeyedSeal
 from deltaq_services.guarded_key import KEY_FILE, GuardedKeyError, guarded_seal, off_loopback, write_new_key
+from deltaq_services.hli.guarded_front import GuardedFront
+from deltaq_services.robot_server.link import Link as RobotServerLink
+from deltaq_services.sim.shell import Shell as GateShell
 
 OUTSIDE = {"sim": "tcp/192.168.7.1:7450"}
 
@@ -32,6 +40,21 @@ def test_a_robot_server_off_the_loopback_needs_the_key_too():
     fr = cell.robots["fr"].model_copy(update={"server": "tcp/robots.example:7451"})
     cell = cell.model_copy(update={"robots": cell.robots | {"fr": fr}})
     assert off_loopback(cell) == "robots.fr.server (tcp/robots.example:7451)"
+
+
+async def test_no_service_starts_without_the_key_that_it_needs(tmp_path, monkeypatch):
+    monkeypatch.delenv(KEY_FILE, raising=False)
+    file = tmp_path / "plant.yaml"
+    file.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
+    model = CellModel.load(file)
+    cell, port = model.description, SimpleNamespace(loop=asyncio.get_running_loop())
+    for start in (
+        lambda: RobotServerLink(cell, "fr", Counter()),
+        lambda: GateShell(model),
+        lambda: GuardedFront(cell, port),
+    ):
+        with pytest.raises(GuardedKeyError, match="names no key"):
+            start()
 
 
 @pytest.mark.parametrize("text", ["", "secret", "ab" * 31, "ab" * 33, "é" * 64, "0x" + "ab" * 31])
