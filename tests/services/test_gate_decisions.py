@@ -2,77 +2,33 @@
 
 import numpy as np
 import pytest
-from gate_rig import CELL
-from small_cell import server_state
+from gate_bench import (
+    CELL,
+    FR_BESIDE_GR,
+    GR_BESIDE_FR,
+    HOME,
+    LAG,
+    LIMITS,
+    ORACLE,
+    PROXIMITY,
+    STOP_M,
+    above_the_floor,
+    at_rest,
+    in_motion,
+    one_joint,
+    with_room,
+)
 
-from deltaq_cell.proximity import Proximity
-from deltaq_experiments.oracle import ClearanceOracle
-from deltaq_protocol.guarded import Admission, Plan
+from deltaq_protocol.guarded import Admission
 from deltaq_protocol.messages import Outcome
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Certificate, Certifier
 from deltaq_services.sim.gate import Gate, _largest
-from deltaq_services.sim.limits import Limits
-from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch
-
-LAG = 6
-STOP_M = CELL.description.gate.stop_distance_m
-PROXIMITY = Proximity(CELL)
-ORACLE = ClearanceOracle(CELL)
-LIMITS = {name: Limits.of(robot, CELL.description.cycle_s) for name, robot in CELL.description.robots.items()}
-HOME = {name: robot.home for name, robot in CELL.robots.items()}
-FR_BESIDE_GR = np.array((-0.874, -0.806, 0.250, -1.742, 0.600, 2.117))
-GR_BESIDE_FR = np.array((0.860, 1.820, -0.602, 0.577, -1.549, -0.785, 0.551, 0.490, 1.334))
-
-
-def at_rest(name, q):
-    """A tracker of a robot that has stood at `q` for as long as its drives lag."""
-    tracker = Tracker(name, CELL.description.robots[name], LAG)
-    here = tuple(q.tolist())
-    still = Plan(dq=(0.0,) * q.size, brake_cycles=1, step=1)
-    for cycle in range(1, LAG + 1):
-        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=still.dq, plan=still))
-    return tracker
-
-
-def in_motion(name, q, dq):
-    """A tracker of a robot that has come to `q` at a constant `dq` and was admitted it last."""
-    tracker = Tracker(name, CELL.description.robots[name], LAG)
-    sent = tuple(dq.tolist())
-    plan = Plan(dq=sent, brake_cycles=LIMITS[name].brake_cycles(dq), step=0)
-    for cycle in range(1, LAG + 1):
-        here = tuple((q - (LAG - cycle) * dq).tolist())
-        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=sent, plan=plan))
-    return tracker
 
 
 def decide(robot, request, others=()):
     return Gate(PROXIMITY, LIMITS, CELL.description.gate).decide(robot, list(others), request)
-
-
-def one_joint(name, joint, increment):
-    request = np.zeros(HOME[name].size)
-    request[joint] = increment
-    return request
-
-
-def with_room(room_m, moved, here, joint):
-    """Where robot `moved` keeps the stop distance with `room_m` to spare; its `joint` leads nearer as it grows."""
-    far, near = -0.3, 0.3
-    for _ in range(40):
-        middle = (far + near) / 2
-        there = here | {moved: here[moved] + one_joint(moved, joint, middle)}
-        if ORACLE.between_robots_and_structure(there).distance_m > STOP_M + room_m:
-            far = middle
-        else:
-            near = middle
-    return here[moved] + one_joint(moved, joint, far)
-
-
-def above_the_floor(room_m):
-    low = HOME | {"fr": HOME["fr"] + one_joint("fr", 1, np.deg2rad(21.0) - HOME["fr"][1])}
-    return with_room(room_m, "fr", low, 1)
 
 
 def test_a_request_that_nothing_binds_is_admitted_as_it_is():
@@ -148,6 +104,7 @@ def test_at_the_stop_distance_a_request_that_leads_nearer_is_held_for_clearance(
     decision = decide(at_rest("fr", q), one_joint("fr", 1, LIMITS["fr"].max_dv[1]))
     assert decision.outcome is Outcome.HELD
     assert [reason.code for reason in decision.reasons] == [ReasonCode.CLEARANCE]
+    assert decision.binding.nearest.pair == ("fr/link_3", "structure/floor")
 
 
 def test_from_within_the_stop_distance_slow_motion_outwards_is_admitted_and_told_as_retreat():
@@ -203,9 +160,24 @@ def test_the_greatest_certified_share_is_found_to_a_thirty_second(greatest):
     assert greatest - refused / 32 <= found <= greatest
 
 
-def test_what_is_admitted_for_clearance_is_what_the_certifier_certifies():
-    q = above_the_floor(3e-4)
-    robot, request = at_rest("fr", q), one_joint("fr", 1, LIMITS["fr"].max_dv[1])
+def test_what_is_admitted_for_clearance_is_certified_and_hardly_more_would_be():
+    dq = one_joint("fr", 1, 3 * LIMITS["fr"].max_dv[1])
+    robot, request = in_motion("fr", above_the_floor(2.2e-3), dq), 4 / 3 * dq
     decision = decide(robot, request)
-    tube = robot.tube(Branch(decision.dq, decision.brake_cycles, -1))
-    assert Certifier(PROXIMITY).certify("fr", tube, []).holds
+    assert decision.outcome is Outcome.SCALED
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.CLEARANCE]
+    brake = robot.brake()
+
+    def certified(scale):
+        dq = brake + scale * (request - brake)
+        tube = robot.tube(Branch(dq, LIMITS["fr"].brake_cycles(dq), -1))
+        return Certifier(PROXIMITY).certify("fr", tube, []).holds
+
+    assert certified(decision.scale)
+    assert not certified(decision.scale + 2.1 / 32)
+
+
+def test_at_the_stop_distance_motion_that_leads_no_nearer_is_let_go():
+    robot = at_rest("fr", above_the_floor(2e-5))
+    request = one_joint("fr", 0, LIMITS["fr"].max_dv[0])  # about the vertical
+    assert decide(robot, request).outcome is Outcome.ADMITTED

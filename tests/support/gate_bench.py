@@ -1,0 +1,69 @@
+"""Robots of the lab cell where a test wants them, at rest or in motion, near something or not."""
+
+from __future__ import annotations
+
+import numpy as np
+from gate_rig import CELL
+from small_cell import server_state
+
+from deltaq_cell.proximity import Proximity
+from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_protocol.guarded import Plan
+from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.tracker import Tracker
+
+LAG = 6
+STOP_M = CELL.description.gate.stop_distance_m
+PROXIMITY = Proximity(CELL)
+ORACLE = ClearanceOracle(CELL)
+LIMITS = {name: Limits.of(robot, CELL.description.cycle_s) for name, robot in CELL.description.robots.items()}
+HOME = {name: robot.home for name, robot in CELL.robots.items()}
+FR_BESIDE_GR = np.array((-0.874, -0.806, 0.250, -1.742, 0.600, 2.117))
+GR_BESIDE_FR = np.array((0.860, 1.820, -0.602, 0.577, -1.549, -0.785, 0.551, 0.490, 1.334))
+GR_ABOVE_FR = np.array((0.5501, 2.5284, -0.549, 2.2375, -1.0142, 0.8645, 1.4247, 0.2502, 1.747))
+"""A little more than the stop distance above FR's lens, where FR stands low over the floor."""
+
+
+def at_rest(name, q):
+    """A tracker of a robot that has stood at `q` for as long as its drives lag."""
+    tracker = Tracker(name, CELL.description.robots[name], LAG)
+    here = tuple(q.tolist())
+    still = Plan(dq=(0.0,) * q.size, brake_cycles=1, step=1)
+    for cycle in range(1, LAG + 1):
+        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=still.dq, plan=still))
+    return tracker
+
+
+def in_motion(name, q, dq):
+    """A tracker of a robot that has come to `q` at a constant `dq` and was admitted it last."""
+    tracker = Tracker(name, CELL.description.robots[name], LAG)
+    sent = tuple(dq.tolist())
+    plan = Plan(dq=sent, brake_cycles=LIMITS[name].brake_cycles(dq), step=0)
+    for cycle in range(1, LAG + 1):
+        here = tuple((q - (LAG - cycle) * dq).tolist())
+        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=sent, plan=plan))
+    return tracker
+
+
+def one_joint(name, joint, increment):
+    request = np.zeros(HOME[name].size)
+    request[joint] = increment
+    return request
+
+
+def with_room(room_m, moved, here, joint):
+    """Where robot `moved` keeps the stop distance with `room_m` to spare; its `joint` leads nearer as it grows."""
+    far, near = -0.3, 0.3
+    for _ in range(40):
+        middle = (far + near) / 2
+        there = here | {moved: here[moved] + one_joint(moved, joint, middle)}
+        if ORACLE.between_robots_and_structure(there).distance_m > STOP_M + room_m:
+            far = middle
+        else:
+            near = middle
+    return here[moved] + one_joint(moved, joint, far)
+
+
+def above_the_floor(room_m):
+    low = HOME | {"fr": HOME["fr"] + one_joint("fr", 1, np.deg2rad(21.0) - HOME["fr"][1])}
+    return with_room(room_m, "fr", low, 1)
