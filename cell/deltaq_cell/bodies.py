@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.extents import Extents
 from deltaq_cell.joined import Place
 from deltaq_cell.robot import RobotModel
 
@@ -14,11 +15,12 @@ Array = NDArray[np.float64]
 
 
 class Bodies:
-    """The bodies of one robot, their corners, and which joints move them.
+    """The bodies of one robot, their extents, and which joints move them.
 
     Attributes:
         objects: pinocchio geometry objects in the joined model.
         moved_by: (bodies, n) which joints move which body.
+        extents: of the bodies, in the frames of their joints.
         links: indices of the bodies of each link, from the base outwards.
         radii: (bodies,) of the balls around the bodies [m].
     """
@@ -34,14 +36,28 @@ class Bodies:
         self.links = [np.flatnonzero(np.array(parents) == joint).tolist() for joint in sorted(set(parents))]
         self._joints = range(place.first_joint, place.first_joint + robot.n + 1)
         self._parents = np.array([item.parentJoint for item in items])
-        corners = np.stack([corners_of(item) for item in self.objects])
-        self.radii = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-        self._corners = np.concatenate([corners, np.ones_like(corners[..., :1])], axis=2).transpose(0, 2, 1)
+        self.extents = Extents(self.objects)
+        self._width = self.extents.disc + self.extents.ball
+        corners = self.extents.corners
+        self._middles = (corners.max(axis=1) + corners.min(axis=1)) / 2
+        reach = np.linalg.norm(corners - self._middles[:, None], axis=2).max(axis=1)
+        # a disc lies across its axis, on which the middle is
+        self.radii = np.hypot(reach, self.extents.disc) + self.extents.ball
 
-    def centres(self, placements: Any) -> Array:
-        """(bodies, 3) centres of the boxes around the bodies, in the world [m]."""
-        middles: Array = self._in_world(placements)[:3].mean(axis=2).T
-        return middles
+    def placed(self, placements: Any) -> tuple[Array, Array, Array]:
+        """Corners (bodies, k, 3) [m], axes (bodies, 3) and centres (bodies, 3) of the bodies in the world [m].
+
+        Args:
+            placements: pinocchio's placements of all joints in the world.
+        """
+        T_world_joint = np.array([placements[joint].homogeneous for joint in self._joints])
+        T_world_joint[0] = np.eye(4)  # bodies that no joint moves are given in the world
+        T_world_body = T_world_joint[self._parents]
+        rotation, translation = T_world_body[:, :3, :3], T_world_body[:, :3, 3]
+        corners = self.extents.corners @ rotation.transpose(0, 2, 1) + translation[:, None]
+        axes = np.einsum("bij,bj->bi", rotation, self.extents.axis)
+        centres = np.einsum("bij,bj->bi", rotation, self._middles) + translation
+        return corners, axes, centres
 
     def on(self, link: list[int]) -> list[Any]:
         """The bodies with these indices."""
@@ -52,38 +68,22 @@ class Bodies:
         for shape, radius in zip(self._shapes, travel.tolist(), strict=True):
             shape.setSweptSphereRadius(radius)
 
-    def lever_arms(self, J: Array, placements: Any) -> Array:
+    def lever_arms(self, J: Array, corners: Array) -> Array:
         """(bodies, n) travel of each body per unit of each joint [m/rad or m/m].
 
         Args:
             J: (6, n) geometric Jacobian at the world's origin, linear rows first.
-            placements: pinocchio's placements of all joints in the world.
+            corners: (bodies, k, 3) in the world [m].
         """
-        count, n = len(self.objects), J.shape[1]
-        corners = self._in_world(placements).reshape(4, -1)
-        # velocity of point c under a unit velocity of joint j: w_j x c + v_j, as one (3, 4) matrix a joint
-        field = np.zeros((n, 3, 4))
-        field[:, 0, 1], field[:, 0, 2], field[:, 1, 2] = -J[5], J[4], -J[3]
-        field[:, 1, 0], field[:, 2, 0], field[:, 2, 1] = J[5], -J[4], J[3]
-        field[:, :, 3] = J[:3].T
-        velocity = (field.reshape(-1, 4) @ corners).reshape(n, 3, count, 8)
-        speed = np.sqrt(np.square(velocity).sum(axis=1).max(axis=2))
-        arms: Array = speed.T * self.moved_by
+        count, most, _ = corners.shape
+        n = J.shape[1]
+        # velocity of point c under a unit velocity of joint j: w_j x c + v_j, as one (3, 3) matrix a joint
+        spin = np.zeros((n, 3, 3))
+        spin[:, 0, 1], spin[:, 0, 2], spin[:, 1, 2] = -J[5], J[4], -J[3]
+        spin[:, 1, 0], spin[:, 2, 0], spin[:, 2, 1] = J[5], -J[4], J[3]
+        velocity = spin.reshape(-1, 3) @ corners.reshape(-1, 3).T
+        velocity += J[:3].T.reshape(-1, 1)
+        square = np.square(velocity).reshape(n, 3, count, most).sum(axis=1).max(axis=2)
+        turning = J[3:].any(axis=0)
+        arms: Array = (np.sqrt(square.T) + self._width[:, None] * turning) * self.moved_by
         return arms
-
-    def _in_world(self, placements: Any) -> Array:
-        """(4, bodies, 8) homogeneous corners of the boxes around the bodies."""
-        T_world_joint = np.array([placements[joint].homogeneous for joint in self._joints])
-        T_world_joint[0] = np.eye(4)  # bodies that no joint moves are given in the world
-        return np.ascontiguousarray((T_world_joint[self._parents] @ self._corners).transpose(1, 0, 2))
-
-
-def corners_of(item: Any) -> Array:
-    """(8, 3) corners, in the joint's frame, of the box around a body."""
-    item.geometry.computeLocalAABB()
-    box = item.geometry.aabb_local
-    low, high = np.array(box.min_), np.array(box.max_)
-    bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], dtype=bool)
-    corners = np.where(bits, high, low)
-    placed: Array = corners @ item.placement.rotation.T + item.placement.translation
-    return placed

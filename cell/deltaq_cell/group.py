@@ -73,6 +73,22 @@ class Group:
         """Every pair of the group as `least` measured it; for the rare case that asks for all."""
         return [self._measured(index) for index in range(len(self.pairs))]
 
+    def nearer(self, distance_m: float) -> tuple[list[int], Array, Array]:
+        """Pairs whose swept distance is below `distance_m`, as `least` measured them.
+
+        Returns:
+            Their indices, their distances at the middle (k,) [m], and unit normals (k, 3) from first to second body.
+        """
+        indices, distances, normals = [], [], []
+        for index, result in enumerate(self.data.distanceResults):
+            if result.min_distance < distance_m:
+                first, second = self.pairs[index]
+                radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
+                indices.append(index)
+                distances.append(result.min_distance + radii)
+                normals.append(result.normal)
+        return indices, np.array(distances), np.array(normals)
+
     def _measured(self, index: int) -> Nearest:
         first, second = self.pairs[index]
         result = self.data.distanceResults[index]

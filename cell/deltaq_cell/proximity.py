@@ -8,7 +8,8 @@ Travel of a body, for joint half-widths h: `travel_i <= sum_j h_j * r_ij`, where
 point of body i from the axis of joint j at the middle of the box (1 for a prismatic joint). It holds because
 the joints can be moved one after the other from the base outwards: joint j then turns a chain whose outer
 joints still stand at the middle, so that r_ij is exact, and a chord is shorter than its arc.
-Of two bodies of one robot only the joints between them count.
+Of two bodies of one robot only the joints between them count. Pairs for which that is too coarse are looked at
+again with a plane between them (`deltaq_cell.separation`).
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ from numpy.typing import NDArray
 
 from deltaq_cell.bodies import Bodies
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.extents import Extents
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.joined import joined
 from deltaq_cell.screen import ScreenedGroups, Surroundings
 from deltaq_cell.self_groups import SelfGroups
+from deltaq_cell.separation import Separation
 
 Array = NDArray[np.float64]
 
@@ -36,14 +39,16 @@ class _Placed:
 
     q: Array
     half: Array
+    direction: Array
     travel: Array
     centres: Array
     greatest: float
     among_themselves: bool = False
 
-    def is_at(self, q: Array, half: Array) -> bool:
+    def is_at(self, q: Array, half: Array, direction: Array) -> bool:
         """Whether it is there already."""
-        return bool((self.q == q).all() and (self.half == half).all())
+        same = (self.q == q).all() and (self.half == half).all() and (self.direction == direction).all()
+        return bool(same)
 
 
 @dataclass(frozen=True)
@@ -51,11 +56,14 @@ class Look:
     """What a look at groups showed.
 
     Attributes:
-        failing: groups with less room than asked for.
-        tightest: the pair with the least room, and its stop distance [m].
+        failing: groups that have not been shown to have the room asked for.
+        too_near: whether a pair of them has not got it even at the middle of the strip.
+        tightest: the pair with the least swept distance beyond its stop distance.
+        stop_distance_m: of that pair [m].
     """
 
     failing: list[Group]
+    too_near: bool
     tightest: Nearest
     stop_distance_m: float
 
@@ -78,10 +86,18 @@ class Proximity:
         self._q = pin.neutral(self.model)
         self._placed: dict[str, _Placed] = {}
         self._around = Surroundings()
+        self._separation = Separation(self.model.nv)
         if cell.structure:
             self._around.add_standing(cell.structure)
+            self._separation.add([body.name for body in cell.structure], Extents(cell.structure))
         self._slices = {
             name: self._around.add_moving(bodies.objects, bodies.radii)
+            for name, bodies in self._bodies.items()
+        }
+        self._places = {
+            name: self._separation.add(
+                [body.name for body in bodies.objects], bodies.extents, bodies.slice_q, bodies.moved_by
+            )
             for name, bodies in self._bodies.items()
         }
         self.alone: dict[str, list[Group]] = {}
@@ -104,25 +120,39 @@ class Proximity:
                         for mine in bodies.links
                         for link in theirs.links
                     ]
+        self._numbers = {
+            group: self._separation.pair_up([(one.name, other.name) for one, other in group.pairs])
+            for groups in (*self.alone.values(), *self.between.values())
+            for group in groups
+        }
         # only now are all bodies known that a screen may need
         self.alone = {name: ScreenedGroups(groups, self._around) for name, groups in self.alone.items()}
         self.between = {names: ScreenedGroups(groups, self._around) for names, groups in self.between.items()}
 
-    def place(self, robot: str, q: Array, half: Array, among_themselves: bool = True) -> float:
+    def place(
+        self,
+        robot: str,
+        q: Array,
+        half: Array,
+        direction: Array | None = None,
+        among_themselves: bool = True,
+    ) -> float:
         """Place a robot at `q` and inflate its bodies by their travel within `q` +- `half`.
 
         Args:
             robot: its name.
-            q: (n,) middle of the box [rad or m].
-            half: (n,) half-widths of the box, not negative.
+            q: (n,) middle of the strip [rad or m].
+            half: (n,) half-widths of the strip, not negative.
+            direction: (n,) along which the strip lies, |direction| <= half; none if it is a box [rad or m].
             among_themselves: inflate for the groups of the robot against itself as well.
 
         Returns:
             The greatest travel of any of its bodies [m].
         """
+        along = np.zeros_like(half) if direction is None else direction
         placed = self._placed.get(robot)
-        if placed is None or not placed.is_at(q, half):
-            placed = self._placed[robot] = self._move(robot, q, half)
+        if placed is None or not placed.is_at(q, half, along):
+            placed = self._placed[robot] = self._move(robot, q, half, along)
         if among_themselves and not placed.among_themselves:
             self._self_groups[robot].inflate(placed.travel, placed.centres)
             placed.among_themselves = True
@@ -154,18 +184,36 @@ class Proximity:
                 failing.append(group)
             if room < least_room:
                 least_room, tightest = room, group
-        return Look(failing, tightest.nearest(), tightest.stop_distance_m)
+        failing, too_near = self._not_separated(failing, room_m)
+        return Look(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
 
-    def _move(self, robot: str, q: Array, half: Array) -> _Placed:
-        bodies = self._bodies[robot]
+    def _not_separated(self, groups: list[Group], room_m: float) -> tuple[list[Group], bool]:
+        """Those of some groups, just measured, that planes do not separate either; and `Look.too_near`."""
+        if not groups:
+            return [], False
+        near = [group.nearer(group.stop_distance_m + room_m) for group in groups]
+        counts = [len(indices) for indices, _, _ in near]
+        asked = np.repeat([group.stop_distance_m + room_m for group in groups], counts)
+        distances = np.concatenate([distances for _, distances, _ in near])
+        if np.any(distances < asked):
+            return groups, True
+        numbers = np.repeat([self._numbers[group] for group in groups], counts)
+        numbers += np.concatenate([indices for indices, _, _ in near])
+        normals = np.concatenate([normals for _, _, normals in near])
+        kept = self._separation.keeps(numbers, normals, distances, asked)
+        group_kept = np.logical_and.reduceat(kept, np.cumsum([0, *counts[:-1]]))
+        return [group for group, is_kept in zip(groups, group_kept, strict=True) if not is_kept], False
+
+    def _move(self, robot: str, q: Array, half: Array, direction: Array) -> _Placed:
+        bodies, places = self._bodies[robot], self._slices[robot]
         self._q[bodies.slice_q] = q
         J = pin.computeJointJacobians(self.model, self._data, self._q)[:, bodies.slice_q]
-        travel = (
-            bodies.lever_arms(J, self._data.oMi) * half if half.any() else np.zeros(bodies.moved_by.shape)
-        )
+        corners, axes, centres = bodies.placed(self._data.oMi)
+        arms = bodies.lever_arms(J, corners) if half.any() else np.zeros(bodies.moved_by.shape)
+        self._separation.move(self._places[robot], corners, axes, bodies.slice_q, arms, J, direction, half)
+        travel = arms * half
         total = travel.sum(axis=1)
-        centres = bodies.centres(self._data.oMi)
         bodies.inflate(total)
-        self._around.centre[self._slices[robot]] = centres
-        self._around.inflation[self._slices[robot]] = total
-        return _Placed(q.copy(), half.copy(), travel, centres, float(total.max()))
+        self._around.centre[places] = centres
+        self._around.inflation[places] = total
+        return _Placed(q.copy(), half.copy(), direction.copy(), travel, centres, float(total.max()))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_cell.bodies import corners_of
+from deltaq_cell.extents import corners_of
 from deltaq_cell.group import Group
 
 Array = NDArray[np.float64]

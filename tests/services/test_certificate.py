@@ -10,7 +10,7 @@ from deltaq_cell.proximity import Proximity
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.limits import Limits
-from deltaq_services.sim.tube import Branch, Segment, tube
+from deltaq_services.sim.tube import Branch, Strip, tube
 
 LAG = 6
 
@@ -126,5 +126,5 @@ def test_the_order_of_the_queries_changes_no_bit(cell, proximity):
 
 def test_an_empty_budget_means_no(cell, proximity):
     q = cell.robots["fr"].home
-    far = Segment(q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper))
+    far = Strip.around(np.array([q, np.clip(q + 1.0, cell.robots["fr"].lower, cell.robots["fr"].upper)]))
     assert not Certifier(proximity, budget=0).certify("fr", far, []).holds

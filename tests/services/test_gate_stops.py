@@ -107,16 +107,19 @@ def assert_stopped_short_and_retreats(attack):
     if last.reasons[0].code == "clearance":
         assert attack.least < 0.05 + 0.02  # and not timid: it comes within 2 cm of the stop distance
     assert attack.violations().total == 0
-    stopped = attack.setpoints[-1]
-    way = np.max(np.abs(np.array(attack.setpoints) - stopped), axis=1)
-    earlier = attack.setpoints[np.flatnonzero(way > 0.1)[-1]]
+    way = np.array(attack.setpoints)
+    earlier = way[np.flatnonzero(np.max(np.abs(way - way[-1]), axis=1) > 0.1)[-1]]
 
     def back():
+        """The way it came: the farthest setpoint within reach that lies before the nearest one."""
         q_cmd = np.array(attack.stack.arms["fr"].state.q_cmd)
-        return np.clip(0.05 * (earlier - q_cmd), -0.2 * attack.full_speed, 0.2 * attack.full_speed)
+        apart = np.max(np.abs(way - q_cmd), axis=1)
+        before = way[: np.argmin(apart) + 1]
+        target = before[max(np.flatnonzero(apart[: len(before)] > 0.01)[-1], 0)]
+        return np.clip(0.2 * (target - q_cmd), -0.2 * attack.full_speed, 0.2 * attack.full_speed)
 
-    attack.drive(back, 40)
+    attack.drive(back, 80)
     assert attack.stack.arms["fr"].state.phase is Phase.ENGAGED
-    assert np.max(np.abs(attack.q() - earlier)) < 0.05
+    assert np.min(np.max(np.abs(np.array(attack.setpoints[len(way) :]) - earlier), axis=1)) < 0.02
     assert attack.least >= 0.05
     assert attack.violations().total == 0

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from deltaq_cell.description import ServoLag
 from deltaq_emulator.servo import Servo
 from deltaq_protocol.brake import brake_cycles, brake_increment
-from deltaq_services.sim.tube import Branch, Segment, Windows, tube
+from deltaq_services.sim.tube import Branch, Strip, Windows, tube
 
 LAG = 6
 CYCLE_S = 0.012
@@ -20,6 +20,18 @@ def windows_of(piece):
     return [piece]
 
 
+def is_inside(strip, q, slack):
+    """Whether some t of the strip is within its deviation of q."""
+    low, high = -1.0, 1.0
+    for offset, along, aside in zip(q - strip.middle, strip.direction, strip.deviation + slack, strict=True):
+        if along == 0.0:
+            low, high = (low, high) if abs(offset) <= aside else (1.0, -1.0)
+            continue
+        ends = sorted([(offset - aside) / along, (offset + aside) / along])
+        low, high = max(low, ends[0]), min(high, ends[1])
+    return low <= high
+
+
 def test_setpoints_of_a_branch_are_those_the_robot_server_sends():
     dq = np.array([0.01, -0.02])
     cycles = brake_cycles(dq, np.array([0.003, 0.003]))
@@ -30,19 +42,34 @@ def test_setpoints_of_a_branch_are_those_the_robot_server_sends():
 
 def test_a_robot_at_rest_has_one_point_and_one_window():
     piece = tube(np.tile([1.0, 2.0], (LAG, 1)), Branch(np.zeros(2), 1, 1), LAG)
-    middle, half = piece.box()
-    np.testing.assert_array_equal(middle, [1.0, 2.0])
-    np.testing.assert_array_equal(half, [0.0, 0.0])
+    np.testing.assert_array_equal(piece.strip().middle, [1.0, 2.0])
+    np.testing.assert_array_equal(piece.strip().half, [0.0, 0.0])
     assert piece.first == piece.last
 
 
-def test_the_halves_of_a_segment_are_the_segment_and_end_at_what_no_drive_resolves():
-    segment = Segment(np.array([0.0, 1.0]), np.array([2.0, 0.0]))
-    left, right = segment.halves()
-    np.testing.assert_array_equal(left.start, segment.start)
-    np.testing.assert_array_equal(left.end, right.start)
-    np.testing.assert_array_equal(right.end, segment.end)
-    assert Segment(np.zeros(2), np.full(2, 1e-8)).halves() == ()
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_a_strip_and_its_halves_hold_every_mean_of_its_points(seed):
+    random = np.random.default_rng(seed)
+    points = np.cumsum(random.normal(size=(random.integers(1, 8), 3)) * random.uniform(0, 1, 3), axis=0)
+    pieces = [Strip.around(points)]
+    for _ in range(3):
+        for weights in random.dirichlet(np.full(len(points), 0.3), size=10):
+            assert any(is_inside(piece, weights @ points, 1e-12) for piece in pieces)
+        pieces = [half for piece in pieces for half in piece.halves() or (piece,)]
+
+
+def test_the_strip_of_points_on_a_line_is_the_line():
+    strip = Strip.around(np.array([[0.0, 1.0], [2.0, 0.0], [0.5, 0.75]]))
+    np.testing.assert_allclose(strip.deviation, 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.abs(strip.direction), [1.0, 0.5])
+    np.testing.assert_allclose(strip.middle, [1.0, 0.5])
+
+
+def test_division_ends_at_what_no_drive_resolves_and_where_a_strip_is_as_wide_as_long():
+    assert Strip(np.zeros(2), np.full(2, 1e-8), np.zeros(2)).halves() == ()
+    assert Strip(np.zeros(2), np.full(2, 1e-3), np.full(2, 2e-3)).halves() == ()
+    assert len(Strip(np.zeros(2), np.full(2, 1e-3), np.zeros(2)).halves()) == 2
 
 
 @settings(max_examples=40, deadline=None)
@@ -60,18 +87,10 @@ def test_the_emulated_drives_never_leave_the_windows_while_they_brake(seed):
         history = [*history, q_cmd][-LAG:]
     cycles = brake_cycles(dq, max_dv)
     piece = tube(np.array(history), Branch(dq, cycles, 0), LAG, servo.q if len(history) < LAG else None)
-    boxes = [leaf.box() for leaf in windows_of(piece)]
+    strips = [leaf.strip() for leaf in windows_of(piece)]
     # the part of a second-order lag that is older than the window
     tail = 0.02 * np.ptp(np.array([*history, servo.q]), axis=0) + 1e-9
     for step in range(1, cycles + 3 * LAG):
         q_cmd = q_cmd + brake_increment(dq, cycles, step)
         servo.advance(q_cmd)
-        inside = [np.all(np.abs(servo.q - middle) <= half + tail) for middle, half in boxes]
-        assert any(inside), step
-
-
-def test_a_single_window_on_a_line_is_divided_and_one_around_a_corner_is_not():
-    straight = Windows(np.array([[0.0, 0.0], [0.1, 0.2], [0.2, 0.4]]), 2, 2, 2)
-    assert len(straight.halves()) == 2
-    corner = Windows(np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.4]]), 2, 2, 2)
-    assert corner.halves() == ()
+        assert any(is_inside(strip, servo.q, tail) for strip in strips), step

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import Look, Proximity
 from deltaq_services.sim.tube import Piece
 
 NUMERICAL_TOLERANCE_M = 1e-5
 """Added to every stop distance: ten times what coal's iterations may be off."""
 
-BUDGET = 150
-"""Pieces of tubes that may be measured for one decision."""
+BUDGET = 24
+"""Pieces of tubes that one certifier may measure; few tubes that need more are certified in the end."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Certificate:
 
 
 class Certifier:
-    """Certifies tubes within a budget; make one for each decision."""
+    """Certifies tubes, all within one budget of pieces."""
 
     def __init__(self, proximity: Proximity, budget: int = BUDGET) -> None:
         self._proximity = proximity
@@ -83,15 +83,15 @@ class Certifier:
         stack: list[tuple[Piece, list[Group]]] = [(tube, groups)] if groups else []
         while stack:
             piece, groups = stack.pop()
-            self._proximity.place(robot, *piece.box())
-            failing, binding = self._measure(groups)
+            self._place(robot, piece)
+            look, binding = self._measure(groups)
             least = least or binding
-            if not failing:
+            if not look.failing:
                 continue
-            halves = () if self._hopeless(binding) else piece.halves()
+            halves = () if self._hopeless(look) else piece.halves()
             if not halves:
                 return Certificate(False, binding)
-            stack += [(half, failing) for half in halves]
+            stack += [(half, look.failing) for half in halves]
         return Certificate(True, least)
 
     def _between(self, robot: str, tube: Piece, other: str, other_tube: Piece) -> Certificate:
@@ -100,35 +100,39 @@ class Certifier:
         stack: list[tuple[Piece, Piece, list[Group]]] = [(tube, other_tube, groups)] if groups else []
         while stack:
             mine, theirs, groups = stack.pop()
-            my_travel = self._proximity.place(robot, *mine.box(), among_themselves=False)
-            their_travel = self._proximity.place(other, *theirs.box(), among_themselves=False)
-            failing, binding = self._measure(groups)
+            my_travel = self._place(robot, mine, among_themselves=False)
+            their_travel = self._place(other, theirs, among_themselves=False)
+            look, binding = self._measure(groups)
             least = least or binding
-            if not failing:
+            if not look.failing:
                 continue
-            if self._hopeless(binding):
+            if self._hopeless(look):
                 return Certificate(False, binding)
             # the one that travels further is divided first
             my_halves, their_halves = mine.halves(), theirs.halves()
             if my_halves and (my_travel >= their_travel or not their_halves):
-                stack += [(half, theirs, failing) for half in my_halves]
+                stack += [(half, theirs, look.failing) for half in my_halves]
             elif their_halves:
-                stack += [(mine, half, failing) for half in their_halves]
+                stack += [(mine, half, look.failing) for half in their_halves]
             else:
                 return Certificate(False, binding)
         return Certificate(True, least)
 
-    def _hopeless(self, binding: Binding) -> bool:
-        """The budget is spent, or the bodies are too near even at the middle of the box, which no halving mends."""
-        return self._left < 0 or binding.nearest.distance_m < binding.stop_distance_m
+    def _place(self, robot: str, piece: Piece, among_themselves: bool = True) -> float:
+        strip = piece.strip()
+        return self._proximity.place(robot, strip.middle, strip.half, strip.direction, among_themselves)
+
+    def _hopeless(self, look: Look) -> bool:
+        """The budget is spent, or bodies are too near even at the middle of the strip, which no halving mends."""
+        return self._left < 0 or look.too_near
 
     def _groups(self, groups: list[Group]) -> list[Group]:
         if not self._without:
             return groups
         return [group for group in groups if group not in self._without]
 
-    def _measure(self, groups: Sequence[Group]) -> tuple[list[Group], Binding]:
-        """The groups that fail at the present placement, and the pair with the least room; `groups` is not empty."""
+    def _measure(self, groups: Sequence[Group]) -> tuple[Look, Binding]:
+        """What the groups, at least one, show at the present placement, and the pair with the least room."""
         self._left -= 1
         look = self._proximity.look(groups, NUMERICAL_TOLERANCE_M)
-        return look.failing, Binding(look.tightest, look.stop_distance_m)
+        return look, Binding(look.tightest, look.stop_distance_m)

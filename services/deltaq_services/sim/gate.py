@@ -76,19 +76,20 @@ class Gate:
         scale, tighter = limits.position_scale(brake, request, robot.q_cmd, scale)
         reasons = tighter or reasons
         tubes = [(other.name, tube) for other in others for tube in other.tubes()]
-        certifier = Certifier(self._proximity)
 
-        def certify(s: float) -> Certificate:
+        def certify(s: float, certifier: Certifier) -> Certificate:
             dq = brake + s * (request - brake)
             tube = robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
             return certifier.certify(robot.name, tube, tubes)
 
-        certificate = certify(scale)
+        certificate = certify(scale, Certifier(self._proximity))
         if not certificate.holds:
             reasons = [_clearance_reason(certificate)]
             limit_scale = scale
-            stands = certifier.certify(robot.name, robot.standing(), tubes).holds
-            scale = _largest(certify, limit_scale) if stands else 0.0
+            stands = Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds
+            # all smaller scales share one budget, so that a decision ends in time
+            certifier = Certifier(self._proximity)
+            scale = _largest(lambda s: certify(s, certifier), limit_scale) if stands else 0.0
             if scale < _LEAST_SCALE:
                 out, near = self._retreat.find(robot, tubes, limits, brake, request, limit_scale)
                 if out > 0 or not stands:

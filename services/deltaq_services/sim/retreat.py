@@ -27,19 +27,19 @@ from deltaq_services.sim.tube import Branch, Piece, Windows
 Array = NDArray[np.float64]
 Others = Sequence[tuple[str, Piece]]
 
-_BRINK_M = 1e-3
-"""Pairs within this of the stop distance are led out too: there the certificate's bound on travel is too coarse for
-a motion of many joints that hardly parts the bodies."""
-
 _NEARER_M = 1e-6
 """What rounding may make of a distance that does not change."""
 
 
 @dataclass(frozen=True)
 class _Violation:
-    """Pairs of one group, by index, that are nearer than the stop distance, with their distances [m]."""
+    """Pairs of one group, by index, that are nearer than the stop distance, with their distances [m].
+
+    `other` is the robot on the other side and a tube that it may be in, if there is one.
+    """
 
     group: Group
+    other: tuple[str, Piece] | None
     distances: dict[int, float]
 
 
@@ -53,7 +53,7 @@ class Retreat:
     def find(
         self, robot: Tracker, others: Others, limits: Limits, brake: Array, request: Array, at_most: float
     ) -> tuple[float, list[Reason]]:
-        """The scale at which a request leads out of a violation, or away from the brink of one.
+        """The scale at which a request leads out of a violation.
 
         Returns:
             The scale, 0 if the request brings a violated pair nearer, and the reasons.
@@ -83,27 +83,39 @@ class Retreat:
 
     def _violations(self, robot: Tracker, others: Others) -> list[_Violation]:
         # what fails already where the robot stands, with all that the drives' lag leaves uncertain ...
-        standing = robot.standing()
-        self._proximity.place(robot.name, *standing.box())
-        near: list[tuple[Group, list[int]]] = []
-        for group in self._groups(robot.name, others):
-            bound = group.stop_distance_m + NUMERICAL_TOLERANCE_M + _BRINK_M
-            if self._proximity.least(group) < bound:
-                near.append((group, [i for i, pair in enumerate(group.all_pairs()) if pair.swept_m < bound]))
+        self._place(robot.name, robot.standing())
+        near = []
+        for other in (None, *others):
+            for group in self._groups(robot.name, other):
+                bound = group.stop_distance_m + NUMERICAL_TOLERANCE_M
+                near.append((group, other, group.nearer(bound)[0]))
         # ... is judged by its distance at the setpoint
         self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
         found = []
-        for group, indices in near:
-            self._proximity.least(group)
-            pairs = group.all_pairs()
-            found.append(_Violation(group, {i: pairs[i].swept_m for i in indices}))
+        for group, other, indices in near:
+            distances = self._distances(group, other)
+            found.append(_Violation(group, other, {index: distances[index] for index in indices}))
         return found
 
-    def _groups(self, robot: str, others: Others) -> Iterator[Group]:
-        yield from self._proximity.alone[robot]
-        for other, tube in others:
-            self._proximity.place(other, *tube.box())
-            yield from self._proximity.between[robot, other]
+    def _groups(self, robot: str, other: tuple[str, Piece] | None) -> list[Group]:
+        """Groups of the placed robot against itself and the structure, or against another, that have no room."""
+        if other is None:
+            groups = self._proximity.alone[robot]
+        else:
+            self._place(*other)
+            groups = self._proximity.between[robot, other[0]]
+        return self._proximity.look(groups, NUMERICAL_TOLERANCE_M).failing if groups else []
+
+    def _distances(self, group: Group, other: tuple[str, Piece] | None) -> list[float]:
+        """Distances of all pairs of a group where the robot is placed [m]."""
+        if other is not None:
+            self._place(*other)
+        self._proximity.least(group)
+        return [pair.swept_m for pair in group.all_pairs()]
+
+    def _place(self, robot: str, piece: Piece) -> None:
+        strip = piece.strip()
+        self._proximity.place(robot, strip.middle, strip.half, strip.direction)
 
     def _leads_out(self, robot: str, tube: Windows, others: Others, violations: list[_Violation]) -> bool:
         with _set_aside(violations) as emptied:
@@ -112,18 +124,13 @@ class Retreat:
             return False
         for point in tube.points[tube.first + 1 :]:
             self._proximity.place(robot, point, np.zeros_like(point))
-            for group in self._groups(robot, others):
-                for item in violations:
-                    if item.group is group and self._nearer(item):
-                        return False
+            if any(self._nearer(violation) for violation in violations):
+                return False
         return True
 
     def _nearer(self, violation: _Violation) -> bool:
-        self._proximity.least(violation.group)
-        pairs = violation.group.all_pairs()
-        return any(
-            pairs[index].swept_m < distance - _NEARER_M for index, distance in violation.distances.items()
-        )
+        distances = self._distances(violation.group, violation.other)
+        return any(distances[index] < before - _NEARER_M for index, before in violation.distances.items())
 
 
 @contextmanager

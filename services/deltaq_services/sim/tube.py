@@ -1,15 +1,15 @@
 """The tube: every configuration that a robot can be in from now until its brake has ended.
 
 The drives lag. A robot that was sent the setpoints c_1, c_2, ... is, at the time of c_t, somewhere in the hull
-of the last few of them: a stable drive without overshoot is a weighted mean of past setpoints. The tube is
-therefore a sequence of overlapping windows, each the box in joint space around `lag` + 1 consecutive setpoints.
-It makes no statement of when the robot is where, so tubes of two robots can be compared as sets. Where the
-setpoints of a window lie on one line, the robot is on that line too, since all of its drives lag alike.
+of the last few of them: stable drives without overshoot that lag alike are at a weighted mean of past setpoints. The
+tube is therefore a sequence of overlapping windows, each the hull of `lag` + 1 consecutive setpoints, held by a strip
+along it. It makes no statement of when the robot is where, so tubes of two robots can be compared as sets.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ from deltaq_protocol.brake import brake_travel
 Array = NDArray[np.float64]
 
 _SHORTEST = 1e-7
-"""Pieces of a line are not divided below this [rad or m]."""
+"""Strips are not divided below this half-length [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Branch:
 class Piece(Protocol):
     """A part of a tube."""
 
-    def box(self) -> tuple[Array, Array]:
-        """Middle and half-widths, each (n,), of a box in joint space that holds the piece."""
+    def strip(self) -> Strip:
+        """A strip of joint space that holds the piece."""
         ...
 
     def halves(self) -> tuple[Piece, ...]:
@@ -62,22 +62,45 @@ class Piece(Protocol):
 
 
 @dataclass(frozen=True)
-class Segment:
-    """A straight piece of a path in joint space, from `start` to `end`, each (n,) [rad or m]."""
+class Strip:
+    """What lies within `middle + t * direction + e`, |t| <= 1 and |e_j| <= `deviation_j`, each (n,) [rad or m]."""
 
-    start: Array
-    end: Array
+    middle: Array
+    direction: Array
+    deviation: Array
 
-    def box(self) -> tuple[Array, Array]:
-        """Middle and half-widths."""
-        return (self.start + self.end) / 2, np.abs(self.end - self.start) / 2
+    @classmethod
+    def around(cls, points: Array) -> Strip:
+        """A strip along the longest way between any of the points, (k, n) [rad or m], that holds their hull."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        widest = np.argmax(high - low)
+        start, end = points[np.argmin(points[:, widest])], points[np.argmax(points[:, widest])]
+        middle, direction = (start + end) / 2, (end - start) / 2
+        length = direction @ direction
+        if length == 0.0:
+            return cls(middle, direction, direction)
+        t = np.clip((points - middle) @ direction / length, -1.0, 1.0)
+        aside = points - middle - t[:, None] * direction
+        low, high = aside.min(axis=0), aside.max(axis=0)
+        return cls(middle + (low + high) / 2, direction, (high - low) / 2)
+
+    def strip(self) -> Strip:
+        """Itself."""
+        return self
+
+    @property
+    def half(self) -> Array:
+        """(n,) half-widths of the box around it [rad or m]."""
+        return np.abs(self.direction) + self.deviation
 
     def halves(self) -> tuple[Piece, ...]:
-        """Two halves, down to a length that no drive resolves."""
-        if np.max(np.abs(self.end - self.start)) < _SHORTEST:
+        """Two strips of half the length, down to one that no drive resolves or that is as wide as it is long."""
+        if np.max(np.abs(self.direction)) < max(_SHORTEST, float(np.max(self.deviation))):
             return ()
-        middle = (self.start + self.end) / 2
-        return Segment(self.start, middle), Segment(middle, self.end)
+        half = self.direction / 2
+        return replace(self, middle=self.middle - half, direction=half), replace(
+            self, middle=self.middle + half, direction=half
+        )
 
 
 @dataclass(frozen=True)
@@ -94,28 +117,21 @@ class Windows:
     first: int
     last: int
 
-    def box(self) -> tuple[Array, Array]:
-        """Middle and half-widths."""
-        points = self._points()
-        low, high = points.min(axis=0), points.max(axis=0)
-        return (low + high) / 2, (high - low) / 2
+    def strip(self) -> Strip:
+        """A strip around all setpoints of the windows."""
+        return self._strip
+
+    @cached_property
+    def _strip(self) -> Strip:
+        first = max(0, min(self.first - self.lag, len(self.points) - 1))
+        return Strip.around(self.points[first : self.last + 1])
 
     def halves(self) -> tuple[Piece, ...]:
-        """Half of the windows each; of a single window along a straight line, half of the line each."""
-        if self.first < self.last:
-            middle = (self.first + self.last) // 2
-            return replace(self, last=middle), replace(self, first=middle + 1)
-        points = self._points()
-        low, high = points.min(axis=0), points.max(axis=0)
-        start = points[np.argmin(points[:, np.argmax(high - low)])]
-        end = low + high - start
-        if not _on_one_line(points, start, end):
-            return ()
-        return Segment(start, end).halves()
-
-    def _points(self) -> Array:
-        first = max(0, min(self.first - self.lag, len(self.points) - 1))
-        return self.points[first : self.last + 1]
+        """Half of the windows each; of a single window the halves of its strip."""
+        if self.first == self.last:
+            return self.strip().halves()
+        middle = (self.first + self.last) // 2
+        return replace(self, last=middle), replace(self, first=middle + 1)
 
 
 def tube(history: Array, branch: Branch, lag: int, measured: Array | None = None) -> Windows:
@@ -133,13 +149,3 @@ def tube(history: Array, branch: Branch, lag: int, measured: Array | None = None
     now = len(past) - 1
     moves = bool((points != points[-1]).any())
     return Windows(points, lag, now, len(points) - 1 + lag if moves else now)
-
-
-def _on_one_line(points: Array, start: Array, end: Array) -> bool:
-    """Whether all points lie between `start` and `end` to within rounding."""
-    along = end - start
-    length = along @ along
-    if length == 0.0:
-        return True
-    share = (points - start) @ along / length
-    return bool(np.all(np.abs(points - start - share[:, None] * along) < _SHORTEST))

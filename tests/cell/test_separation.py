@@ -1,0 +1,120 @@
+"""Planes: what they are said to keep apart over a strip of joint space stays apart at every sample of it."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.extents import Extents
+from deltaq_cell.proximity import Proximity
+from deltaq_cell.structure import structure_geometry
+
+
+@pytest.fixture(scope="module", params=["lab", "dawm"])
+def cell(request):
+    return CellModel.load(request.param)
+
+
+@pytest.fixture(scope="module")
+def proximity(cell):
+    return Proximity(cell)
+
+
+def configuration(robot, random):
+    near_home = robot.home + random.uniform(-1, 1, robot.n) * 0.3 * (robot.upper - robot.lower)
+    return np.clip(near_home, robot.lower, robot.upper)
+
+
+def strip(robot, random):
+    """Middle, half-widths and direction of a strip, long or short, thin or wide, of all joints or of a few."""
+    length, width = 10.0 ** random.uniform(-2, -0.5), 10.0 ** random.uniform(-4, -1.5)
+    direction = (
+        random.uniform(-1, 1, robot.n) * length * (random.uniform(size=robot.n) < random.uniform(0.1, 1))
+    )
+    return configuration(robot, random), np.abs(direction) + random.uniform(0, width, robot.n), direction
+
+
+def inside(middle, half, direction, random, t):
+    """A sample at t, mostly in a corner of what the strip is wide."""
+    aside = (
+        np.sign(random.normal(size=middle.size))
+        if random.uniform() < 0.8
+        else random.uniform(-1, 1, middle.size)
+    )
+    return middle + t * direction + aside * (half - np.abs(direction))
+
+
+def greatest_room(proximity, group):
+    """The most that a look shows of a group where the robots are placed [m]."""
+    low, high = -1.0, 1.0
+    for _ in range(14):
+        middle = (low + high) / 2
+        low, high = (low, middle) if proximity.look([group], middle).failing else (middle, high)
+    return low
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**32 - 1))
+def test_no_sample_of_a_strip_is_nearer_than_a_look_shows(cell, proximity, seed):
+    random = np.random.default_rng(seed)
+    strips = {name: strip(robot, random) for name, robot in cell.robots.items()}
+    for name, where in strips.items():
+        proximity.place(name, *where)
+    groups = [g for groups in (*proximity.alone.values(), *proximity.between.values()) for g in groups]
+    some = [groups[index] for index in random.choice(len(groups), 12)]
+    shown = [greatest_room(proximity, group) for group in some]
+    swept = [proximity.least(group) - group.stop_distance_m for group in some]
+    # those that inflated bodies show are another test's
+    by_planes = [item for item in zip(some, shown, swept, strict=True) if item[1] > item[2] + 1e-3]
+    for sample in range(24):
+        t = (-1.0, 1.0)[sample % 2]
+        for name, where in strips.items():
+            q = inside(*where, random, t if sample < 12 else random.choice([-t, t, random.uniform(-1, 1)]))
+            proximity.place(name, q, np.zeros_like(q))
+        for group, room, _ in by_planes:
+            assert proximity.least(group) >= group.stop_distance_m + room - 1e-6, sample
+
+
+def test_planes_show_what_inflated_bodies_do_not(cell, proximity):
+    """Or the test above would hold for want of anything to judge."""
+    random = np.random.default_rng(0)
+    shown = []
+    for _ in range(5):
+        for name, robot in cell.robots.items():
+            proximity.place(name, *strip(robot, random))
+        for group in proximity.alone[name][::5]:
+            swept = proximity.least(group) - group.stop_distance_m
+            shown.append(greatest_room(proximity, group) > swept + 1e-3)
+    assert np.mean(shown) > 0.3
+
+
+def test_sliding_along_a_body_costs_no_room(proximity, cell):
+    """A prismatic joint that moves a robot past the floor brings it no nearer, however far it goes."""
+    name = next(iter(cell.robots))
+    robot = cell.robots[name]
+    half = np.zeros(robot.n)
+    proximity.place(name, robot.home, half)
+    floor = [g for g in proximity.alone[name] if any("floor" in other.name for _, other in g.pairs)]
+    spins = np.zeros(robot.n)
+    spins[0] = 0.05  # the first joint of every robot here turns about the vertical, or slides level
+    room = min(proximity.least(group) - group.stop_distance_m for group in floor)
+    proximity.place(name, robot.home, np.abs(spins), spins)
+    assert proximity.look(floor, room - 0.02).failing == []
+
+
+def test_an_extent_reaches_as_far_as_the_shape_it_describes(cell):
+    random = np.random.default_rng(1)
+    bodies = structure_geometry(cell.description)
+    extents = Extents(bodies)
+    for index, body in enumerate(bodies):
+        body.geometry.computeLocalAABB()
+        for _ in range(10):
+            n = random.normal(size=3)
+            n /= np.linalg.norm(n)
+            across = np.linalg.norm(np.cross(n, extents.axis[index]))
+            reach = (extents.corners[index] @ n).max() + extents.disc[index] * across + extents.ball[index]
+            box = body.geometry.aabb_local
+            centre = body.placement.act(np.array(box.center()))
+            assert reach >= centre @ n
+            assert reach - centre @ n <= np.linalg.norm(np.array(box.max_) - np.array(box.min_)) / 2 + 1e-9
