@@ -2,29 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
-from functools import cache
-from typing import Any
+from functools import cache, partial
 
+import numpy as np
 from driving import CYCLE_S
+from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.adviser import Adviser
-from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
-from deltaq_controllers.modes.makers import all_modes
+from deltaq_controllers.advisor.advisor import Progress
+from deltaq_controllers.advisor.counsel import Counsel
+from deltaq_controllers.criteria.postures import RobotData
+from deltaq_controllers.modes.advisor import Advice, AdvisorMode, tracker_of
+from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.motion import ModeName
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.switch import MODES, Teleoperator
+
+Array = NDArray[np.float64]
 
 
-class AtOnce(Executor):
-    """Runs what is submitted before it returns."""
+class AtOnce:
+    """The advisor's counsel in the loop itself: in virtual time it takes none."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
+    trouble = ""
+    is_busy = False
+
+    def __init__(self, counsel: Counsel) -> None:
+        self.tracker = counsel.tracker
+        self.progress: Progress | None = None
+        self._counsel = counsel
+
+    def ask(self, q: Array) -> None:
+        self._counsel.ask(q, {}, self._take)
+
+    def seek(self, back: Array, rank: int) -> None:
+        self._counsel.seek(back, rank, {}, self._take)
+
+    def give_up(self) -> None:
+        """Nothing is going on."""
+
+    def _take(self, progress: Progress) -> bool:
+        self.progress = progress
+        return True
 
 
 @cache
@@ -36,13 +55,17 @@ def advised(
     robot: RobotModel,
     mode: ModeName = ModeName.ADVISOR,
     weights: dict[str, float] | None = None,
-    executor: Executor | None = None,
+    adviser: Advice | None = None,
 ) -> Teleoperator:
-    def adviser(robot: RobotModel) -> Adviser:
-        tracker, executes = tracker_of(robot), executor or AtOnce()
-        return Adviser(lambda: cell_of(robot.name), tracker, options=3, effort=0.2, executor=executes)
+    def advisor(robot: RobotModel) -> AdvisorMode:
+        tracker_of(robot)
+        answers = adviser or AtOnce(Counsel(cell_of(robot.name), robot.name, options=3, effort=0.2))
+        return AdvisorMode(robot, CYCLE_S, answers)
 
-    modes = all_modes(lambda: cell_of(robot.name), CYCLE_S, adviser, weights)
+    modes = {**MODES, ModeName.ADVISOR: advisor}
+    if weights is not None:
+        criteria = (weighed(RobotData(cell_of(robot.name), robot.name), weights),)
+        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
     return Teleoperator(robot, CYCLE_S, mode, modes=modes)
 
 

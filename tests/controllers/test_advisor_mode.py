@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from threading import Event
-
 import numpy as np
 import pytest
-from advising import AtOnce, advised, advisor_of, cell_of
+from advising import advised, advisor_of
 from driving import PlainDrive, StackDrive, model
+from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.adviser import Adviser
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-from deltaq_controllers.modes.advisor import tracker_of
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import ModeName, Wish
 from deltaq_protocol.messages import Outcome
+
+Array = NDArray[np.float64]
 
 KEPT_M, KEPT_RAD = 1e-4, np.deg2rad(0.01)
 LONGEST_CYCLES = 4000
@@ -127,27 +125,35 @@ def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refus
         advised(model("gr")).check(Wish(option=1), ModeName.COUPLED)
 
 
-def test_the_robot_rests_while_the_advisor_thinks_and_the_answer_is_given_up_on_leaving() -> None:
-    run = PlainDrive("gr", ModeName.JOINT)
-    with ThreadPoolExecutor(1) as executor:
-        hold = Event()
-        executor.submit(hold.wait)  # the thread is busy: the question waits
-        run.teleoperator = advised(run.robot, executor=executor)
-        home = run.now
-        go_to(run, 1, 50)
-        assert advisor_of(run.teleoperator).status == "thinking"
-        assert (run.now == home).all()
-        run.drive(0.5, ModeName.JOINT, a1=0.2)
-        assert not run.teleoperator.is_at_rest
-        hold.set()
-    assert advisor_of(run.teleoperator).options == ()
+class Thinking:
+    """An adviser that has not answered yet."""
+
+    trouble, is_busy, progress = "", True, None
+
+    def __init__(self) -> None:
+        self.tracker = ConstraintTracker(model("gr"))
+        self.given_up = False
+
+    def ask(self, q: Array) -> None:
+        self.given_up = False
+
+    def seek(self, back: Array, rank: int) -> None:
+        raise AssertionError("there is no option")
+
+    def give_up(self) -> None:
+        self.given_up = True
 
 
-def test_a_question_that_cannot_be_answered_is_told() -> None:
-    robot = model("gr")
-    adviser = Adviser(lambda: cell_of("gr"), tracker_of(robot), weights={"travle": 1.0}, executor=AtOnce())
-    adviser.ask(robot.home)
-    assert "no criterion 'travle'" in adviser.trouble
+def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_on_leaving() -> None:
+    run, adviser = PlainDrive("gr", ModeName.JOINT), Thinking()
+    run.teleoperator = advised(run.robot, adviser=adviser)
+    home = run.now
+    go_to(run, 1, 50)
+    assert advisor_of(run.teleoperator).status == "thinking"
+    assert (run.now == home).all()
+    run.drive(0.5, ModeName.JOINT, a1=0.2)
+    assert not run.teleoperator.is_at_rest
+    assert adviser.given_up
 
 
 @pytest.mark.parametrize(

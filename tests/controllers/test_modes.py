@@ -4,6 +4,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
+from advising import advised
 from driving import CYCLE_S, PlainDrive, StackDrive, model
 
 from deltaq_cell.cell_model import CellModel
@@ -192,6 +193,28 @@ def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> N
     assert found[0] < found[1] - 1e-3
 
 
+def test_weights_given_by_name_make_an_elbow_give_way_to_what_stands_about() -> None:
+    cell = CellModel.load("dawm")
+    robot, data = cell.robots["dawm"], RobotData(cell, "dawm")
+    q = np.random.default_rng(0).uniform(0.8 * robot.lower, 0.8 * robot.upper, (2000, robot.n))
+    nearest = Postures(data, q).nearest
+    arms = [robot.joint_names.index(f"{side}_{joint}") for side in ("left", "right") for joint in (2, 3)]
+    stands = np.isin(data.field.joints[nearest.first], arms) & (nearest.second == -1)
+    gained = []
+    for start in q[stands & (nearest.room > 0.02) & (nearest.room < 0.08)][:6]:
+        ends = []
+        for weights in (None, {"clearance": 1.0}):
+            run = PlainDrive("dawm", COUPLED, start)
+            run.teleoperator = advised(robot, COUPLED, weights)
+            run.drive(1.5, **{"left.x": 0.1})
+            ends.append(float(Postures(data, run.now).nearest.room[0]))
+            assert run.violations == 0
+        gained.append(ends[1] - ends[0])
+    assert len(gained) == 6
+    assert sum(gained) > 0.01
+    assert max(gained) > 0.01
+
+
 def test_self_motion_needs_a_joint_to_spare() -> None:
     with pytest.raises(ControllerError, match="needs more than 6 joints for 1 hand, robot 'fr' has 6"):
         Teleoperator(model("fr"), CYCLE_S, SELF_MOTION)
@@ -243,6 +266,16 @@ def test_the_hands_stay_within_a_tenth_of_a_millimetre_over_a_sweep(
         assert off_m < KEPT_M, joint
         assert off_rad < KEPT_RAD, joint
         assert run.violations == 0, joint
+
+
+def test_a_mode_that_is_wished_from_the_first_cycle_on_keeps_the_hands_where_they_are_then() -> None:
+    start = model("gr").home + 0.1
+    run = PlainDrive("gr", SELF_MOTION, start)
+    driven = run.drive(1.0, SELF_MOTION, a1=0.2).q_cmd
+    assert not run.teleoperator.is_at_rest
+    off_m, off_rad = run.driven.hand_errors(driven, start)
+    assert off_m < KEPT_M
+    assert off_rad < KEPT_RAD
 
 
 def swept(robot: str, joint: str, up_s: float, down_s: float) -> tuple[float, float, float]:

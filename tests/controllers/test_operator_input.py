@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from advising import advised
 from driving import CYCLE_S, model
 
 from deltaq_controllers.interface import ControllerError
@@ -79,6 +80,19 @@ def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first
     assert steps.read(103.5) is None
 
 
+def test_a_step_to_an_option_is_over_as_soon_as_the_robot_is_there_or_in_its_time() -> None:
+    there: list[int | None] = [None]
+    steps = Script([(60.0, Wish(option=2)), (5.0, Wish(option=3)), (1.0, Wish())], lambda: there[-1])
+    assert steps.duration_s == 66.0
+    assert steps.read(10.0) == Wish(option=2)
+    assert steps.read(30.0) == Wish(option=2)
+    there.append(2)
+    assert steps.read(31.0) == Wish(option=3)
+    assert steps.read(35.9) == Wish(option=3)
+    assert steps.read(36.0) == Wish()
+    assert steps.read(37.0) is None
+
+
 class Terminal:
     """A keyboard in a terminal of its own."""
 
@@ -133,6 +147,21 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     terminal.close()
 
 
+def test_a_digit_goes_to_an_option_of_the_advisor_until_any_other_key_is_pressed() -> None:
+    terminal = Terminal(advised(model("gr")))
+    with terminal.keyboard:
+        assert terminal.press("2", 1.0) == Wish(option=2)
+        assert terminal.press("", 9.0) == Wish(option=2)
+        assert terminal.press(" ", 9.1) == Wish()
+        assert terminal.press("3", 9.2) == Wish(option=3)
+        assert terminal.press("m", 9.3) == Wish(mode=ModeName.COUPLED)
+    terminal.close()
+    terminal = Terminal(teleoperator())
+    with terminal.keyboard:
+        assert terminal.press("2", 1.0) == Wish()
+    terminal.close()
+
+
 def test_a_keyboard_without_a_terminal_says_what_to_use() -> None:
     read, write = os.pipe()
     with pytest.raises(ControllerError, match="needs a terminal; from a pipe use a script"):
@@ -175,6 +204,26 @@ def test_the_stick_drives_the_chosen_joint_in_modes_of_joints(tmp_path: Path) ->
         os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
         os.write(writer, EVENT.pack(0, -16384, AXIS, 1))
         assert pad.read(0.0) == Wish({"e2": pytest.approx(0.05, rel=1e-3)})
+        os.close(writer)
+
+
+def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed_and_a_shoulder_button_is_held(
+    tmp_path: Path,
+) -> None:
+    device = tmp_path / "js0"
+    os.mkfifo(device)
+    pad = Gamepad(advised(model("gr")), device)
+    with pad:
+        writer = os.open(device, os.O_WRONLY)
+        os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
+        assert pad.read(0.0) == Wish()
+        assert pad.status == "option 2, held"
+        os.write(writer, EVENT.pack(0, -32767, AXIS, 1))
+        assert pad.read(0.1) == Wish(option=2)
+        os.write(writer, EVENT.pack(0, 0, BUTTON, 5))
+        assert pad.read(0.2) == Wish()
+        os.write(writer, EVENT.pack(0, 1, BUTTON, 3))
+        assert pad.read(0.3) == Wish(mode=ModeName.JOINT)
         os.close(writer)
 
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,13 +15,14 @@ from private_cell import write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.running import connect
-from deltaq_protocol.messages import RobotStatus
+from deltaq_protocol.messages import RobotState, RobotStatus
 
 pytestmark = pytest.mark.live
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 SCRIPT = """\
-- {duration_s: 0.8, move: {z_m_s: 0.05}}
+- {duration_s: 5, mode: advisor, option: 1}
+- {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}}
 - {duration_s: 1.2, mode: self-motion, move: {a1_deg_s: 10}}
 - {duration_s: 0.8, mode: decoupled, frame: tool, move: {z_mm_s: 50, e2_m_s: 0.05}}
 - {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}}
@@ -62,22 +63,29 @@ def status(cell: Path) -> RobotStatus:
         return running.status().robots["gr"]
 
 
-def wait_for_phase(cell: Path, wanted: str) -> None:
+def wait_for(cell: Path, reached: Callable[[RobotState], bool]) -> None:
+    """Until a state of gr is as it shall be."""
     deadline = time.monotonic() + 30
     with connect(load_cell(cell), "test") as running:
-        while (found := running.status().robots["gr"].phase) != wanted:
-            assert time.monotonic() < deadline, found
-            time.sleep(0.02)
+        for state in running.states("gr"):
+            if reached(state):
+                return
+            assert time.monotonic() < deadline, state.phase
+
+
+def wait_for_phase(cell: Path, wanted: str) -> None:
+    wait_for(cell, lambda state: state.phase == wanted)
 
 
 def wait_for_motion(cell: Path) -> None:
     """Until A1 of gr has moved by a hundredth of a radian."""
-    deadline = time.monotonic() + 30
-    with connect(load_cell(cell), "test") as running:
-        start = running.status().robots["gr"].q
-        while abs(running.status().robots["gr"].q[3] - start[3]) < 0.01:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+    seen: list[float] = []
+
+    def moved(state: RobotState) -> bool:
+        seen.append(state.q[3])
+        return abs(seen[-1] - seen[0]) > 0.01
+
+    wait_for(cell, moved)
 
 
 def written(folder: Path, text: str) -> str:
@@ -88,11 +96,27 @@ def written(folder: Path, text: str) -> str:
 
 def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, SCRIPT)
-    done = deltaq(cell, "drive", "--robot", "gr", "--mode", "coupled", "--script", script, "--json")
-    assert done.returncode == 0, done.stderr
+    arguments = (
+        "--robot",
+        "gr",
+        "--script",
+        script,
+        "--criterion",
+        "travel=1",
+        "--criterion",
+        "clearance=0.5",
+    )
+    done = deltaq(cell, "drive", *arguments, "--mode", "advisor", "--json")
+    # the way to an option takes longer than the step, and that is told
+    assert done.returncode == 1, done.stderr
+    assert "option 1: energy" in done.stderr
     summary = json.loads(done.stdout)
+    assert summary["missed"] == [1]
+    assert summary["legs"][0]["options"] == [{"option": 1, "reached": False}]
     legs = {leg["mode"]: leg["hands"]["tool"] for leg in summary["legs"]}
-    assert list(legs) == ["coupled", "self-motion", "decoupled", "joint"]
+    assert list(legs) == ["advisor", "coupled", "self-motion", "decoupled", "joint"]
+    assert legs["advisor"]["farthest_mm"] < 0.1
+    assert legs["advisor"]["farthest_deg"] < 0.01
     assert 15 < legs["coupled"]["moved_mm"] < 50
     assert legs["self-motion"]["farthest_mm"] < 0.1
     assert legs["self-motion"]["farthest_deg"] < 0.01
@@ -144,6 +168,9 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
         (("--robot", "gr", "--script", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--robot", "gr", "--gamepad", "/dev/input/none"), "no gamepad at /dev/input/none"),
         (("--robot", "gr"), "the keyboard needs a terminal"),
+        (("--robot", "fr", "--mode", "advisor"), "advisor needs a joint to spare, robot 'fr' has none"),
+        (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),
+        (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
     ],
 )
 def test_wrong_usage_is_told_in_a_line(cell: Path, arguments: tuple[str, ...], told: str) -> None:

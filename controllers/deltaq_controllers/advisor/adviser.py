@@ -1,183 +1,192 @@
-"""The advisor in the background of a control loop: ask, look now and then, give up at any time."""
+"""The advisor beside a control loop: in a process of its own, so that the loop never waits for it.
+
+A thread would not do: the loop needs the interpreter every few milliseconds, and the search has it for longer.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from threading import Event
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.advisor.advisor import Option, Progress, advise
-from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.problem import Problem
-from deltaq_controllers.advisor.space import HandsKept
-from deltaq_controllers.advisor.ways import NoWayError, Ways
+from deltaq_controllers.advisor.advisor import Progress
+from deltaq_controllers.advisor.counsel import Counsel
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.live import cell_model
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Description
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Ask:
+    number: int
+    q: Array
+    others: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class _Seek:
+    number: int
+    back: Array
+    rank: int
+    others: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class _GiveUp:
+    number: int
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What is known of a question by now, or why it cannot be answered."""
+
+    number: int
+    progress: Progress | None = None
+    trouble: str = ""
+    is_over: bool = False
 
 
 class _GivenUpError(Exception):
     """Nobody waits for the answer any more."""
 
 
-@dataclass(frozen=True)
-class _Models:
-    """What every question needs, and takes a moment to make."""
-
-    problem: Problem
-    exact: ExactClearance
-
-
 class Adviser:
-    """Asks the advisor for self-motions, in a thread of its own.
-
-    A robot should stand while it is asked: the thread computes, and a control loop beside it answers late.
+    """Asks the advisor for self-motions of a robot of a running cell.
 
     Args:
-        cell: makes the model of the cell, when it is first needed.
+        description: of the cell, as its HLI tells.
         tracker: of the robot.
-        others: where the other robots of the cell are now.
+        others: tells where the other robots of the cell are now.
         weights: of the criteria; the advisor's own if not given.
-        options: how many at most.
-        effort: of the search.
-        seed: of the search.
-        executor: runs what is asked; a thread if not given.
 
     Attributes:
         tracker: as given.
-        trouble: why what was asked for last cannot be answered; empty if it can.
     """
 
     def __init__(
         self,
-        cell: Callable[[], CellModel],
+        description: Description,
         tracker: ConstraintTracker,
-        others: Callable[[], Mapping[str, Array]] = dict,
+        others: Callable[[], Mapping[str, Array]],
         weights: Mapping[str, float] | None = None,
-        *,
-        options: int = 5,
-        effort: float = 1.0,
-        seed: int = 0,
-        executor: Executor | None = None,
     ) -> None:
-        self._cell, self.tracker, self._others, self._weights = cell, tracker, others, weights
-        self._count, self._effort, self._generator = options, effort, np.random.default_rng(seed)
-        self._executor = executor or ThreadPoolExecutor(1, thread_name_prefix="adviser")
-        self._models: _Models | None = None
-        self._task: Future[None] | None = None
-        self._given_up = Event()
-        self._progress: Progress | None = None
-        self._first: tuple[Option, ...] = ()
-        self.trouble = ""
+        self.tracker = tracker
+        self._others = others
+        self._newest = _Answer(0, is_over=True)
+        context = multiprocessing.get_context("spawn")
+        self._line, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_serve, args=(theirs, description, tracker.robot.name, weights), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def ask(self, q: Array) -> None:
+        """Begin to look for options that keep the hands where they are at `q` (n,)."""
+        self._newest = _Answer(self._newest.number + 1)
+        self._send(_Ask(self._newest.number, q, self._others()))
+
+    def seek(self, back: Array, rank: int) -> None:
+        """Begin to look for a way to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
+        self._newest = _Answer(self._newest.number + 1, self._newest.progress)
+        self._send(_Seek(self._newest.number, back, rank, self._others()))
+
+    def give_up(self) -> None:
+        """End what is going on; what is known stays known."""
+        self._newest = _Answer(self._newest.number + 1, self._newest.progress, is_over=True)
+        self._send(_GiveUp(self._newest.number))
 
     @property
     def is_busy(self) -> bool:
         """Whether a question has not been answered yet."""
-        return self._task is not None and not self._task.done()
+        self._listen()
+        return not self._newest.is_over
 
-    def ask(self, q: Array) -> None:
-        """Begin to look for options that keep the hands where they are at `q` (n,)."""
-        self._progress, self.trouble = None, ""
-        self._submit(self._advise, q.copy())
+    @property
+    def progress(self) -> Progress | None:
+        """What is known by now; None before anything is."""
+        self._listen()
+        return self._newest.progress
 
-    def seek(self, back: Array, rank: int) -> None:
-        """Begin to look for a way to the option of a rank.
+    @property
+    def trouble(self) -> str:
+        """Why what was asked for last cannot be answered; empty if it can."""
+        self._listen()
+        return self._newest.trouble
 
-        Args:
-            back: (P, n) a way from where the robot stands to where it stood when options were asked for. If there is no
-                other, it leads back along this one.
-            rank: from 1.
-        """
-        self._submit(self._find_way, back.copy(), rank)
+    def _send(self, question: _Ask | _Seek | _GiveUp) -> None:
+        try:
+            self._line.send(question)
+        except OSError:
+            self._lost()
 
-    def give_up(self) -> None:
-        """End what is going on; what is known stays known."""
-        self._given_up.set()
+    def _listen(self) -> None:
+        try:
+            while self._line.poll():
+                answer: _Answer = self._line.recv()
+                if answer.number == self._newest.number:
+                    self._newest = answer
+        except (OSError, EOFError):
+            self._lost()
+
+    def _lost(self) -> None:
+        trouble = "the advisor's process has ended; leave this mode, and start anew to ask again"
+        self._newest = _Answer(self._newest.number, self._newest.progress, trouble, is_over=True)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give up for good."""
-        self.give_up()
-        self._executor.shutdown()
+        """End the process, whatever it is doing."""
+        self._process.terminate()
+        self._process.join()
+        self._line.close()
 
-    @property
-    def progress(self) -> Progress | None:
-        """What is known by now; None before anything is."""
-        if self._task is not None and self._task.done():
-            self._task.result()
-        return self._progress
 
-    def _submit(self, work: Callable[..., None], *arguments: Array | int) -> None:
-        self.give_up()
-        self._given_up = Event()
-        self._task = self._executor.submit(self._until_given_up, work, self._given_up, *arguments)
-
-    def _until_given_up(self, work: Callable[..., None], given_up: Event, *arguments: Array | int) -> None:
-        try:
-            work(given_up, *arguments)
-        except _GivenUpError:
-            return
-        except DeltaqError as error:
-            self.trouble = str(error)
-
-    def _advise(self, given_up: Event, q: Array) -> None:
-        models = self._models_at(self.tracker.hands(q))
-        models.exact.place(self._others())
-
-        def go_on(progress: Progress) -> bool:
-            if given_up.is_set():
-                raise _GivenUpError
-            self._progress, self._first = progress, progress.options
-            return True
-
-        advise(
-            models.problem,
-            q,
-            generator=self._generator,
-            options=self._count,
-            effort=self._effort,
-            exact=models.exact,
-            go_on=go_on,
-        )
-
-    def _find_way(self, given_up: Event, back: Array, rank: int) -> None:
-        models, progress = self._models, self._progress
-        assert models is not None  # there are options
-        assert progress is not None
-        models.exact.place(self._others())
-        space = HandsKept(self.tracker, models.problem.poses)
-        ways = Ways(models.problem, space, models.exact, self._generator)
-        first, known = self._first[rank - 1], list(progress.options)
-
-        def path(start: Array) -> Array:
-            return ways.path(start, first.q, go_on=lambda: not given_up.is_set())
-
-        try:
+def _serve(
+    line: Connection, description: Description, robot: str, weights: Mapping[str, float] | None
+) -> None:
+    """Answer questions until the line is closed; a new one ends the one before."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
+    counsel: Counsel | None = None
+    try:
+        while True:
+            question = line.recv()
+            if isinstance(question, _GiveUp):
+                continue
             try:
-                found = path(back[0])
-            except NoWayError:
-                onwards = path(first.start) if first.path is None else first.path
-                found = np.concatenate([back, onwards])
-            option = replace(first, start=back[0], path=found, no_path="")
-        except NoWayError as error:
-            option = replace(first, start=back[0], path=None, no_path=str(error))
-        if not given_up.is_set():
-            known[rank - 1] = option
-            self._progress = replace(progress, options=tuple(known))
+                counsel = counsel or Counsel(cell_model(description), robot, weights)
+                _answer(line, counsel, question)
+            except _GivenUpError:
+                continue
+            except DeltaqError as error:
+                line.send(_Answer(question.number, trouble=str(error), is_over=True))
+    except (EOFError, OSError):
+        return
 
-    def _models_at(self, T_world_hands: Array) -> _Models:
-        if self._models is None:
-            cell, robot = self._cell(), self.tracker.robot.name
-            problem = Problem(cell, robot, T_world_hands, self._weights, self.tracker)
-            self._models = _Models(problem, ExactClearance(cell, robot))
-        self._models = replace(self._models, problem=self._models.problem.at(T_world_hands))
-        return self._models
+
+def _answer(line: Connection, counsel: Counsel, question: _Ask | _Seek) -> None:
+    last: Progress | None = None
+
+    def go_on(progress: Progress) -> bool:
+        nonlocal last
+        last = progress
+        line.send(_Answer(question.number, progress))
+        if line.poll():
+            raise _GivenUpError
+        return True
+
+    if isinstance(question, _Ask):
+        counsel.ask(question.q, question.others, go_on)
+    else:
+        counsel.seek(question.back, question.rank, question.others, go_on)
+    line.send(_Answer(question.number, last, is_over=True))

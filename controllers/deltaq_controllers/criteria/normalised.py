@@ -42,7 +42,11 @@ class Normalised:
     """
 
     def __init__(self, data: RobotData, weights: Mapping[str, float]) -> None:
-        check_weights(weights)
+        for name, weight in weights.items():
+            if name not in BY_NAME:
+                raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
+            if not np.isfinite(weight) or weight < 0.0:
+                raise CriterionError(f"the weight of {name} must be a number from 0 on, got {weight}")
         self.criteria = tuple(BY_NAME[name] for name, weight in weights.items() if weight > 0.0)
         self.weights = np.array([weight for weight in weights.values() if weight > 0.0])
         self.references = references(data, self.criteria)
@@ -67,19 +71,6 @@ class Normalised:
             slope = _slope(criterion, scale, criterion.value(postures))
             gradient += weight * slope[:, None] * criterion.gradient(postures)
         return gradient
-
-
-def check_weights(weights: Mapping[str, float]) -> None:
-    """Check that weights are numbers from 0 on, of criteria that there are.
-
-    Raises:
-        CriterionError: they are not.
-    """
-    for name, weight in weights.items():
-        if name not in BY_NAME:
-            raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
-        if not np.isfinite(weight) or weight < 0.0:
-            raise CriterionError(f"the weight of {name} must be a number from 0 on, got {weight}")
 
 
 def references(data: RobotData, criteria: Sequence[Criterion]) -> Array:

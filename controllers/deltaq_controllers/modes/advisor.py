@@ -49,11 +49,14 @@ class Advice(Protocol):
 
     Attributes:
         tracker: of the robot.
-        trouble: why what was asked for cannot be answered; empty if it can.
     """
 
     tracker: ConstraintTracker
-    trouble: str
+
+    @property
+    def trouble(self) -> str:
+        """Why what was asked for cannot be answered; empty if it can."""
+        ...
 
     @property
     def is_busy(self) -> bool:

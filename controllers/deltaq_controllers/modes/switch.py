@@ -188,7 +188,8 @@ class Teleoperator:
             self.frame = self.wish.frame
         if self.wish.mode is not None:
             wanted = self.mode_named(self.wish.mode)
-            self._next = wanted if wanted is not self._mode else None
+            if wanted is not (self._next or self._mode):
+                self._next = wanted
         self._mode.choose(self.wish.option)
 
     def _step_from(self, q_cmd: Array) -> Callable[[Motion], Array]:

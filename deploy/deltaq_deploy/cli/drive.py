@@ -120,25 +120,29 @@ class _Choice:
 
     def _teleoperator(self, running: Cell, stack: ExitStack) -> Teleoperator:
         """The teleoperator with all modes; the stack ends what they have going on."""
-        from functools import cache
+        from functools import partial
 
         from deltaq_cell.robot import RobotModel
         from deltaq_controllers.advisor.adviser import Adviser
+        from deltaq_controllers.criteria.postures import RobotData
         from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
-        from deltaq_controllers.modes.advisor import tracker_of
-        from deltaq_controllers.modes.makers import all_modes
+        from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
+        from deltaq_controllers.modes.coupled import CoupledMode, weighed
         from deltaq_controllers.modes.motion import Frame, ModeName
-        from deltaq_controllers.modes.switch import Teleoperator
+        from deltaq_controllers.modes.switch import MODES, Teleoperator
 
         description = running.description
         model = model_of(robot_models(description), self.robot)
-        cell = cache(lambda: cell_model(description))
 
-        def adviser(robot: RobotModel) -> Adviser:
+        def advisor(robot: RobotModel) -> AdvisorMode:
             others = where_others_are(running, self.robot)
-            return stack.enter_context(Adviser(cell, tracker_of(robot), others, self.weights))
+            adviser = Adviser(description, tracker_of(robot), others, self.weights)
+            return AdvisorMode(robot, description.cycle_s, stack.enter_context(adviser))
 
-        modes = all_modes(cell, description.cycle_s, adviser, self.weights)
+        modes = {**MODES, ModeName.ADVISOR: advisor}
+        if self.weights is not None:
+            criteria = (weighed(RobotData(cell_model(description), self.robot), self.weights),)
+            modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
         return Teleoperator(model, description.cycle_s, ModeName(self.mode), Frame(self.frame), modes)
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
