@@ -1,9 +1,9 @@
-"""The courses a robot may take, setpoint by setpoint, and the tube around one."""
+"""The courses a robot may take, setpoint by setpoint, and the tube around one, window by window."""
 
 import numpy as np
 import pytest
 
-from deltaq_services.sim.tube import Branch, tube
+from deltaq_services.sim.tube import Branch, Windows, tube
 
 HERE = np.array([1.0, 2.0])
 DQ = np.array([0.4, -0.8])
@@ -61,3 +61,41 @@ def test_drives_that_still_settle_have_windows_to_come_and_a_robot_at_rest_has_o
     assert (one_joint.first, one_joint.last) == (1, 1 + LAG)
     at_rest = tube(np.tile(HERE, (3, 1)), Branch(np.zeros(2), 1, 0), LAG)
     assert (at_rest.first, at_rest.last) == (2, 2)
+
+
+LINE = np.arange(10)[:, None] * np.array([0.1, 0.2])
+
+
+def ends(piece):
+    """First and last setpoint, counted along the line, of what a piece holds."""
+    strip = piece.strip()
+    return pytest.approx([(strip.middle[0] - strip.half[0]) / 0.1, (strip.middle[0] + strip.half[0]) / 0.1])
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "held"),
+    [
+        (0, 0, (0, 0)),
+        (1, 1, (0, 1)),
+        (5, 5, (3, 5)),
+        (4, 7, (2, 7)),
+        (10, 10, (8, 9)),
+        (11, 11, (9, 9)),
+        (30, 30, (9, 9)),
+    ],
+)
+def test_a_window_holds_its_setpoint_and_as_many_before_it_as_the_drives_lag(first, last, held):
+    assert ends(Windows(LINE, 2, first, last)) == list(held)
+
+
+@pytest.mark.parametrize(
+    ("last", "halves"), [(7, [(4, 5), (6, 7)]), (6, [(4, 5), (6, 6)]), (5, [(4, 4), (5, 5)])]
+)
+def test_windows_are_halved_so_that_each_is_in_one_half(last, halves):
+    assert [(half.first, half.last) for half in Windows(LINE, 2, 4, last).halves()] == halves
+
+
+def test_a_single_window_is_halved_along_its_line():
+    left, right = Windows(LINE, 2, 5, 5).halves()
+    assert ends(left) == [3, 4]
+    assert ends(right) == [4, 5]

@@ -19,6 +19,7 @@ from gate_bench import (
     with_room,
 )
 
+from deltaq_protocol.guarded import Admission
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.retreat import Retreat
 
@@ -68,7 +69,7 @@ def test_motion_inwards_is_not_let_go_and_what_changes_no_distance_is(low):
 def test_a_blend_that_still_leads_inwards_is_not_let_go():
     inwards = in_motion("fr", above_the_floor(-2e-3), -0.5 * OUT)
     assert find(inwards, OUT, at_most=0.1)[0] == 0.0
-    assert find(inwards, OUT, at_most=0.9)[0] == 0.9
+    assert find(inwards, OUT, at_most=0.4)[0] == 0.4  # the brake that is left is a third of OUT
 
 
 def test_a_brake_faster_than_retreat_has_to_end_first():
@@ -86,6 +87,15 @@ def test_a_pair_that_keeps_the_stop_distance_is_no_violation_and_is_certified_as
     assert find(clear, -OUT) == (0.0, [])
 
 
+def test_a_pair_at_the_stop_distance_to_within_what_coal_can_tell_is_led_out():
+    assert find(at_rest("fr", above_the_floor(0.0)), OUT)[0] == 1.0
+
+
+def test_motion_along_a_body_is_no_violation():
+    robot = in_motion("fr", above_the_floor(3e-3), one_joint("fr", 0, LIMITS["fr"].max_dq[0] / 2))
+    assert find(robot, OUT)[1] == []
+
+
 def test_a_violation_of_two_robots_is_led_out_of_by_either():
     here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
     gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
@@ -97,6 +107,27 @@ def test_a_violation_of_two_robots_is_led_out_of_by_either():
     turns = [find(fr, sign * one_joint("fr", 0, SLOW[0]), [gr]) for sign in (1, -1)]
     assert sorted(scale for scale, _ in turns) == [0.0, 1.0]
     assert told(turns[0][1]) == ["fr/link_1 gr/link_3"]
+
+
+def test_each_course_of_another_robot_is_judged_by_itself():
+    here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
+    gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
+    gr.in_flight = Admission(
+        robot="gr",
+        epoch=1,
+        sequence=2,
+        cycle=1,
+        follows_sequence=1,
+        follows_q_cmd=gr.state.q_cmd,
+        follows_dq=gr.state.dq,
+        dq=tuple(one_joint("gr", 4, 2e-3).tolist()),
+        brake_cycles=4,
+    )
+    turns = [find(fr, sign * one_joint("fr", 0, SLOW[0]), [gr]) for sign in (1, -1)]
+    assert sorted(scale for scale, _ in turns) == [0.0, 1.0]
+    standing, coming_nearer = turns[0][1]
+    assert standing.value == pytest.approx(STOP_M - 2e-3, abs=1e-5)
+    assert coming_nearer.value < standing.value - 1e-3
 
 
 def test_retreat_from_one_body_does_not_lead_too_near_to_another(low):
