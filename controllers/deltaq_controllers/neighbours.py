@@ -172,16 +172,15 @@ class Neighbours:
         """(k, m) change of each distance per increment of each joint."""
         if not results:
             return np.zeros((0, self._model.nv))
-        # coal's normal points from the first body to the second
-        normal = np.array([-result.normal for result in results])
-        one = np.array([result.getNearestPoint1() for result in results])
-        other = np.array([result.getNearestPoint2() for result in results])
-        linear, angular = self._data.J[:3], self._data.J[3:]
-        straight = normal @ linear
+        # coal's normal points from the first body to the second; a force at a point is a wrench at the origin
+        own, theirs = np.empty((len(results), 6)), np.empty((len(results), 6))
+        for row, result in enumerate(results):
+            x, y, z = (-result.normal).tolist()
+            own[row] = _wrench(x, y, z, *result.getNearestPoint1().tolist())
+            theirs[row] = _wrench(x, y, z, *result.getNearestPoint2().tolist())
         first, second = self._bodies[pairs].T
-        own = straight + _cross(one, normal) @ angular
-        theirs = straight + _cross(other, normal) @ angular
-        rows: Array = own * self._moves[first] - theirs * self._moves[second]
+        twists = self._data.J
+        rows: Array = (own @ twists) * self._moves[first] - (theirs @ twists) * self._moves[second]
         return rows
 
     def _moves_of(self, carriers: list[int]) -> Array:
@@ -194,8 +193,6 @@ class Neighbours:
         return moves
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """(k, 3) cross products; numpy's own takes longer over few rows than all the rest."""
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+def _wrench(x: float, y: float, z: float, px: float, py: float, pz: float) -> tuple[float, ...]:
+    """A force (x, y, z) at a point (px, py, pz), with its moment about the origin."""
+    return x, y, z, py * z - pz * y, pz * x - px * z, px * y - py * x

@@ -22,7 +22,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.camera_error import Look, easiest_way_round, look, skew, view_angle
+from deltaq_controllers.camera_error import (
+    Look,
+    easiest_way_round,
+    look,
+    view_angle,
+    view_jacobians,
+)
 from deltaq_controllers.focus import FocusTracker
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.kinematics import Kinematics
@@ -113,10 +119,11 @@ class QpFollower:
         # of the brake that is under way, what is left
         travel = dq_last * (0.5 * (cycles - 1))
         near = self._near(q + travel)
-        rows, wanted, weights = self._tasks(q, focus, velocity)
+        foreign = self._neighbours.foreign[near.pairs]
+        rows, wanted, weights = self._tasks(q, focus, velocity, evade=True in foreign)
         slowest, fastest = self._bounds(q, dq_last)
         barriers, least = self._barriers(near, travel, 0.5 * (cycles + 2))
-        kinds = np.where(self._neighbours.foreign[near.pairs], 0, 1)
+        kinds = np.where(foreign, 0, 1)
         solution = self._program.solve(rows, wanted, weights, slowest, fastest, barriers, least, kinds)
         if solution is None:
             self.unsolved += 1
@@ -156,22 +163,22 @@ class QpFollower:
         focus = self._leader.position
         return focus, self._leader.jacobian()[:3] @ tracker.velocity
 
-    def _tasks(self, q: Array, focus: Array, velocity: Array) -> tuple[Array, Array, Array]:
+    def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> tuple[Array, Array, Array]:
         """Rows (t, n), wanted changes (t,) and weights (t,) of angle, distance, roll and evasion."""
         camera, gains, cycle_s = self._camera, self.gains, self._cycle_s
         camera.update(q)
-        at_focus = camera.linear - skew(focus) @ camera.angular
         view = look(camera.rotation, camera.position, focus)
         if view.undecided:
-            way = easiest_way_round(camera.rotation, at_focus)
+            way = easiest_way_round(camera.rotation, camera.at_point(focus))
             view = look(camera.rotation, camera.position, focus, way)
-        angle = (-view.P / view.stretch) @ at_focus
-        apart = -(view.u @ camera.linear + (skew(camera.position) @ view.u) @ camera.angular)
+        jacobian, approach = view_jacobians(view, camera.position, focus, camera.twists)
         roll = roll_effects(camera.rotation, camera.angular)
-        evasion = self._evasion(q)
+        evasion = self._evasion(q) if evade else np.zeros_like(q)
         push = math.sqrt(float(evasion @ evasion))
-        rows = np.vstack([angle, apart, roll, evasion / max(push, 1e-9)])
-        turn = self._angle_step(view, angle)
+        rows = np.empty((5, len(q)))
+        rows[:2], rows[2] = jacobian / view.stretch, -approach
+        rows[3], rows[4] = roll, evasion / max(push, 1e-9)
+        turn = self._angle_step(view, rows[:2])
         drift = (view.P @ velocity) * (cycle_s / view.stretch)
         wanted = np.array(
             [
@@ -224,10 +231,11 @@ class QpFollower:
         It is what the joints give that share the work by their acceleration limits, least squares.
         """
         scaled = rows * self.limits.max_ddq
+        square = scaled @ scaled.T
         # a direction that no joint moves has no acceleration, and no infinity either
-        square = scaled @ scaled.T + 1e-12 * np.eye(len(rows))
-        busy = np.abs(np.linalg.solve(square, direction) @ scaled).max()
-        return 1.0 / max(float(busy), 1e-9)
+        square.ravel()[:: len(rows) + 1] += 1e-12
+        busy = np.linalg.solve(square, direction) @ scaled
+        return 1.0 / max(float(busy.max()), -float(busy.min()), 1e-9)
 
     def _bounds(self, q: Array, dq_last: Array) -> tuple[Array, Array]:
         """Least and greatest increment (n,) of speed, acceleration and room to brake."""

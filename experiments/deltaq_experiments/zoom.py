@@ -119,20 +119,22 @@ def desired_at(time_s: float, hold_s: float) -> float:
 def plateau(views: Views, clock: Array, from_s: float, to_s: float) -> Plateau:
     """Judge one desired distance by the last third of its time."""
     end = (clock >= to_s - (to_s - from_s) / 3.0) & (clock < to_s)
-    error = np.abs(views.distance_m - views.desired_m)[end]
+    error = (views.distance_m - views.desired_m)[end]
     rms = float(np.sqrt(np.mean(error**2)))
-    reached = rms <= REACHED_M
+    reached, on_average = rms <= REACHED_M, abs(float(np.mean(error))) <= REACHED_M
     return Plateau(
         from_s=from_s,
         desired_m=float(views.desired_m[end][-1]),
         error_m=rms,
-        largest_error_m=float(error.max()),
+        largest_error_m=float(np.abs(error).max()),
         reached=reached,
-        why_not=None if reached else _why(views.near_limit[end], views.evading[end]),
+        why_not=None if reached else _why(views.near_limit[end], views.evading[end], on_average),
     )
 
 
-def _why(near_limit: NDArray[np.bool_], evading: NDArray[np.bool_]) -> str:
+def _why(near_limit: NDArray[np.bool_], evading: NDArray[np.bool_], on_average: bool) -> str:
+    if on_average:
+        return "reached on average only: the leader moves on meanwhile"
     causes = {
         "a joint is near its limit": float(near_limit.mean()),
         "something is in the way": float(evading.mean()),

@@ -81,6 +81,14 @@ def test_a_distance_that_is_not_reached_says_why(near_limit: bool, evading: bool
     assert told.why_not == why
 
 
+def test_a_distance_about_which_it_swings_is_reached_on_average_only() -> None:
+    clock, no = np.arange(300) * 0.01, np.zeros(300, dtype=np.bool_)
+    distance = 2.0 + 0.02 * np.sin(2.0 * np.pi * clock)
+    told = zoom.plateau(zoom.Views(0.0 * clock, distance, np.full(300, 2.0), no, no), clock, 0.0, 3.0)
+    assert not told.reached
+    assert told.why_not == "reached on average only: the leader moves on meanwhile"
+
+
 def test_a_leader_that_attacks_the_lens_touches_nothing() -> None:
     outcome = collision.run(Options(controller="qp", duration_s=4.5, settle_s=0.0, leader_speed_m_s=0.5))
     report = outcome.report
