@@ -181,3 +181,11 @@ def test_at_the_stop_distance_motion_that_leads_no_nearer_is_let_go():
     robot = at_rest("fr", above_the_floor(2e-5))
     request = one_joint("fr", 0, LIMITS["fr"].max_dv[0])  # about the vertical
     assert decide(robot, request).outcome is Outcome.ADMITTED
+
+
+def test_motion_that_leads_out_is_let_go_where_the_lag_leaves_too_much_uncertain_for_a_certificate():
+    dq = np.array((-0.00074, 0.00053, 0.00277, -0.0032, 0.0087, 0.01715))
+    robot = in_motion("fr", above_the_floor(2.5e-5), dq)
+    decision = decide(robot, np.array((-0.0028, -0.0016, 0.0019, 0.0254, -0.00018, 0.0403)))
+    assert decision.outcome is Outcome.SCALED
+    assert [reason.code for reason in decision.reasons] == [ReasonCode.RETREAT]

@@ -1,0 +1,129 @@
+"""How a tube is certified: all of it or not at all, and with the pair that has the least room."""
+
+import numpy as np
+import pytest
+from gate_bench import (
+    FR_BESIDE_GR,
+    GR_BESIDE_FR,
+    HOME,
+    LAG,
+    PROXIMITY,
+    STOP_M,
+    above_the_floor,
+    at_rest,
+    one_joint,
+    with_room,
+)
+
+from deltaq_services.sim.certificate import Certifier
+from deltaq_services.sim.tube import Windows
+
+BESIDE = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
+
+
+def standing(name, q):
+    return at_rest(name, q).standing()
+
+
+def path(start, end, count=40):
+    """Windows of a robot whose drives do not lag, along a straight line."""
+    return Windows(np.linspace(start, end, count), 0, 0, count - 1)
+
+
+def certify(robot, tube, *others, **keywords):
+    return Certifier(PROXIMITY).certify(robot, tube, list(others), **keywords)
+
+
+LOW, HIGH = above_the_floor(-1e-3), above_the_floor(-1e-3) - one_joint("fr", 1, 0.2)
+NEAR = with_room(-1e-3, "gr", BESIDE, 4)
+FAR = NEAR - one_joint("gr", 4, 0.1)
+
+
+@pytest.mark.parametrize(("start", "end"), [(LOW, HIGH), (HIGH, LOW)])
+def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(start, end):
+    middle = (start + end) / 2
+    assert certify("fr", path(middle, HIGH)).holds is True
+    failed = certify("fr", path(start, end))
+    assert failed.holds is False
+    assert failed.binding.nearest.pair == ("fr/link_3", "structure/floor")
+    assert failed.binding.room_m < 0
+
+
+@pytest.mark.parametrize(("start", "end"), [(NEAR, FAR), (FAR, NEAR)])
+def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_whoever_moves(start, end):
+    beside = standing("fr", FR_BESIDE_GR)
+    middle = (start + end) / 2
+    assert certify("gr", path(middle, FAR), ("fr", beside)).holds is True
+    assert certify("fr", beside, ("gr", path(middle, FAR))).holds is True
+    for failed in (
+        certify("gr", path(start, end), ("fr", beside)),
+        certify("fr", beside, ("gr", path(start, end))),
+    ):
+        assert failed.holds is False
+        assert set(failed.binding.nearest.pair) == {"fr/link_1", "gr/link_3"}
+        assert failed.binding.room_m < 0
+
+
+def test_of_several_courses_of_another_robot_each_counts():
+    near, far = ("gr", standing("gr", NEAR)), ("gr", standing("gr", FAR))
+    beside = standing("fr", FR_BESIDE_GR)
+    assert certify("fr", beside, far, far).holds is True
+    assert certify("fr", beside, near, far).holds is False
+    assert certify("fr", beside, far, near).holds is False
+
+
+def test_the_structure_is_told_before_the_other_robot():
+    low = standing("fr", LOW)
+    assert certify("fr", low, ("gr", standing("gr", HOME["gr"]))).binding.nearest.pair[1] == "structure/floor"
+
+
+def test_what_holds_names_the_pair_with_the_least_room_of_all_that_were_looked_at():
+    beside = standing("fr", FR_BESIDE_GR)
+    close = standing("gr", with_room(5e-4, "gr", BESIDE, 4))
+    for binding in (
+        certify("fr", beside, ("gr", close)).binding,
+        certify("fr", beside, ("gr", close), ("gr", standing("gr", FAR))).binding,
+        certify("fr", beside, ("gr", standing("gr", FAR)), ("gr", close)).binding,
+    ):
+        assert set(binding.nearest.pair) == {"fr/link_1", "gr/link_3"}
+        assert binding.stop_distance_m == STOP_M
+        assert binding.room_m == pytest.approx(5e-4, abs=2e-5)
+    alone = certify("fr", beside, ("gr", standing("gr", HOME["gr"]))).binding
+    assert not any(name.startswith("gr") for name in alone.nearest.pair)
+
+
+def test_a_path_that_was_divided_names_the_pair_of_the_first_look():
+    whole = path(NEAR - one_joint("gr", 4, 0.01), FAR)
+    beside = ("fr", standing("fr", FR_BESIDE_GR))
+    divided = certify("gr", whole, beside)
+    assert divided.holds
+    assert set(divided.binding.nearest.pair) == {"fr/base", "gr/tool_gripper"}  # inflated by all of the path
+
+
+def test_groups_that_the_caller_answers_for_are_left_out():
+    low, gr = standing("fr", LOW), standing("gr", HOME["gr"])
+    floor = [group for group in PROXIMITY.alone["fr"] if ("fr/link_3", "structure/floor") in names(group)]
+    assert certify("fr", low, without=frozenset(floor)).holds is True
+    everything = frozenset([*PROXIMITY.alone["fr"], *PROXIMITY.between["fr", "gr"]])
+    none_left = certify("fr", low, ("gr", gr), without=everything)
+    assert (none_left.holds, none_left.binding) == (True, None)
+    assert certify("fr", low).holds is False
+
+
+def names(group):
+    return [(one.name, other.name) for one, other in group.pairs]
+
+
+def test_a_tube_that_needs_more_pieces_than_the_budget_has_is_not_certified():
+    assert LAG > 1
+    along = path(LOW - one_joint("fr", 1, 0.01), HIGH)
+    assert Certifier(PROXIMITY).certify("fr", along, []).holds is True
+    assert Certifier(PROXIMITY, budget=0).certify("fr", along, []).holds is False
+
+
+def test_all_tubes_of_one_certifier_share_its_budget():
+    certifier, easy = Certifier(PROXIMITY, budget=4), standing("fr", HOME["fr"])
+    along = path(LOW - one_joint("fr", 1, 0.01), HIGH)
+    for _ in range(6):
+        assert certifier.certify("fr", easy, []).holds  # one look is enough
+    assert not certifier.certify("fr", along, []).holds
