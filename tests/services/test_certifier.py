@@ -6,7 +6,6 @@ from gate_bench import (
     FR_BESIDE_GR,
     GR_BESIDE_FR,
     HOME,
-    LAG,
     PROXIMITY,
     STOP_M,
     above_the_floor,
@@ -114,16 +113,45 @@ def names(group):
     return [(one.name, other.name) for one, other in group.pairs]
 
 
-def test_a_tube_that_needs_more_pieces_than_the_budget_has_is_not_certified():
-    assert LAG > 1
-    along = path(LOW - one_joint("fr", 1, 0.01), HIGH)
-    assert Certifier(PROXIMITY).certify("fr", along, []).holds is True
-    assert Certifier(PROXIMITY, budget=0).certify("fr", along, []).holds is False
+def corner(first, second, third):
+    """One window around a corner, which no division along it makes narrow."""
+    return Windows(np.array([first, second, third]), 2, 2, 2)
+
+
+def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all():
+    beside = standing("fr", FR_BESIDE_GR)
+    around = corner(FAR, NEAR, NEAR + one_joint("gr", 0, 0.05))
+    failed = certify("gr", around, ("fr", beside))
+    assert failed.holds is False
+    assert failed.binding.nearest.distance_m > STOP_M  # in its middle there is room
+    assert set(failed.binding.nearest.pair) == {"fr/link_1", "gr/link_3"}
+    turning = path(FR_BESIDE_GR, FR_BESIDE_GR + one_joint("fr", 0, 1e-3))
+    assert certify("gr", around, ("fr", turning)).holds is False
+    assert certify("fr", turning, ("gr", around)).holds is False
+
+
+def test_the_one_that_can_be_divided_is_even_if_the_other_travels_further():
+    near = NEAR - one_joint("gr", 4, 0.005)
+    mine = path(near, near - one_joint("gr", 4, 0.1))
+    wrist = corner(
+        FR_BESIDE_GR,
+        FR_BESIDE_GR + one_joint("fr", 4, 0.3),
+        FR_BESIDE_GR + one_joint("fr", 4, 0.3) + one_joint("fr", 5, 0.3),
+    )
+    assert certify("gr", mine, ("fr", wrist)).holds is True
+    assert certify("fr", wrist, ("gr", mine)).holds is True
+
+
+def test_a_budget_is_the_number_of_looks_that_may_be_followed_by_others():
+    low = LOW - one_joint("fr", 1, 0.005)
+    divided_once = path(low, low - one_joint("fr", 1, 0.2))
+    assert not Certifier(PROXIMITY, budget=0).certify("fr", divided_once, []).holds
+    assert Certifier(PROXIMITY, budget=1).certify("fr", divided_once, []).holds
 
 
 def test_all_tubes_of_one_certifier_share_its_budget():
-    certifier, easy = Certifier(PROXIMITY, budget=4), standing("fr", HOME["fr"])
-    along = path(LOW - one_joint("fr", 1, 0.01), HIGH)
-    for _ in range(6):
-        assert certifier.certify("fr", easy, []).holds  # one look is enough
-    assert not certifier.certify("fr", along, []).holds
+    low = LOW - one_joint("fr", 1, 0.005)
+    divided_once = path(low, low - one_joint("fr", 1, 0.2))
+    certifier = Certifier(PROXIMITY, budget=1)
+    assert certifier.certify("fr", standing("fr", HOME["fr"]), []).holds  # one look is enough
+    assert not certifier.certify("fr", divided_once, []).holds
