@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import signal
 import sys
@@ -88,6 +89,9 @@ async def drive(
         ServiceUnreachableError: the HLI is gone.
     """
     verdict: Verdict | None = None
+    # models stand for ever: no need to look through them in every collection
+    gc.collect()
+    gc.freeze()
     async with cell.lease(robot) as leased:
         async for state in leased.states():
             view = view_of(cell, state, verdict)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltaq_experiments import approach, collision, tracking, zoom
+from deltaq_experiments import approach, collision, step_bench, tracking, zoom
 from deltaq_experiments.claims import CLAIMS, page
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
@@ -152,3 +152,10 @@ def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     assert found
     assert float(found[1]) < 1.5
     assert "scaled 0, held 0" in run.stdout
+
+
+def test_the_cost_of_a_step_is_told_as_a_distribution() -> None:
+    figures = step_bench.run("qp", 0.25, attacked=False, duration_s=0.5)
+    assert list(figures) == ["p50_us", "p90_us", "p99_us", "p99.9_us", "p100_us"]
+    assert list(figures.values()) == sorted(figures.values())
+    assert figures["p50_us"] > 10.0

@@ -1,0 +1,103 @@
+"""What one step of a camera controller costs: `python -m deltaq_experiments.step_bench` prints the distribution.
+
+The views are those of a run in virtual time, closed by the controller itself; they are then answered again, one
+after the other, and timed. Processor time is counted, so that what else runs on the machine weighs little.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.attacking_leader import AttackingLeader
+from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.interface import Controller, View
+from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_experiments.options import Options
+from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
+from deltaq_experiments.virtual import record
+
+Array = NDArray[np.float64]
+
+PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
+
+
+class Listening:
+    """A controller that keeps the views that it answered.
+
+    Args:
+        controller: that answers them.
+
+    Attributes:
+        views: all of them, in order.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self.views: list[View] = []
+        self._controller = controller
+
+    def increment(self, view: View) -> Array:
+        """The controller's increment, (n,) [rad or m]."""
+        self.views.append(view)
+        return self._controller.increment(view)
+
+
+def percentiles_us(controller: FocusController, views: Sequence[View]) -> dict[str, float]:
+    """Processor time of a step at each of `PERCENTILES` [µs]."""
+    gc.collect()
+    gc.freeze()
+    seconds = []
+    for view in views:
+        begin = time.thread_time()
+        controller.increment(view)
+        seconds.append(time.thread_time() - begin)
+    gc.unfreeze()
+    return {f"p{p:g}_us": round(float(np.percentile(seconds, p)) * 1e6, 1) for p in PERCENTILES}
+
+
+def run(name: str, speed_m_s: float, attacked: bool, duration_s: float) -> dict[str, float]:
+    """Time a controller in the lab cell.
+
+    Args:
+        name: of the controller.
+        speed_m_s: of the leader's tool.
+        attacked: the leader attacks the lens of a camera whose focus is fixed; else it moves about and is tracked.
+        duration_s: length of the run that the views come from.
+    """
+    cell = CellModel.load("lab")
+    leader_model, cycle_s = cell.robots[LEADER], cell.description.cycle_s
+    focus = leader_model.forward(leader_model.home)[:3, 3] if attacked else None
+    leader: Controller = (
+        AttackingLeader(leader_model, cell.robots[FOLLOWER], cycle_s, speed_m_s)
+        if attacked
+        else ScriptedLeader(leader_model, cycle_s, speed_m_s)
+    )
+    listening = Listening(camera_controller(cell, name, focus=focus))
+    record(Options(duration_s=duration_s), listening, leader)
+    return percentiles_us(camera_controller(cell, name, focus=focus), listening.views)
+
+
+def main() -> int:
+    """Print one JSON object a line: a controller in a situation."""
+    parser = argparse.ArgumentParser(prog="python -m deltaq_experiments.step_bench", description=__doc__)
+    parser.add_argument("--controller", nargs="+", default=["paper", "qp"], help="default: paper qp")
+    parser.add_argument("--speed-m-s", type=float, default=0.25, help="of the leader (default: %(default)s)")
+    parser.add_argument("--duration-s", type=float, default=20.0, help="of each run (default: %(default)s)")
+    options = parser.parse_args()
+    for name in options.controller:
+        for attacked in (False, True):
+            figures = run(name, options.speed_m_s, attacked, options.duration_s)
+            situation = "attacked" if attacked else "tracking"
+            print(json.dumps({"controller": name, "situation": situation, **figures}), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
