@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field, FiniteFloat, model_validator
 
 from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -28,7 +28,7 @@ class ServerState(Message):
     """State of one robot as its Robot Server publishes it, after it replied to the KRC.
 
     `q_cmd` and `dq` are the setpoint just sent and its increment. `sequence` is the admission it follows in
-    gate epoch `epoch` (0 and 0: none yet). `moving` is true while the plan or the servo still has way to go.
+    gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n of them everywhere.
     """
 
     robot: Name
@@ -47,6 +47,14 @@ class ServerState(Message):
     inputs: dict[str, bool] = {}
     outputs: dict[str, bool] = {}
     counters: dict[str, int] = {}
+
+    @model_validator(mode="after")
+    def _has_n_joints_everywhere(self) -> Self:
+        n = len(self.q)
+        for name, joints in (("q_cmd", self.q_cmd), ("dq", self.dq), ("plan.dq", self.plan.dq)):
+            if len(joints) != n:
+                raise ValueError(f"{name} has {len(joints)} joints, q has {n}")
+        return self
 
 
 class Request(Message):

@@ -97,7 +97,7 @@ def server_state(
     robot: str = "fr", cycle: int = 100, phase: Phase = Phase.READY, **changes: Any
 ) -> ServerState:
     """A state as a Robot Server publishes it, at rest at q = 0.1."""
-    n = {"fr": 6, "gr": 9}.get(robot, 6)
+    n = len(changes["q"]) if "q" in changes else {"fr": 6, "gr": 9}.get(robot, 6)
     fields: dict[str, Any] = {
         "robot": robot,
         "cycle": cycle,
