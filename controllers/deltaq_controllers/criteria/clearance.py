@@ -87,8 +87,12 @@ class ClearanceField:
         standing = [body for body in cell.structure if not isinstance(body.geometry, coal.Box)]
         boxes = [body for body in cell.structure if isinstance(body.geometry, coal.Box)]
         self._stand_middles, self._stand_halves, stand_radii = _capsules(standing)
-        self._boxes = [_box(body) for body in boxes]
+        placed = [_box(body) for body in boxes]
+        self._centres = np.array([centre for centre, _, _ in placed]).reshape(-1, 3)
+        self._turns = np.array([turn for _, turn, _ in placed]).reshape(-1, 3, 3)
+        self._sizes = np.array([half for _, _, half in placed]).reshape(-1, 3)
         own, against, boxed = pairs([], own=True), pairs(standing, own=False), pairs(boxes, own=False)
+        boxed = boxed[:, np.argsort(boxed[1], kind="stable")]  # box by box
         self._own, self._against, self._boxed = own, against, boxed
         # room is the distance of the axes less `least`
         self._least = np.concatenate(
@@ -177,17 +181,10 @@ class ClearanceField:
             _from_axes(self._stand_middles, middles, halves)[:, j, i],
         )
         distances = [np.sqrt(np.maximum(np.concatenate([own, against], axis=1), 0.0))]
-        for box, (centre, R, half) in enumerate(self._boxes):
+        for box, (centre, R, half) in enumerate(zip(self._centres, self._turns, self._sizes, strict=True)):
             which = self._boxed[0][self._boxed[1] == box]
             distances.append(box_distance((middles[:, which] - centre) @ R, half))
-        together = np.concatenate(distances, axis=1)
-        # boxes were measured box by box, pairs are listed capsule by capsule
-        first = len(self._own[0]) + len(self._against[0])
-        order = np.argsort(self._boxed[1], kind="stable")
-        boxed = np.empty_like(together[:, first:])
-        boxed[:, order] = together[:, first:]
-        together[:, first:] = boxed
-        return together
+        return np.concatenate(distances, axis=1)
 
     def _measured(self, middles: Array, halves: Array, rows: Indices, pairs: Indices) -> Nearest:
         """The pairs asked for, each of one configuration, exactly."""
@@ -211,16 +208,18 @@ class ClearanceField:
         )
         distance[:] = np.linalg.norm(on_first - on_second, axis=1)
 
-        for box, (centre, R, half) in enumerate(self._boxes):
-            boxed = pairs >= owns + againsts
-            kind = np.flatnonzero(boxed)
-            kind = kind[self._boxed[1][pairs[kind] - owns - againsts] == box]
-            i, row = self._boxed[0][pairs[kind] - owns - againsts], rows[kind]
-            first[kind] = i
+        kind = np.flatnonzero(pairs >= owns + againsts)
+        if len(kind):
+            i, box = self._boxed[:, pairs[kind] - owns - againsts]
+            first[kind], row = i, rows[kind]
+            centre, R, half = self._centres[box], self._turns[box], self._sizes[box]
             point, on_box, signed = box_points(
-                (middles[row, i] - centre) @ R, halves[row, i] @ R, np.broadcast_to(half, (len(kind), 3))
+                np.einsum("pi,pij->pj", middles[row, i] - centre, R),
+                np.einsum("pi,pij->pj", halves[row, i], R),
+                half,
             )
-            on_first[kind], on_second[kind] = point @ R.T + centre, on_box @ R.T + centre
+            on_first[kind] = np.einsum("pij,pj->pi", R, point) + centre
+            on_second[kind] = np.einsum("pij,pj->pi", R, on_box) + centre
             distance[kind], sign[kind] = signed, np.where(signed < 0.0, -1.0, 1.0)
 
         away = sign[:, None] * (on_first - on_second)

@@ -104,13 +104,16 @@ class Postures:
         for mass, J, I_world, joint in self._links:
             H = _hessian(J, self.data.kinematics.moves[joint])
             linear, angular = J[:, :3], J[:, 3:]
-            half = mass * np.einsum("naj,naki->njki", linear, H[:, :3])
-            half += np.einsum("naj,nab,nbki->njki", angular, I_world, H[:, 3:])
+            flat = H.reshape(len(self), 6, n * n)
+            turning = angular.transpose(0, 2, 1)
+            half = mass * (linear.transpose(0, 2, 1) @ flat[:, :3]).reshape(-1, n, n, n)
+            half += (turning @ I_world @ flat[:, 3:]).reshape(-1, n, n, n)
             # dI/dq_i = [w_i]x I - I [w_i]x, symmetric, so half of it on either side of the transposition
             turned = np.cross(
                 angular.transpose(0, 2, 1)[:, :, None, :], I_world.transpose(0, 2, 1)[:, None], axis=3
             )
-            half += np.einsum("naj,nica,nck->njki", angular, turned, angular)
+            by_joint = turning[:, None] @ turned.transpose(0, 1, 3, 2) @ angular[:, None]
+            half += by_joint.transpose(0, 2, 3, 1)
             total += half + half.transpose(0, 2, 1, 3)
         return total
 
