@@ -63,6 +63,34 @@ def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_w
         assert failed.binding.room_m < 0
 
 
+def there_and_back(start, far, end):
+    """Windows of a robot that goes away and comes back to somewhere else."""
+    points = np.vstack([np.linspace(start, far, 20), np.linspace(far, end, 20)])
+    return Windows(points, 0, 0, len(points) - 1)
+
+
+def test_each_part_of_a_path_that_comes_near_twice_is_looked_at():
+    clear_low, clear_near = LOW - one_joint("fr", 1, 0.005), NEAR - one_joint("gr", 4, 0.005)
+    beside = standing("fr", FR_BESIDE_GR)
+    assert certify("fr", there_and_back(clear_low, HIGH, clear_low)).holds is True
+    assert certify("fr", there_and_back(LOW, HIGH, clear_low)).holds is False
+    assert certify("fr", there_and_back(clear_low, HIGH, LOW)).holds is False
+    assert certify("gr", there_and_back(clear_near, FAR, clear_near), ("fr", beside)).holds is True
+    for path_near in (there_and_back(NEAR, FAR, clear_near), there_and_back(clear_near, FAR, NEAR)):
+        assert certify("gr", path_near, ("fr", beside)).holds is False
+        assert certify("fr", beside, ("gr", path_near)).holds is False
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(order):
+    folded = np.array((0.202, -0.063, 2.412, -1.8, -1.435, -1.305))  # the camera at its own base
+    open_wide = folded - one_joint("fr", 1, 1.2)
+    assert certify("fr", standing("fr", open_wide)).holds is True
+    failed = certify("fr", path(*(folded, open_wide)[::order]))
+    assert failed.holds is False
+    assert set(failed.binding.nearest.pair) == {"fr/tool_camera", "fr/base"}
+
+
 def test_of_several_courses_of_another_robot_each_counts():
     near, far = ("gr", standing("gr", NEAR)), ("gr", standing("gr", FAR))
     beside = standing("fr", FR_BESIDE_GR)
