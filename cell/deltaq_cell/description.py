@@ -299,6 +299,10 @@ class GateDescription(Description):
     """Bodies of different robots, and robot and structure, never come nearer than this."""
     self_stop_distance_m: Positive = 0.02
     """Nor do two bodies of one robot come nearer than this."""
+    slow_down_distance_m: Positive | None = None
+    """Within this of one another bodies approach the slower the nearer they are; none: no such band."""
+    slow_down_speed_m_s: Positive = 0.25
+    """Approach speed that is allowed at that distance; it falls to zero at the stop distance."""
     servo_lag_s: Positive = 0.072
     """How long the drives may still travel setpoints that were sent before."""
     retreat_speed: Annotated[float, Field(gt=0, le=1)] = 0.1
@@ -311,6 +315,16 @@ class GateDescription(Description):
     """Silence after which the gate takes the HLI for lost."""
     krc_timeout_s: Positive = 0.25
     """Silence after which a Robot Server takes its KRC for lost."""
+
+    @model_validator(mode="after")
+    def _slows_down_before_it_stops(self) -> Self:
+        stop = max(self.stop_distance_m, self.self_stop_distance_m)
+        if self.slow_down_distance_m is not None and self.slow_down_distance_m <= stop:
+            raise ValueError(
+                f"slow_down_distance_m is {self.slow_down_distance_m:g}, which has to be more than the stop "
+                f"distances, {stop:g}"
+            )
+        return self
 
 
 class CellDescription(Description):

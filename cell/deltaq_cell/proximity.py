@@ -40,6 +40,7 @@ class _Placed:
     q: Array
     half: Array
     direction: Array
+    J: Array
     travel: Array
     centres: Array
     greatest: float
@@ -66,6 +67,23 @@ class Look:
     too_near: bool
     tightest: Nearest
     stop_distance_m: float
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Two bodies that are near, and how a robot's joints bring them nearer.
+
+    Attributes:
+        pair: their names.
+        distance_m: their distance.
+        stop_distance_m: what they have to keep.
+        per_joint: (n,) loss of distance per unit of each joint of the robot [m/rad or m/m].
+    """
+
+    pair: tuple[str, str]
+    distance_m: float
+    stop_distance_m: float
+    per_joint: Array
 
 
 class Proximity:
@@ -120,6 +138,10 @@ class Proximity:
                         for mine in bodies.links
                         for link in theirs.links
                     ]
+        self._moved_by = {
+            name: {body.name: row for body, row in zip(bodies.objects, bodies.moved_by, strict=True)}
+            for name, bodies in self._bodies.items()
+        }
         self._numbers = {
             group: self._separation.pair_up([(one.name, other.name) for one, other in group.pairs])
             for groups in (*self.alone.values(), *self.between.values())
@@ -187,6 +209,34 @@ class Proximity:
         failing, too_near = self._not_separated(failing, room_m)
         return Look(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
 
+    def approaches(self, robot: str, groups: Sequence[Group], distance_m: float) -> list[Approach]:
+        """Pairs nearer than `distance_m` where the robots are placed, each as one point.
+
+        Args:
+            robot: whose joints count.
+            groups: one of this object's own lists for that robot, not empty.
+            distance_m: beyond it pairs are left out.
+        """
+        room_m = distance_m - min(group.stop_distance_m for group in groups)
+        near = [
+            (group, item)
+            for group in self.look(groups, room_m).failing
+            for item in group.all_pairs()
+            if item.distance_m < distance_m
+        ]
+        J = self._placed[robot].J
+        found = []
+        for group, item in near:
+            first, second = item.points_m
+            along = (second - first) / max(item.distance_m, 1e-9)
+            closing = np.zeros(J.shape[1])
+            for name, point, side in ((item.pair[0], first, 1.0), (item.pair[1], second, -1.0)):
+                if (moved_by := self._moved_by[robot].get(name)) is not None:
+                    velocity = J[:3] + np.cross(J[3:].T, point).T
+                    closing += side * (along @ velocity) * moved_by
+            found.append(Approach(item.pair, item.distance_m, group.stop_distance_m, closing))
+        return found
+
     def _not_separated(self, groups: list[Group], room_m: float) -> tuple[list[Group], bool]:
         """Those of some groups, just measured, that planes do not separate either; and `Look.too_near`."""
         if not groups:
@@ -216,4 +266,4 @@ class Proximity:
         bodies.inflate(total)
         self._around.centre[places] = centres
         self._around.inflation[places] = total
-        return _Placed(q.copy(), half.copy(), direction.copy(), travel, centres, float(total.max()))
+        return _Placed(q.copy(), half.copy(), direction.copy(), J, travel, centres, float(total.max()))

@@ -65,7 +65,11 @@ class ToolPose(Message):
 
 
 class RobotState(Message):
-    """State of one robot, published every cycle of its KRC."""
+    """State of one robot, published every cycle of its KRC.
+
+    `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
+    the gate has been heard.
+    """
 
     type: Literal["state"] = "state"
     robot: Name
@@ -77,6 +81,7 @@ class RobotState(Message):
     tool: ToolPose
     phase: Phase
     reason: ReasonCode | None = None
+    gate: str = ""
 
 
 class Increment(Message):
@@ -99,6 +104,7 @@ class Verdict(Message):
 
     `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the
     distance of `pair`, the two bodies whose room to the stop distance is least at the middle of the tube.
+    `time_to_stop_s` is the length of the brake behind `dq`.
     Where the gate held or refused, `receipt` is its link in the chain of refusals (`deltaq_protocol.receipts`).
     """
 
@@ -109,6 +115,7 @@ class Verdict(Message):
     outcome: Outcome
     scale: FiniteFloat = 0.0
     dq: tuple[FiniteFloat, ...] = ()
+    time_to_stop_s: FiniteFloat | None = None
     reasons: tuple[Reason, ...] = ()
     clearance_m: FiniteFloat | None = None
     pair: tuple[str, str] | None = None

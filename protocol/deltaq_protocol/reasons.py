@@ -17,6 +17,8 @@ class ReasonCode(StrEnum):
     ACCELERATION_LIMIT = "acceleration_limit"
     CLEARANCE = "clearance"
     RETREAT = "retreat"
+    SLOW_DOWN = "slow_down"
+    CONTACT = "contact"
     # why a message was no valid request
     MALFORMED = "malformed"
     BAD_SHAPE = "bad_shape"
@@ -39,6 +41,7 @@ class ReasonCode(StrEnum):
     HLI_LOST = "hli_lost"
     GATE_LOST = "gate_lost"
     KRC_LOST = "krc_lost"
+    SERVER_LOST = "server_lost"
     TRACKING_ERROR = "tracking_error"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
@@ -51,6 +54,8 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.ACCELERATION_LIMIT: "a joint would have changed speed faster than its acceleration limit",
     ReasonCode.CLEARANCE: "two bodies could have come nearer than the stop distance",
     ReasonCode.RETREAT: "two bodies are too near already: only slow motion that parts them is admitted",
+    ReasonCode.SLOW_DOWN: "bodies that are near one another would have approached too fast",
+    ReasonCode.CONTACT: "while a contact is allowed the robot moves slowly",
     ReasonCode.MALFORMED: "the message does not have the fields of its type",
     ReasonCode.BAD_SHAPE: "dq does not have one element for each joint of the robot",
     ReasonCode.NOT_FINITE: "dq has an element that is not a finite number",
@@ -71,6 +76,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.HLI_LOST: "the high-level interface fell silent",
     ReasonCode.GATE_LOST: "the System Integrity Module fell silent",
     ReasonCode.KRC_LOST: "the robot controller (KRC) fell silent",
+    ReasonCode.SERVER_LOST: "the Robot Server was started anew",
     ReasonCode.TRACKING_ERROR: "the robot left the path that was commanded",
     ReasonCode.CAUSE_STANDS: "the cause of the hold still stands",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",

@@ -209,3 +209,23 @@ def test_nothing_is_admitted_beside_a_robot_that_was_never_heard(rig):
     verdict = outputs[-1].message
     assert refused(verdict) is ReasonCode.NOT_READY
     assert verdict.reasons[0].what == "gr"
+
+
+def test_a_robot_server_that_was_started_anew_is_held_until_a_reset(rig):
+    rig.request()
+    rig.cycle()
+    rig.restart_server("fr")
+    for _ in range(10):
+        rig.cycle()
+    assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.SERVER_LOST)
+    assert refused(rig.request()) is ReasonCode.STOPPED
+    rig.command(kind="reset", robot="fr")
+    for _ in range(8):
+        rig.cycle()
+    assert rig.state.phase is Phase.READY
+
+
+def test_a_verdict_tells_how_long_the_brake_behind_it_takes(rig):
+    admitted = rig.request()
+    assert admitted.time_to_stop_s == pytest.approx(rig.mail["fr"][0].brake_cycles * CELL.description.cycle_s)
+    assert admitted.time_to_stop_s > 0.0

@@ -15,10 +15,10 @@ SMALL = (1e-5, 0.0, 0.0, 0.0, 0.0, 0.0)
 class Rig:
     """Two robots that are always where they were sent, their servers, and the gate."""
 
-    def __init__(self, **start):
-        self.sim = Sim(CELL, epoch=5)
-        self.servers = {name: RobotServer(CELL.description, name) for name in CELL.robots}
-        self.q = {name: robot.home.copy() for name, robot in CELL.robots.items()} | start
+    def __init__(self, cell=CELL, **start):
+        self.sim = Sim(cell, epoch=5)
+        self.servers = {name: RobotServer(cell.description, name) for name in cell.robots}
+        self.q = {name: robot.home.copy() for name, robot in cell.robots.items()} | start
         self.mail = dict.fromkeys(CELL.robots, (None, None))
         self.time_s = 0.0
         self.seq = 0
@@ -38,6 +38,10 @@ class Rig:
             self.mail[name] = (None, None)
             self.q[name] = server.cycle(measured, self.time_s, admission, supervision)
             self.deliver(self.sim.on_state(server.state))
+
+    def restart_server(self, robot):
+        """Its process dies, and another takes its place."""
+        self.servers[robot] = RobotServer(CELL.description, robot)
 
     def deliver(self, outputs):
         for output in outputs:

@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 
+from deltaq_experiments.model.broken import BROKEN
 from deltaq_experiments.model.explore import Exploration, explore
 from deltaq_experiments.model.ledger import Property
 from deltaq_experiments.model.system import System
@@ -22,10 +23,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--faults", type=int, default=0, help="faults on one way, at most")
     parser.add_argument("--cycles", type=int, default=40, help="cycles of the robot on one way, at most")
-    parser.add_argument("--server-crashes", action="store_true", help="let the Robot Server crash too")
+    broken = {one.system.__name__: one.system for one in BROKEN}
+    parser.add_argument("--broken", choices=sorted(broken), help="explore a system that is broken on purpose")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     given = parser.parse_args(arguments)
-    system = System(server_crashes=given.server_crashes)
+    system = broken[given.broken]() if given.broken else System()
     progress = None if given.json else _tell
     found = explore(system, given.faults, given.cycles, progress)
     print(json.dumps(_fields(found, given.faults)) if given.json else _text(found, given.faults))

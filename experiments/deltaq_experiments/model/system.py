@@ -56,17 +56,12 @@ class Move:
 
 
 class System:
-    """Robot Server and SIM, and all that can happen to them.
+    """Robot Server and SIM, and all that can happen to them."""
 
-    Args:
-        server_crashes: whether the Robot Server may crash too; its latch is in its memory.
-    """
-
-    def __init__(self, server_crashes: bool = False) -> None:
+    def __init__(self) -> None:
         self._description = one_joint_cell()
         self._sim = self._new_sim()
         self._blank = self._sim.memory()
-        self._server_crashes = server_crashes
 
     def _new_sim(self) -> Sim:
         return one_joint_sim(self._description)
@@ -134,8 +129,7 @@ class System:
                 1,
                 lambda w: self._telegram(w, admission, supervision, begins=True),
             )
-            if self._server_crashes:
-                yield "the Robot Server crashes", 1, self._server_crash
+            yield "the Robot Server crashes", 1, self._server_crash
         if world.displaced:
             yield "the robot is put back", 0, lambda w: replace(w, displaced=False)
         else:

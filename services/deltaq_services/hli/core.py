@@ -90,6 +90,7 @@ class HliCore:
             tool=self._tool_pose(state.robot, state.q),
             phase=state.phase,
             reason=state.reason,
+            gate=self._gate.fingerprint if self._gate else "",
         )
         outputs.append(ToOpen(topics.STATE, state.robot, told))
         return outputs

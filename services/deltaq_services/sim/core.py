@@ -72,7 +72,7 @@ class Sim:
 
     def __init__(self, cell: CellModel, epoch: int) -> None:
         description = cell.description
-        cycle_s = description.cycle_s
+        cycle_s = self._cycle_s = description.cycle_s
         self.epoch = epoch
         self.fingerprint = fingerprint(cell)
         self.taken = 0
@@ -118,6 +118,9 @@ class Sim:
             return [*self._supervise(robot), *self._answered(robot)]
         self.counters[f"missed_admissions_{robot.name}"] = robot.missed
         orders.cycle_passed()
+        if robot.restarted:
+            orders.stop(ReasonCode.SERVER_LOST)
+            self._inboxes[robot.name].decided_cycle = -1  # its cycles begin anew
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 
     def on_request(self, request: Request) -> list[Output]:
@@ -271,6 +274,7 @@ class Sim:
             outcome=decision.outcome,
             scale=decision.scale,
             dq=tuple(decision.dq.tolist()),
+            time_to_stop_s=decision.brake_cycles * self._cycle_s,
             reasons=decision.reasons,
             clearance_m=near.distance_m if near is not None else None,
             pair=near.pair if near is not None else None,

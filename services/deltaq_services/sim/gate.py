@@ -20,6 +20,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Binding, Certificate, Certifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
+from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch
 
@@ -60,6 +61,7 @@ class Gate:
         self._proximity = proximity
         self._limits = limits
         self._retreat = Retreat(proximity, margins)
+        self._slow_down = SlowDown(proximity, margins, next(iter(limits.values())).cycle_s)
 
     def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
         """Decide one request.
@@ -74,6 +76,8 @@ class Gate:
         assert robot.state is not None  # the caller decides only for robots that have been heard
         scale, reasons = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
         scale, tighter = limits.position_scale(brake, request, robot.q_cmd, scale)
+        reasons = tighter or reasons
+        scale, tighter = self._slow_down.scale(robot, others, brake, request, scale)
         reasons = tighter or reasons
         tubes = [(other.name, tube) for other in others for tube in other.tubes()]
 

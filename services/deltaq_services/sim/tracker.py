@@ -29,6 +29,7 @@ class Tracker:
         state: the newest state; None before the first.
         in_flight: an admission that no state has confirmed or outdated yet.
         missed: admissions that the Robot Server did not take.
+        restarted: whether the newest state is the first of another Robot Server process.
     """
 
     def __init__(self, name: str, description: RobotDescription, lag_cycles: int) -> None:
@@ -36,12 +37,14 @@ class Tracker:
         self.state: ServerState | None = None
         self.in_flight: Admission | None = None
         self.missed = 0
+        self.restarted = False
         self._lag = max(2, lag_cycles)
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
 
     def observe(self, state: ServerState) -> bool:
         """Take a state in; returns False if no cycle of the robot has passed since the last."""
+        self.restarted = False
         if self.state is not None:
             if state.cycle == self.state.cycle:
                 if state.time_s >= self.state.time_s:
@@ -50,7 +53,8 @@ class Tracker:
             if state.cycle < self.state.cycle:
                 if state.time_s <= self.state.time_s:
                     return False
-                self._history.clear()  # the Robot Server began anew
+                self.restarted = True
+                self._history.clear()
                 self.in_flight = None
         self.state = state
         if self.in_flight is not None:

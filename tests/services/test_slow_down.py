@@ -1,0 +1,87 @@
+"""Speed and separation: within the band the approach speed falls with the room that is left."""
+
+import numpy as np
+import pytest
+from gate_rig import CELL, Rig
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.load import CellError, load_cell
+from deltaq_cell.proximity import Proximity
+from deltaq_protocol.reasons import ReasonCode
+
+BAND_M, SPEED_M_S, STOP_M = 0.4, 0.2, 0.05
+
+
+def with_band(folder, distance_m):
+    path = folder / "slow.yaml"
+    path.write_text(
+        f"extends: lab\ngate: {{slow_down_distance_m: {distance_m}, slow_down_speed_m_s: {SPEED_M_S}}}\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.mark.parametrize("robot", ["fr", "gr"])
+def test_within_the_band_approach_is_slowed_in_proportion_to_the_room_and_parting_is_not(tmp_path, robot):
+    rig = Rig(CellModel.load(with_band(tmp_path, BAND_M)))
+    model, cycle_s = CELL.robots[robot], CELL.description.cycle_s
+    proximity, random = Proximity(CELL), np.random.default_rng(4)
+    aim, slowed = np.zeros(model.n), 0
+    for cycle in range(150):
+        if cycle % 30 == 0:
+            aim = random.uniform(-1, 1, model.n) * 0.3 * model.max_velocity * cycle_s
+        before = np.array(rig.servers[robot].state.q_cmd)
+        verdict = rig.request(tuple(aim), robot=robot, cycle=rig.servers[robot].state.cycle)
+        for name, other in CELL.robots.items():
+            proximity.place(name, before if name == robot else other.home, np.zeros(other.n))
+        rig.cycle()
+        if verdict.reasons and verdict.reasons[0].code is ReasonCode.SLOW_DOWN:
+            slowed += 1
+            reason = verdict.reasons[0]
+            assert reason.value > reason.bound
+            near = [
+                *proximity.approaches(robot, proximity.alone[robot], BAND_M),
+                *proximity.approaches(
+                    robot, proximity.between[robot, "gr" if robot == "fr" else "fr"], BAND_M
+                ),
+            ]
+            pair = next(item for item in near if " ".join(item.pair) == reason.what)
+            share = 1.0 if "structure" in reason.what or reason.what.count(robot + "/") == 2 else 0.5
+            room = (pair.distance_m - pair.stop_distance_m) / (BAND_M - pair.stop_distance_m)
+            assert reason.bound == pytest.approx(share * SPEED_M_S * room)
+            if verdict.scale > 0.0:
+                speed = pair.per_joint @ np.array(verdict.dq) / cycle_s
+                assert speed == pytest.approx(reason.bound)
+    assert slowed > 5
+
+
+def test_the_shipped_cells_have_no_band():
+    for name in ("lab", "lab-4ms", "dawm"):
+        assert load_cell(name).gate.slow_down_distance_m is None
+
+
+def test_a_band_inside_the_stop_distance_is_refused_with_value_and_bound(tmp_path):
+    with pytest.raises(CellError, match=r"slow_down_distance_m is 0\.04.*0\.05"):
+        load_cell(with_band(tmp_path, 0.04))
+
+
+def test_the_loss_of_distance_is_that_of_a_small_motion():
+    cell = CELL
+    proximity, random = Proximity(cell), np.random.default_rng(2)
+    checked = 0
+    for name, robot in cell.robots.items():
+        q = robot.home + random.uniform(-0.05, 0.05, robot.n)
+        still = np.zeros(robot.n)
+        for other, its in cell.robots.items():
+            proximity.place(other, its.home, np.zeros(its.n))
+        proximity.place(name, q, still)
+        groups = proximity.alone[name]
+        before = {near.pair: near for near in proximity.approaches(name, groups, 0.6)}
+        step = random.uniform(-1, 1, robot.n) * 1e-5
+        proximity.place(name, q + step, still)
+        after = {near.pair: near for near in proximity.approaches(name, groups, 0.6)}
+        for pair in before.keys() & after.keys():
+            lost = before[pair].distance_m - after[pair].distance_m
+            mean = (before[pair].per_joint + after[pair].per_joint) @ step / 2
+            checked += abs(lost - mean) < 2e-6
+    assert checked > 20
