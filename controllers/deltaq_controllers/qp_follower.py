@@ -29,17 +29,16 @@ from deltaq_controllers.camera_error import (
     view_angle,
     view_jacobians,
 )
-from deltaq_controllers.focus import FocusTracker
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.neighbours import Near, Neighbours
 from deltaq_controllers.qp_gains import QpGains
+from deltaq_controllers.qp_others import OtherRobots
 from deltaq_controllers.qp_problem import QuadraticProgram
 from deltaq_controllers.redundancy import WeightedGradient
 from deltaq_controllers.repulsion import Potential, Repulsion
 from deltaq_controllers.scene import Scene
-from deltaq_controllers.spheres import PlacedSpheres
 from deltaq_controllers.subtasks import roll_effects, turn_to_level
 from deltaq_protocol.brake import brake_cycles
 
@@ -94,7 +93,7 @@ class QpFollower:
         self._last = LastIncrement(self.limits.max_ddq)
         self._camera = Kinematics(robot, "camera")
         self._leader = Kinematics(scene.leader, "tool")
-        self._others = {name: FocusTracker() for name in scene.cell.robots if name != scene.robot_name}
+        self._others = OtherRobots(scene)
         self._neighbours = Neighbours(scene.cell, scene.robot_name, cycle_s, MOST_PAIRS)
         self._margins = self._margin_of_pairs()
         foreign, gains = self._neighbours.foreign, self.gains
@@ -103,7 +102,6 @@ class QpFollower:
         self._program = QuadraticProgram(self.limits.max_ddq, gains.rest_weight, [gains.barrier_price] * 2)
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, self.limits.max_dq, floor_m=0.0)
-        self._bodies = {name: PlacedSpheres(scene.cell.robots[name]) for name in self._others}
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
 
     def increment(self, view: View) -> Array:
@@ -111,14 +109,13 @@ class QpFollower:
         q, dq_last = view.own.q_cmd, self._last.update(view.own)
         if self._scene.leader_name not in view.others:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
-        for name, other in view.others.items():
-            if name in self._others:
-                self._others[name].update(other.q, other.time_s)
+        self._others.update(view.others)
         focus, velocity = self._focus_ahead()
         cycles = brake_cycles(dq_last, self.limits.max_ddq)
         # of the brake that is under way, what is left
         travel = dq_last * (0.5 * (cycles - 1))
-        near = self._near(q + travel)
+        others = self._others.ahead(self._scene.latency_s)
+        near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
         rows, wanted, weights = self._tasks(q, focus, velocity, evade=True in foreign)
         slowest, fastest = self._bounds(q, dq_last)
@@ -143,7 +140,7 @@ class QpFollower:
         """Least distance from other robots [m]; `evades_below_m` if they are farther away."""
         neighbours = self._afterwards
         near = neighbours.near(
-            self._joined(q, {self._scene.leader_name: q_leader}),
+            self._others.joined(q, {self._scene.leader_name: q_leader}),
             np.where(neighbours.foreign, self.evades_below_m, -np.inf),
         )
         return float(near.distance.min(initial=self.evades_below_m))
@@ -157,7 +154,7 @@ class QpFollower:
         """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
         if self.focus is not None:
             return self.focus, np.zeros(3)
-        tracker = self._others[self._scene.leader_name]
+        tracker = self._others.leader
         # the increment asked for now arrives after the latency; what it starts from, a cycle earlier
         self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
         focus = self._leader.position
@@ -257,7 +254,7 @@ class QpFollower:
             reach: of the brake that follows an increment `dq` the end lies `reach * dq` away, as the gate will see
                 it too; at most a cycle is added to it.
         """
-        closing = np.maximum(-(near.others @ self._rates()), 0.0)
+        closing = np.maximum(-(near.others @ self._others.rates()), 0.0)
         margins = self._margins[near.pairs] + self._reserve(closing)
         change = closing * self._cycle_s - self._shares[near.pairs] * (near.distance - margins)
         return near.own, (change + near.own @ travel) / reach
@@ -268,41 +265,14 @@ class QpFollower:
         Where they go on to within `reaction_s`: the barriers keep that free, and who begins to slide aside only
         there has the gate hold him.
         """
-        expected = self._expected(self._scene.latency_s + self.gains.reaction_s)
-        obstacles = np.concatenate([self._bodies[name].at(joints) for name, joints in expected.items()])
-        radii = np.concatenate([self._bodies[name].radii for name in expected])
-        self._repulsion.approach(self._camera, obstacles, radii)
+        ahead_s = self._scene.latency_s + self.gains.reaction_s
+        self._repulsion.approach(self._camera, *self._others.spheres_ahead(ahead_s))
         force = self._repulsion.field(self._camera)
         return self._limit_weights.inverse_weights(q, force) * force
 
     def _reserve(self, closing: Array) -> Array:
         """(k,) what is kept free for others to brake in, by their speed of approach (k,) in m/s [m]."""
         return closing * (self.gains.reaction_s + closing / (2.0 * self.gains.others_brake_m_s2))
-
-    def _near(self, q: Array) -> Near:
-        return self._neighbours.near(self._joined(q, self._expected(self._scene.latency_s)), self._ranges)
-
-    def _expected(self, ahead_s: float) -> dict[str, Array]:
-        """(m,) joints of each robot that was heard of, a time after it was measured [rad or m]."""
-        return {name: tracker.ahead(ahead_s) for name, tracker in self._others.items() if tracker.started}
-
-    def _joined(self, q: Array, others: dict[str, Array]) -> Array:
-        """(m,) joints of all robots of the cell; at home who has not been heard of."""
-        robots = self._scene.cell.robots
-        own = self._scene.robot_name
-        return np.concatenate([q if name == own else others.get(name, robots[name].home) for name in robots])
-
-    def _rates(self) -> Array:
-        """(m,) estimated rates of all joints of the cell, the own ones zero [rad/s or m/s]."""
-        robots = self._scene.cell.robots
-        return np.concatenate(
-            [
-                self._others[name].velocity
-                if name in self._others and self._others[name].started
-                else np.zeros(robot.n)
-                for name, robot in robots.items()
-            ]
-        )
 
     def _margin_of_pairs(self) -> Array:
         gains, pairs, gate = self.gains, self._neighbours, self._scene.cell.description.gate
