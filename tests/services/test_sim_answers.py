@@ -14,7 +14,8 @@ from deltaq_protocol.guarded import Admission, Command, CommandReply, Health, Re
 from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, receipt_of
-from deltaq_services.sim.core import Output, Sim
+from deltaq_services.sim.answers import Output
+from deltaq_services.sim.core import Sim
 
 CYCLE_S = CELL.description.cycle_s
 GATE = CELL.description.gate
@@ -102,6 +103,18 @@ def test_the_gate_s_times_are_whole_cycles_that_are_not_shorter(rig):
     assert rig.mail["fr"][1].stop is ReasonCode.HLI_LOST
 
 
+def test_a_robot_server_that_began_anew_is_stopped_and_its_first_cycles_are_decided_anew(rig):
+    rig.sim.on_request(ask(rig))
+    decided = rig.state.cycle
+    again = next_state(rig, cycle=1, time_s=rig.time_s + 60.0)
+    assert rig.sim.on_state(again)[0].message.stop is ReasonCode.SERVER_LOST
+    held = again.model_copy(update={"cycle": decided - 1, "time_s": again.time_s + 1, "phase": Phase.HELD})
+    assert rig.sim.on_state(held)[0].message.stop is None
+    ready = held.model_copy(update={"cycle": decided, "time_s": again.time_s + 2, "phase": Phase.READY})
+    rig.sim.on_state(ready)
+    assert rig.sim.on_request(ask(rig, seq=2, cycle=decided))[-1].message.outcome is Outcome.ADMITTED
+
+
 def test_a_sign_of_life_is_no_request(rig):
     assert rig.sim.on_request(Request(robot="fr", cycle=rig.state.cycle, lease_epoch=1)) == []
 
@@ -155,6 +168,7 @@ def test_a_request_that_is_scaled_is_told_by_how_much_and_why(rig):
     assert scaled.outcome is Outcome.SCALED
     assert 0 < scaled.scale < 1
     assert scaled.dq == admission.message.dq
+    assert scaled.time_to_stop_s == pytest.approx(admission.message.brake_cycles * CYCLE_S)
     assert scaled.reasons[0].code is ReasonCode.ACCELERATION_LIMIT
     assert scaled.receipt is None
     assert (rig.sim.counters["scaled"], rig.sim.counters["reason_acceleration_limit"]) == (2, 2)

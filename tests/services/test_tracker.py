@@ -75,6 +75,14 @@ def test_a_robot_server_that_began_anew_is_followed_from_there(tracker):
     assert (tracker.in_flight, tracker.missed) == (None, 0)
 
 
+def test_a_restart_shows_in_the_first_state_of_the_new_process_and_in_no_other(tracker):
+    seen = [tracker.restarted]
+    for cycle, time_s in [(50, 5.0), (51, 5.1), (1, 500.0), (2, 500.1), (2, 500.2)]:
+        tracker.observe(state(cycle, time_s=time_s))
+        seen.append(tracker.restarted)
+    assert seen == [False, False, False, True, False, False]
+
+
 def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tracker):
     tracker.observe(state(1))
     for cycle, (sent, followed) in enumerate([(2, 1), (3, 1), (4, 4)], start=2):
