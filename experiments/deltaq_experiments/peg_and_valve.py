@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.advisor.at_once import AdviserAtOnce
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.live import model_of
+from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.switch import MODES, Teleoperator
 from deltaq_experiments.lockstep import Lockstep
 from deltaq_experiments.peg_and_valve_operators import (
+    AdvisedOperator,
     Goal,
     HandOperator,
     JointOperator,
@@ -36,13 +39,14 @@ PEG_M = 0.1
 TURN_RAD = np.deg2rad(60.0)
 LONGEST_S = 600.0
 
-OPERATORS: dict[str, Callable[[RobotModel, float], Operator]] = {
-    "joint": JointOperator,
-    "decoupled": lambda robot, cycle_s: HandOperator(robot, cycle_s, ModeName.DECOUPLED),
-    "self-motion": PostureOperator,
-    "coupled": lambda robot, cycle_s: HandOperator(robot, cycle_s, ModeName.COUPLED),
+OPERATORS: dict[str, Callable[[Teleoperator, float], Operator]] = {
+    "joint": lambda teleoperator, cycle_s: JointOperator(teleoperator.robot, cycle_s),
+    "decoupled": lambda teleoperator, cycle_s: HandOperator(teleoperator.robot, cycle_s, ModeName.DECOUPLED),
+    "self-motion": lambda teleoperator, cycle_s: PostureOperator(teleoperator.robot, cycle_s),
+    "advisor": AdvisedOperator,
+    "coupled": lambda teleoperator, cycle_s: HandOperator(teleoperator.robot, cycle_s, ModeName.COUPLED),
 }
-"""`self-motion` is decoupled mode with a self-motion before each piece of work."""
+"""`self-motion` and `advisor` are decoupled mode with a change of posture before each piece of work."""
 
 
 class ModeFigures(BaseModel):
@@ -132,11 +136,16 @@ class _Run:
                 f"the task is for one hand, robot {robot!r} has {', '.join(self._robot.hands)}"
             )
         self._name, self._mode = robot, mode
-        self._operator = OPERATORS[mode](self._robot, self._cycle_s)
-        self._teleoperator = Teleoperator(self._robot, self._cycle_s)
+        self._teleoperator = Teleoperator(
+            self._robot, self._cycle_s, modes={**MODES, ModeName.ADVISOR: self._advisor}
+        )
+        self._operator = OPERATORS[mode](self._teleoperator, self._cycle_s)
         self._stack.run_until_ready()
         self._stack.acquire(robot, "operator")
         self._cycles = 0
+
+    def _advisor(self, robot: RobotModel) -> AdvisorMode:
+        return AdvisorMode(robot, self._cycle_s, AdviserAtOnce(self._stack.cell, robot.name))
 
     def figures(self) -> ModeFigures:
         """Do the task."""

@@ -11,10 +11,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.avoidance import travel_gradient
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.inverse_rates import Inverse
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
 
 Array = NDArray[np.float64]
 
@@ -94,6 +96,11 @@ class HandOperator:
         self._robot, self._mode = robot, mode
         self._see = Late(cycle_s)
 
+    @property
+    def stands(self) -> bool:
+        """Whether the robot has not moved in all that is seen."""
+        return self._see.stands
+
     def wish(self, q: Array, goal: Goal) -> Wish | None:
         """Rates in proportion to the error, up to the greatest."""
         error = error_to(goal.pose, self._robot.forward(self._see(q)))
@@ -148,6 +155,45 @@ class PostureOperator:
         best = int(np.argmax(np.abs(gains)))
         name = self._robot.joint_names[self._base[best]]
         return Wish({name: float(np.sign(gains[best])) * 0.05}, ModeName.SELF_MOTION)
+
+
+class AdvisedOperator:
+    """Steers the hand as in decoupled mode, and goes to an option of the advisor before going on to work.
+
+    It is the option with the most room to the nearest joint limit of those that there is a way to, once for each goal
+    that is reached from afar, and wherever the hand is held up. The advisor's thinking takes no time here.
+    """
+
+    def __init__(self, teleoperator: Teleoperator, cycle_s: float) -> None:
+        self._teleoperator = teleoperator
+        self._hand = HandOperator(teleoperator.robot, cycle_s, ModeName.DECOUPLED)
+        self._is_advised = self._is_stuck = False
+
+    def wish(self, q: Array, goal: Goal) -> Wish | None:
+        """To the goal, then the option; where something holds the hand up, the option first."""
+        if not self._is_advised:
+            wish = self._hand.wish(q, goal)
+            self._is_stuck = (
+                wish is not None and self._hand.stands and self._teleoperator.limitation is not None
+            )
+            if not self._is_stuck and (wish is not None or not goal.name.startswith("reach")):
+                return wish
+            self._is_advised = True
+        if self._teleoperator.mode is not ModeName.ADVISOR:
+            return Wish(mode=ModeName.ADVISOR)
+        option = self._best()
+        if option is not None and self._teleoperator.arrived_at != option:
+            return Wish(option=option)
+        self._is_advised = False
+        return self._hand.wish(q, goal) if self._is_stuck else None
+
+    def _best(self) -> int | None:
+        mode = self._teleoperator.mode_named(ModeName.ADVISOR)
+        assert isinstance(mode, AdvisorMode)
+        ways = {
+            rank: one.limit_share for rank, one in enumerate(mode.options, start=1) if one.path is not None
+        }
+        return max(ways, key=lambda rank: ways[rank], default=None)
 
 
 class JointOperator:

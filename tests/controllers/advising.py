@@ -4,46 +4,16 @@ from __future__ import annotations
 
 from functools import cache, partial
 
-import numpy as np
 from driving import CYCLE_S
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.advisor import Progress
-from deltaq_controllers.advisor.counsel import Counsel
+from deltaq_controllers.advisor.at_once import AdviserAtOnce
 from deltaq_controllers.criteria.postures import RobotData
 from deltaq_controllers.modes.advisor import Advice, AdvisorMode, tracker_of
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.switch import MODES, Teleoperator
-
-Array = NDArray[np.float64]
-
-
-class AtOnce:
-    """The advisor's counsel in the loop itself: in virtual time it takes none."""
-
-    trouble = ""
-    is_busy = False
-
-    def __init__(self, counsel: Counsel) -> None:
-        self.tracker = counsel.tracker
-        self.progress: Progress | None = None
-        self._counsel = counsel
-
-    def ask(self, q: Array) -> None:
-        self._counsel.ask(q, {}, self._take)
-
-    def seek(self, back: Array, rank: int) -> None:
-        self._counsel.seek(back, rank, {}, self._take)
-
-    def give_up(self) -> None:
-        """Nothing is going on."""
-
-    def _take(self, progress: Progress) -> bool:
-        self.progress = progress
-        return True
 
 
 @cache
@@ -59,7 +29,7 @@ def advised(
 ) -> Teleoperator:
     def advisor(robot: RobotModel) -> AdvisorMode:
         tracker_of(robot)
-        answers = adviser or AtOnce(Counsel(cell_of(robot.name), robot.name, options=3, effort=0.2))
+        answers = adviser or AdviserAtOnce(cell_of(robot.name), robot.name, options=3, effort=0.2)
         return AdvisorMode(robot, CYCLE_S, answers)
 
     modes = {**MODES, ModeName.ADVISOR: advisor}

@@ -29,9 +29,10 @@ def test_an_unknown_mode_or_robot_is_named() -> None:
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_the_modes_compare_as_the_paper_concludes() -> None:
-    joint, decoupled, self_motion, coupled = run()
+    joint, decoupled, self_motion, advisor, coupled = run()
     assert done_well(decoupled)
     assert done_well(self_motion)
+    assert done_well(advisor)
     assert done_well(coupled)
     # joint mode is not suited to precise control of the hand
     assert joint.time_s > 5 * coupled.time_s
@@ -39,6 +40,9 @@ def test_the_modes_compare_as_the_paper_concludes() -> None:
     # self-motion betters the posture and costs time
     assert self_motion.limit_margin > decoupled.limit_margin
     assert self_motion.time_s > decoupled.time_s
+    # so does the advisor
+    assert advisor.limit_margin > decoupled.limit_margin
+    assert advisor.time_s > decoupled.time_s
     # coupled does that on the way
     assert coupled.limit_margin > decoupled.limit_margin
     assert coupled.time_s < 1.1 * decoupled.time_s
