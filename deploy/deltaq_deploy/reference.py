@@ -95,7 +95,8 @@ def _criteria() -> str:
     )
     columns = ("name", "category", "formula", "unit", "better", "source")
     return (
-        "# Performance criteria\n\nWhat `deltaq advise --weight NAME=NUMBER` weighs. With x the value and x0 its "
+        "# Performance criteria\n\nWhat `--criterion NAME=WEIGHT` weighs, "
+        "of `deltaq advise` and `deltaq drive`. With x the value and x0 its "
         "reference the cost is `x / (x + x0)` where less is better and `x0 / (x + x0)` where more is, so that 0 is "
         "good and 1 bad; the reference is the median over the robot's workspace, of `clearance` 0.1 m. Of several "
         "hands the mean counts. Joint stiffness and the inertia of the drives are stand-ins.\n\n"

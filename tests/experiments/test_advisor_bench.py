@@ -33,6 +33,7 @@ def test_every_method_is_timed_and_compared_with_the_best_known() -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(900)
 def test_annealing_solves_all_twelve_tasks_within_1_percent_in_a_second_and_a_half() -> None:
     (annealing, *_) = run().rows
     assert annealing.good == TASKS
