@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -96,7 +97,9 @@ class _Check:
             yield from self.limits(models[name])
             yield from self.tolerances(models[name])
         if len(models) == len(self.cell.robots):
-            yield from self.homes(CellModel.of(self.cell, models))
+            cell = CellModel.of(self.cell, models)
+            yield from self.contacts(cell)
+            yield from self.homes(cell)
 
     def at(
         self,
@@ -203,6 +206,24 @@ class _Check:
                 )
                 place = ("robots", robot.name, "joints", name, field)
                 yield self.at(place, message, value, bound, severity="warning")
+
+    def contacts(self, cell: CellModel) -> Iterator[Problem]:
+        """Bodies that contacts name exist, and those that touch are a robot's."""
+        own = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
+        known = [*own, *(body.name for body in cell.structure)]
+        for name, contact in self.cell.contacts.items():
+            for field, names, bodies in (
+                ("bodies", contact.bodies, own),
+                ("against", contact.against, known),
+            ):
+                for index, body in enumerate(names):
+                    if body not in bodies:
+                        yield self.at(
+                            ("contacts", name, field, index),
+                            f"no body is named {body!r}" + (" on a robot" if field == "bodies" else ""),
+                            body,
+                            suggestion=next(iter(difflib.get_close_matches(body, bodies, n=1)), None),
+                        )
 
     def homes(self, cell: CellModel) -> Iterator[Problem]:
         """With every robot at home, no two bodies are nearer than their stop distance."""

@@ -289,6 +289,29 @@ class RobotDescription(Description):
         return self._vector("tracking_tolerance")
 
 
+class ContactDescription(Description):
+    """Bodies that may touch while an operator allows it: a gripper and its valve, say.
+
+    While it is allowed the gate does not hold these pairs apart, and every robot that they belong to moves slowly.
+    """
+
+    bodies: Annotated[list[str], Field(min_length=1)]
+    """Names of bodies of robots, such as gr/tool_finger_1."""
+    against: Annotated[list[str], Field(min_length=1)]
+    """Names of the bodies that they may touch, such as structure/valve_1."""
+    speed: Annotated[float, Field(gt=0, le=1)] = 0.05
+    """Share of the velocity limits that is left to the robots meanwhile."""
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """Every body with every one that it may touch."""
+        return [(one, other) for one in self.bodies for other in self.against]
+
+    def concerns(self, robot: str) -> bool:
+        """Whether a body of that robot is among them."""
+        return any(name.startswith(f"{robot}/") for name in (*self.bodies, *self.against))
+
+
 class GateDescription(Description):
     """The margins of the gate.
 
@@ -336,6 +359,8 @@ class CellDescription(Description):
     robots: Annotated[dict[Name, RobotDescription], Field(min_length=1, max_length=2)]
     structure: dict[Name, Body] = {}
     gate: GateDescription = GateDescription()
+    contacts: dict[Name, ContactDescription] = {}
+    """Contacts that an operator may allow; none is at the start."""
     hli: Endpoint = "tcp/127.0.0.1:7447"
     """Where the HLI serves zenoh clients."""
     sim: Endpoint = "tcp/127.0.0.1:7450"

@@ -55,6 +55,7 @@ class Group:
                 if frozenset((first.name, second.name)) not in never:
                     self.pairs.append((first, second))
                     self.geometry.addCollisionPair(pin.CollisionPair(index[first.name], index[second.name]))
+        self._left_out: set[int] = set()
         self.data = self.geometry.createData()
         make_reproducible(self.data)
 
@@ -69,9 +70,26 @@ class Group:
         """The pair that `least` found last."""
         return self._measured(self._least)
 
-    def all_pairs(self) -> list[Nearest]:
-        """Every pair of the group as `least` measured it; for the rare case that asks for all."""
-        return [self._measured(index) for index in range(len(self.pairs))]
+    @property
+    def is_empty(self) -> bool:
+        """Whether every pair has been left out."""
+        return len(self._left_out) == len(self.pairs)
+
+    def leave_out(self, index: int) -> None:
+        """Measure a pair no longer."""
+        self._left_out.add(index)
+        self.data.deactivateCollisionPair(index)
+
+    def take_in(self, index: int) -> None:
+        """Measure a pair again."""
+        self._left_out.discard(index)
+        self.data.activateCollisionPair(index)
+
+    def measured(self) -> dict[int, Nearest]:
+        """Every pair that is not left out, by index, as `least` measured it; for the rare case that asks for all."""
+        return {
+            index: self._measured(index) for index in range(len(self.pairs)) if index not in self._left_out
+        }
 
     def nearer(self, distance_m: float) -> tuple[list[int], Array, Array]:
         """Pairs whose swept distance is below `distance_m`, as `least` measured them.
@@ -81,7 +99,7 @@ class Group:
         """
         indices, distances, normals = [], [], []
         for index, result in enumerate(self.data.distanceResults):
-            if result.min_distance < distance_m:
+            if result.min_distance < distance_m and index not in self._left_out:
                 first, second = self.pairs[index]
                 radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
                 indices.append(index)

@@ -14,7 +14,7 @@ again with a plane between them (`deltaq_cell.separation`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,13 +59,13 @@ class Look:
     Attributes:
         failing: groups that have not been shown to have the room asked for.
         too_near: whether a pair of them has not got it even at the middle of the strip.
-        tightest: the pair with the least swept distance beyond its stop distance.
+        tightest: the pair with the least swept distance beyond its stop distance; None if all are left out.
         stop_distance_m: of that pair [m].
     """
 
     failing: list[Group]
     too_near: bool
-    tightest: Nearest
+    tightest: Nearest | None
     stop_distance_m: float
 
 
@@ -196,18 +196,35 @@ class Proximity:
         screen = groups.screen if isinstance(groups, ScreenedGroups) else None
         bounds = np.full(len(groups), -np.inf) if screen is None else screen.rooms()
         failing: list[Group] = []
-        least_room, tightest = np.inf, groups[0]
+        least_room, tightest = np.inf, None
         for index in np.argsort(bounds, kind="stable").tolist():
             if bounds[index] > max(room_m, least_room):
                 break
             group = groups[index]
+            if group.is_empty:
+                continue
             room = self.least(group) - group.stop_distance_m
             if room < room_m:
                 failing.append(group)
-            if room < least_room:
+            if tightest is None or room < least_room:
                 least_room, tightest = room, group
         failing, too_near = self._not_separated(failing, room_m)
+        if tightest is None:
+            return Look([], False, None, 0.0)
         return Look(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
+
+    def leave_out(self, pairs: Iterable[tuple[str, str]], left_out: bool = True) -> None:
+        """Measure some pairs of bodies no longer, or again.
+
+        Args:
+            pairs: names of the bodies, in any order.
+            left_out: whether they are left out from now on.
+        """
+        named = {frozenset(pair) for pair in pairs}
+        for group in self._numbers:
+            for index, (first, second) in enumerate(group.pairs):
+                if frozenset((first.name, second.name)) in named:
+                    (group.leave_out if left_out else group.take_in)(index)
 
     def approaches(self, robot: str, groups: Sequence[Group], distance_m: float) -> list[Approach]:
         """Pairs nearer than `distance_m` where the robots are placed, each as one point.
@@ -221,7 +238,7 @@ class Proximity:
         near = [
             (group, item)
             for group in self.look(groups, room_m).failing
-            for item in group.all_pairs()
+            for item in group.measured().values()
             if item.distance_m < distance_m
         ]
         J = self._placed[robot].J

@@ -30,7 +30,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToOpen
-from deltaq_services.sim.core import Output as SimOutput
+from deltaq_services.sim.answers import Output as SimOutput
 from deltaq_services.sim.core import Sim
 
 _RING = 64

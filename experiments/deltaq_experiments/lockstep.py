@@ -42,7 +42,7 @@ from deltaq_services.hli.outputs import Output as HliOutput
 from deltaq_services.hli.outputs import Sender, ToGuarded, ToOpen, ToSender
 from deltaq_services.robot_server.core import Measurement, RobotServer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
-from deltaq_services.sim.core import Output as SimOutput
+from deltaq_services.sim.answers import Output as SimOutput
 from deltaq_services.sim.core import Sim
 
 Array = NDArray[np.float64]

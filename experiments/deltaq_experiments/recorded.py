@@ -19,7 +19,8 @@ from deltaq_protocol.topics import Topic
 from deltaq_services.hli.outputs import Output as HliOutput
 from deltaq_services.hli.outputs import ToOpen
 from deltaq_services.recorder.writer import RecordingWriter
-from deltaq_services.sim.core import Output, Sim
+from deltaq_services.sim.answers import Output
+from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import MEMORY_PERIOD
 
 Array = NDArray[np.float64]

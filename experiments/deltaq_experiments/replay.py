@@ -21,7 +21,8 @@ from deltaq_protocol.messages import Message, Verdict
 from deltaq_protocol.receipts import receipt_of
 from deltaq_protocol.topics import Topic
 from deltaq_services.recorder.reader import Recorded, Recording
-from deltaq_services.sim.core import Output, Sim
+from deltaq_services.sim.answers import Output
+from deltaq_services.sim.core import Sim
 
 TAKEN_IN = (topics.SERVER_STATE, topics.REQUEST, topics.COMMAND)
 GIVEN_OUT = (topics.ADMISSION, topics.SUPERVISION, topics.GATE_VERDICT, topics.COMMAND_REPLY)

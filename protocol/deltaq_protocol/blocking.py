@@ -16,6 +16,8 @@ from collections.abc import AsyncIterator, Coroutine, Iterable, Iterator, Mappin
 from contextlib import AbstractAsyncContextManager, contextmanager
 from typing import Any, TypeVar
 
+from numpy.typing import ArrayLike
+
 from deltaq_protocol import client as asynchronous
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
@@ -142,6 +144,14 @@ class BlockingCell:
     def stop(self) -> Done:
         """Bring every robot of the cell to rest; see `Cell.stop`."""
         return self._background.run(self._cell.stop())
+
+    def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
+        """What the gate would say to an increment (n,) [rad or m] now; see `Cell.dry_run`."""
+        return self._background.run(self._cell.dry_run(robot, dq))
+
+    def allow_contact(self, contact: str, allowed: bool = True) -> Done:
+        """Let bodies touch, or forbid it again; see `Cell.allow_contact`."""
+        return self._background.run(self._cell.allow_contact(contact, allowed))
 
     def reset(self, robot: str) -> Done:
         """Leave `held`; see `Cell.reset`."""

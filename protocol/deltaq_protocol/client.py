@@ -18,7 +18,9 @@ from contextlib import asynccontextmanager
 from typing import TypeVar
 
 import msgpack
+import numpy as np
 import zenoh
+from numpy.typing import ArrayLike
 
 from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, from_map, unpack
@@ -26,9 +28,12 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
     PROTOCOL_VERSION,
+    ContactRequest,
     DescribeRequest,
     Description,
     Done,
+    DryRunReply,
+    DryRunRequest,
     LeaseAction,
     LeaseReply,
     LeaseRequest,
@@ -145,6 +150,31 @@ class Cell:
         """
         request = ResetRequest(robot=self._known(robot), client=self._client, token=self._token)
         return unpack(Done, await self._wire.ask(topics.RESET.key(self.description.cell), request))
+
+    async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
+        """What the gate would say to an increment now; nothing moves.
+
+        Args:
+            robot: its name.
+            dq: (n,) increment [rad or m].
+
+        Raises:
+            RefusedError: `bad_shape`, `not_ready`, or `superseded` for a second one in a cycle.
+            ServiceUnreachableError: no answer in time.
+        """
+        key = topics.DRY_RUN.key(self.description.cell, robot=self._known(robot))
+        request = DryRunRequest(robot=robot, dq=tuple(np.asarray(dq, dtype=float).tolist()))
+        return unpack(DryRunReply, await self._wire.ask(key, request)).verdict
+
+    async def allow_contact(self, contact: str, allowed: bool = True) -> Done:
+        """Let bodies touch that a contact of the cell names, or forbid it again.
+
+        Raises:
+            RefusedError: the cell has no such contact, or `not_permitted` without the operator's token.
+            ServiceUnreachableError: no answer in time.
+        """
+        request = ContactRequest(contact=contact, allowed=allowed, client=self._client, token=self._token)
+        return unpack(Done, await self._wire.ask(topics.CONTACT.key(self.description.cell), request))
 
     async def status(self) -> Status:
         """The running cell: phases, leases, ages, counters.

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase
+from deltaq_protocol.messages import Count, Joints, Message, Name, NearestPair, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
 BrakeCycles = Annotated[int, Field(ge=1, le=10_000)]
@@ -102,28 +102,36 @@ class Supervision(Message):
 
 
 class Command(Message):
-    """HLI to SIM: stop robots or reset one, or set digital outputs; answered by a `CommandReply`."""
+    """HLI to SIM, answered by a `CommandReply`.
+
+    Stop robots or reset one, set digital outputs, judge an increment `dq` without moving, or allow a contact.
+    """
 
     id: Count
-    kind: Literal["stop", "reset", "io"]
+    kind: Literal["stop", "reset", "io", "dry_run", "contact"]
     robot: Name | None = None
     reason: ReasonCode = ReasonCode.OPERATOR_STOP
     outputs: dict[str, bool] = {}
+    dq: Joints | None = None
+    contact: Name | None = None
+    allowed: bool = False
 
 
 class CommandReply(Message):
-    """SIM to HLI: whether the command was taken, and if not, why."""
+    """SIM to HLI: whether the command was taken, and if not, why; of a dry run the verdict."""
 
     id: Count
     accepted: bool
     code: ReasonCode | None = None
     message: str = ""
+    verdict: Verdict | None = None
 
 
 class Health(Message):
     """A service's sign of life for `deltaq up`, container health checks and `deltaq status`.
 
-    `fingerprint` is the SIM's: a hash of the gate's code and one of its configuration.
+    `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
+    that are allowed now.
     """
 
     service: Name
@@ -133,6 +141,7 @@ class Health(Message):
     counters: dict[str, int] = {}
     nearest: NearestPair | None = None
     fingerprint: str = ""
+    contacts: tuple[Name, ...] = ()
 
 
 class GateEntry(Message):
@@ -178,6 +187,7 @@ class RobotMemory(Message):
     decided_cycle: int
     lease_epoch: Count
     seq: int
+    dry_run_cycle: int = -1
 
 
 class GateMemory(Message):
@@ -192,4 +202,5 @@ class GateMemory(Message):
     sequence: Count
     receipt: str
     fingerprint: str
+    contacts: tuple[Name, ...] = ()
     robots: dict[str, RobotMemory]

@@ -174,8 +174,34 @@ class ResetRequest(Message):
     token: str | None = None
 
 
+class DryRunRequest(Message):
+    """Ask what the gate would say to an increment now; nothing moves, and no lease is needed."""
+
+    type: Literal["dry_run"] = "dry_run"
+    robot: Name
+    dq: Joints
+
+
+class DryRunReply(Message):
+    """What the gate would have said; the verdict's `seq` is 0."""
+
+    type: Literal["dry_run"] = "dry_run"
+    robot: Name
+    verdict: Verdict
+
+
+class ContactRequest(Message):
+    """Let bodies touch that a contact of the cell names, or forbid it again; an operator's privilege."""
+
+    type: Literal["contact"] = "contact"
+    contact: Name
+    allowed: bool
+    client: str | None = Field(default=None, max_length=64)
+    token: str | None = None
+
+
 class Done(Message):
-    """A stop or reset was carried out."""
+    """A stop, a reset or a change of contacts was carried out."""
 
     type: Literal["done"] = "done"
     what: str
@@ -297,7 +323,7 @@ class RobotStatus(Message):
 
 
 class Status(Message):
-    """The running cell as `deltaq status` shows it."""
+    """The running cell as `deltaq status` shows it; `contacts` are those that are allowed now."""
 
     type: Literal["status"] = "status"
     cell: str
@@ -306,5 +332,6 @@ class Status(Message):
     gate: dict[str, int]
     gate_age_s: FiniteFloat | None
     gate_fingerprint: str = ""
+    contacts: tuple[str, ...] = ()
     hli: dict[str, int]
     nearest: NearestPair | None = None

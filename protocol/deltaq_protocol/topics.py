@@ -88,6 +88,14 @@ RESET = Topic(
     "reset", Realm.OPEN, Kind.QUERY, _OPEN + "reset", messages.ResetRequest, "on demand",
     reply=messages.Done, recorded=False,
 )  # fmt: skip
+DRY_RUN = Topic(
+    "dry-run", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/dry-run", messages.DryRunRequest, "on demand",
+    reply=messages.DryRunReply, recorded=False,
+)  # fmt: skip
+CONTACT = Topic(
+    "contact", Realm.OPEN, Kind.QUERY, _OPEN + "contact", messages.ContactRequest, "on demand",
+    reply=messages.Done, recorded=False,
+)  # fmt: skip
 DESCRIPTION = Topic(
     "description", Realm.OPEN, Kind.QUERY, _OPEN + "description", messages.DescribeRequest, "on demand",
     reply=messages.Description, recorded=False,
@@ -137,7 +145,8 @@ GATE_MEMORY = Topic(
 )  # fmt: skip
 
 TOPICS: tuple[Topic, ...] = (
-    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DESCRIPTION, STATUS,
+    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, CONTACT, DESCRIPTION,
+    STATUS,
     SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH,
     GATE_LOG, GATE_MEMORY,
 )  # fmt: skip

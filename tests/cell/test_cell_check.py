@@ -125,3 +125,11 @@ def test_what_cannot_be_loaded_is_reported_not_raised(tmp_path: Path) -> None:
     assert [p.message for p in report.errors] == ["no such file"]
     path, _ = checked(tmp_path, ("cycle_s: 0.012", "cycle_s: -1"))
     assert [p.field for p in check_cell(path).errors] == ["cycle_s"]
+
+
+def test_a_contact_that_names_no_body_is_told_with_the_nearest_name(tmp_path: Path) -> None:
+    path, _ = checked(tmp_path, ("bodies: [gr/tool_gripper,", "bodies: [gr/tool_griper,"))
+    report = check_cell(path)
+    assert [problem.field for problem in report.problems] == ["contacts.gripper_on_valves.bodies.0"]
+    assert "no body is named 'gr/tool_griper' on a robot" in report.problems[0].message
+    assert report.problems[0].suggestion == "gr/tool_gripper"

@@ -135,6 +135,36 @@ def test_a_stop_holds_every_robot_until_each_is_reset(cell: RunningCell) -> None
     wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
 
 
+def test_a_dry_run_tells_what_the_gate_would_say_and_moves_nothing(cell: RunningCell) -> None:
+    done = cell.deltaq("dry-run", "--robot", "fr", "--dq", "1e-5,0,0,0,0,0", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["outcome"] == "admitted"
+    too_much = cell.deltaq("dry-run", "--robot", "fr", "--dq", "-1,0,0,0,0,0")
+    assert too_much.returncode == 1
+    assert re.search(r"scaled|held", too_much.stdout)
+    assert "acceleration_limit" in too_much.stdout
+    short = cell.deltaq("dry-run", "--robot", "fr", "--dq", "1,2")
+    assert short.returncode != 0
+    assert "dq has 2 elements, fr has 6 joints" in short.stderr
+    wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
+
+
+def test_a_contact_is_allowed_seen_and_forbidden_again(cell: RunningCell) -> None:
+    assert cell.deltaq("contact", "gripper_on_valves").returncode == 0
+    wait_for_contacts(cell, {"gripper_on_valves": True})
+    assert cell.deltaq("contact", "gripper_on_valves", "--forbid").returncode == 0
+    wait_for_contacts(cell, {"gripper_on_valves": False})
+    unknown = cell.deltaq("contact", "handshake")
+    assert unknown.returncode != 0
+    assert "no contact 'handshake'; it has gripper_on_valves" in unknown.stderr
+
+
+def wait_for_contacts(cell: RunningCell, wanted: dict[str, bool]) -> None:
+    deadline = time.monotonic() + 20
+    while (found := json.loads(cell.deltaq("contact", "--json").stdout)["contacts"]) != wanted:
+        assert time.monotonic() < deadline, found
+
+
 def test_a_lease_that_is_taken_is_seen_and_can_be_taken_away(cell: RunningCell) -> None:
     command = [DELTAQ, "lease", "--robot", "fr", "--take", "--json", "--cell", str(cell.file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:

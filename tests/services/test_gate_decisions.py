@@ -23,12 +23,15 @@ from deltaq_protocol.guarded import Admission
 from deltaq_protocol.messages import Outcome
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Certificate, Certifier
+from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.gate import Gate, _largest
 from deltaq_services.sim.tube import Branch
 
 
 def decide(robot, request, others=()):
-    return Gate(PROXIMITY, LIMITS, CELL.description.gate).decide(robot, list(others), request)
+    return Gate(PROXIMITY, LIMITS, CELL.description.gate, Contacts(PROXIMITY, {})).decide(
+        robot, list(others), request
+    )
 
 
 def test_a_request_that_nothing_binds_is_admitted_as_it_is():

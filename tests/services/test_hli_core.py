@@ -13,7 +13,10 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, from_map, to_line
 from deltaq_protocol.guarded import Command, CommandReply, Health, Request
 from deltaq_protocol.messages import (
+    ContactRequest,
     Done,
+    DryRunReply,
+    DryRunRequest,
     Error,
     Increment,
     IoReply,
@@ -436,3 +439,40 @@ def test_the_status_shows_a_robot_that_fell_silent_as_offline_with_the_age_of_it
     assert robot.state_age_s == pytest.approx(0.3)
     assert status.robots["gr"].state_age_s is None
     assert bench.core.unheard(bench.now, 2.0) == ["robot gr", "gate"]
+
+
+# --- dry runs and contacts --------------------------------------------------------------------------
+
+
+def test_a_dry_run_is_answered_with_the_gates_verdict() -> None:
+    bench = Bench()
+    asked = DryRunRequest(robot="fr", dq=(0.0,) * 6)
+    command = only(Command, bench.core.requests.on_dry_run(asked, bench.client, bench.now))
+    assert (command.kind, command.robot, command.dq) == ("dry_run", "fr", (0.0,) * 6)
+    said = verdict(0)
+    answer = bench.core.on_command_reply(CommandReply(id=command.id, accepted=True, verdict=said))
+    assert answer == [ToSender(bench.client, DryRunReply(robot="fr", verdict=said))]
+
+
+def test_a_dry_run_of_the_wrong_length_is_told_how_many_joints_there_are() -> None:
+    bench = Bench()
+    asked = DryRunRequest(robot="fr", dq=(0.0,) * 5)
+    error = only(Error, bench.core.requests.on_dry_run(asked, bench.client, bench.now))
+    assert (error.code, error.message) == (ReasonCode.BAD_SHAPE, "dq has 5 elements, fr has 6 joints")
+
+
+def test_a_contact_needs_a_name_of_the_cell_and_the_operators_token() -> None:
+    bench = Bench(operator_token="open sesame")
+    named = ContactRequest(contact="handshake", allowed=True, token="open sesame")
+    assert (
+        "no contact 'handshake'"
+        in only(Error, bench.core.requests.on_contact(named, bench.client, 0.0)).message
+    )
+    bare = ContactRequest(contact="gripper_on_valves", allowed=True)
+    error = only(Error, bench.core.requests.on_contact(bare, bench.client, bench.now))
+    assert error.code is ReasonCode.NOT_PERMITTED
+    entitled = bare.model_copy(update={"token": "open sesame"})
+    command = only(Command, bench.core.requests.on_contact(entitled, bench.client, bench.now))
+    assert (command.kind, command.contact, command.allowed) == ("contact", "gripper_on_valves", True)
+    done = bench.core.on_command_reply(CommandReply(id=command.id, accepted=True))
+    assert done == [ToSender(bench.client, Done(what="contact gripper_on_valves allowed"))]

@@ -14,7 +14,8 @@ from deltaq_protocol.guarded import Admission, Command, CommandReply, Health, Re
 from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, receipt_of
-from deltaq_services.sim.core import Output, Sim
+from deltaq_services.sim.answers import Output
+from deltaq_services.sim.core import Sim
 
 CYCLE_S = CELL.description.cycle_s
 GATE = CELL.description.gate

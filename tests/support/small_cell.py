@@ -70,6 +70,7 @@ def small_cell(**changes: Any) -> CellDescription:
                 "inputs": ["closed"],
             },
         },
+        "contacts": {"gripper_on_valves": {"bodies": ["gr/gripper"], "against": ["structure/valve"]}},
         "hli": endpoint(),
         "sim": endpoint(),
         "tcp_port": free_port(),

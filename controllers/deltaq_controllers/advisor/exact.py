@@ -55,6 +55,6 @@ class ExactClearance:
         """The tightest pair at configuration `q` (n,)."""
         self._proximity.place(self._robot, q, np.zeros(len(q)))
         looks = [self._proximity.look(groups, 0.0) for groups in self._lists if groups]
-        look = min(looks, key=lambda look: look.tightest.swept_m - look.stop_distance_m)
-        room_m = look.tightest.swept_m - look.stop_distance_m
-        return Clearance(room_m, look.tightest.distance_m, look.tightest.pair)
+        rooms = [(near.swept_m - look.stop_distance_m, near) for look in looks if (near := look.tightest)]
+        room_m, near = min(rooms, key=lambda item: item[0])
+        return Clearance(room_m, near.distance_m, near.pair)

@@ -12,9 +12,11 @@ from deltaq_deploy.cli import (
     advise,
     bench,
     check,
+    contact,
     demo,
     doctor,
     drive,
+    dry_run,
     echo,
     experiment,
     fault,
@@ -57,6 +59,8 @@ app.command(rich_help_panel=COMMAND)(advise.advise)
 app.command(rich_help_panel=COMMAND)(stop.stop)
 app.command(rich_help_panel=COMMAND)(reset.reset)
 app.command(rich_help_panel=COMMAND)(lease.lease)
+app.command(rich_help_panel=COMMAND)(contact.contact)
+app.command("dry-run", rich_help_panel=COMMAND)(dry_run.dry_run)
 app.command(rich_help_panel=STUDY)(experiment.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
 app.command(rich_help_panel=STUDY)(peg_and_valve.peg_and_valve)

@@ -31,7 +31,8 @@ from deltaq_experiments.model.world import SentState, SentSupervision, Turn, Wor
 from deltaq_protocol.guarded import Admission, Command, CommandReply, GateMemory, Request, Supervision
 from deltaq_protocol.messages import Message, Phase
 from deltaq_services.robot_server.core import Measurement, RobotServer
-from deltaq_services.sim.core import Output, Sim
+from deltaq_services.sim.answers import Output
+from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 

@@ -91,8 +91,8 @@ class Books:
         return [output for asked in dropped if asked for output in self.refuse_asked(asked, reason)]
 
     def command(
-        self, command: Command, sender: Sender | None, done: Done | IoReply, time_s: float
+        self, command: Command, sender: Sender | None, done: Done | IoReply | None, time_s: float
     ) -> list[Output]:
-        """Send a command to the gate and remember whom to tell when it has answered."""
+        """Send a command to the gate and remember whom to tell `done`, or the reply's verdict, when it has answered."""
         self.commands.sent(command, sender, done, time_s)
         return [ToGuarded(topics.COMMAND, "", command)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import Command, CommandReply
-from deltaq_protocol.messages import Error, Message
+from deltaq_protocol.messages import DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.outputs import Sender, ToSender
 
@@ -22,7 +22,7 @@ _HINTS = {
 class _Awaited:
     command: Command
     sender: Sender | None
-    done: Message
+    done: Message | None
     deadline_s: float
 
 
@@ -42,8 +42,8 @@ class Commands:
         self._id += 1
         return self._id
 
-    def sent(self, command: Command, sender: Sender | None, done: Message, time_s: float) -> None:
-        """Await the answer to a command; `done` is what the sender is told when it was carried out."""
+    def sent(self, command: Command, sender: Sender | None, done: Message | None, time_s: float) -> None:
+        """Await the answer to a command; `done`, if any, is what the sender is told when it was carried out."""
         self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
 
     def answered(self, reply: CommandReply) -> list[ToSender]:
@@ -51,7 +51,9 @@ class Commands:
         awaited = self._awaited.pop(reply.id, None)
         if awaited is None or awaited.sender is None:
             return []
-        if reply.accepted:
+        if reply.verdict is not None:
+            return [ToSender(awaited.sender, DryRunReply(robot=reply.verdict.robot, verdict=reply.verdict))]
+        if reply.accepted and awaited.done is not None:
             return [ToSender(awaited.sender, awaited.done)]
         code = reply.code or ReasonCode.NOT_PERMITTED
         robot = f" of {awaited.command.robot}" if awaited.command.robot else ""

@@ -149,6 +149,7 @@ class HliCore:
             gate=gate.counters if gate else {},
             gate_age_s=time_s - self._gate_heard_s if gate else None,
             gate_fingerprint=gate.fingerprint if gate else "",
+            contacts=gate.contacts if gate else (),
             hli=dict(self.counters + front_counters),
             nearest=gate.nearest if gate else None,
         )

@@ -12,6 +12,8 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import (
+    ContactRequest,
+    DryRunRequest,
     Error,
     Increment,
     IoRequest,
@@ -26,7 +28,7 @@ from deltaq_services.hli.outputs import Output, Sender
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
 
-RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest)
+RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest)
 
 
 class QuerySender(Sender):
@@ -66,6 +68,8 @@ class OpenFront:
         session.answer(topics.IO, self._on_io)
         session.answer(topics.RESET, self._on_reset)
         session.answer(topics.STOP, self._on_stop)
+        session.answer(topics.DRY_RUN, self._on_dry_run)
+        session.answer(topics.CONTACT, self._on_contact)
         session.answer(topics.STATUS, self._on_status)
         # clients ask for the description first: when it is there, so is everything above
         session.answer(topics.DESCRIPTION, self._on_description)
@@ -107,6 +111,19 @@ class OpenFront:
 
     def _on_reset(self, query: zenoh.Query) -> None:
         self._answer(query, topics.RESET, ResetRequest, self._port.core.requests.on_reset)
+
+    def _on_dry_run(self, query: zenoh.Query) -> None:
+        self._answer(query, topics.DRY_RUN, DryRunRequest, self._port.core.requests.on_dry_run)
+
+    def _on_contact(self, query: zenoh.Query) -> None:
+        port = self._port
+        sender = QuerySender(query, topics.CONTACT.key(self._cell))
+        try:
+            request = unpack(ContactRequest, query.payload.to_bytes() if query.payload else b"")
+        except InvalidMessageError as error:
+            port.carry_out(port.core.increments.on_malformed(error, sender))
+        else:
+            port.carry_out(port.core.requests.on_contact(request, sender, port.now()))
 
     def _on_stop(self, query: zenoh.Query) -> None:
         # a stop is obeyed whatever the message says

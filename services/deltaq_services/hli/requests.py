@@ -7,7 +7,9 @@ from collections.abc import Iterable
 
 from deltaq_protocol.guarded import Command
 from deltaq_protocol.messages import (
+    ContactRequest,
     Done,
+    DryRunRequest,
     Error,
     IoReply,
     IoRequest,
@@ -86,6 +88,41 @@ class Requests:
         self._books.counters["resets"] += 1
         command = Command(id=self._books.commands.next_id(), kind="reset", robot=request.robot)
         return self._books.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
+
+    def on_dry_run(self, request: DryRunRequest, sender: Sender, time_s: float) -> list[Output]:
+        """Ask the gate what it would say to an increment."""
+        link = self._books.links.get(request.robot)
+        if link is None:
+            return self._error(sender, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
+        if len(request.dq) != link.joints:
+            text = f"dq has {len(request.dq)} elements, {request.robot} has {link.joints} joints"
+            return self._error(sender, ReasonCode.BAD_SHAPE, text, "give one element for each joint")
+        self._books.counters["dry_runs"] += 1
+        command = Command(
+            id=self._books.commands.next_id(), kind="dry_run", robot=request.robot, dq=request.dq
+        )
+        return self._books.command(command, sender, None, time_s)
+
+    def on_contact(self, request: ContactRequest, sender: Sender, time_s: float) -> list[Output]:
+        """Allow a contact or forbid it: a privilege where an operator's token is set."""
+        known = self._books.cell.contacts
+        if request.contact not in known:
+            text = (
+                f"contact: the cell has no contact {request.contact!r}; it has {', '.join(known) or 'none'}"
+            )
+            return self._error(sender, ReasonCode.MALFORMED, text, "see `contacts` in the cell's YAML")
+        if not self._is_operator(request.token):
+            text = f"contact {request.contact} needs the operator's token"
+            return self._error(sender, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request")
+        self._books.counters["contacts_switched"] += 1
+        command = Command(
+            id=self._books.commands.next_id(),
+            kind="contact",
+            contact=request.contact,
+            allowed=request.allowed,
+        )
+        what = f"contact {request.contact} {'allowed' if request.allowed else 'forbidden'}"
+        return self._books.command(command, sender, Done(what=what), time_s)
 
     def on_io(self, request: IoRequest, sender: Sender, time_s: float) -> list[Output]:
         """Set outputs, which only the holder may while the robot is leased, and read all of them."""

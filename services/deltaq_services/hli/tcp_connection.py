@@ -10,7 +10,9 @@ from typing import Any, Protocol
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map, to_line
 from deltaq_protocol.messages import (
     PROTOCOL_VERSION,
+    ContactRequest,
     DescribeRequest,
+    DryRunRequest,
     Error,
     Hello,
     Increment,
@@ -44,6 +46,8 @@ _TYPES: dict[str, type[Message]] = {
     "io": IoRequest,
     "stop": StopRequest,
     "reset": ResetRequest,
+    "dry_run": DryRunRequest,
+    "contact": ContactRequest,
     "describe": DescribeRequest,
 }
 
@@ -215,6 +219,10 @@ class TcpConnection(asyncio.Protocol, Sender):
         if isinstance(request, IoRequest):
             fields = {"lease": self.leases.get(request.robot)}
             return core.requests.on_io(request.model_copy(update=fields), self, now)
+        if isinstance(request, DryRunRequest):
+            return core.requests.on_dry_run(request, self, now)
+        if isinstance(request, ContactRequest):
+            return core.requests.on_contact(request.model_copy(update={"token": client.token}), self, now)
         if isinstance(request, ResetRequest):
             return core.requests.on_reset(request.model_copy(update={"token": client.token}), self, now)
         return self._told(core.told)

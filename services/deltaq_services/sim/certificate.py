@@ -50,24 +50,15 @@ class Certifier:
     def __init__(self, proximity: Proximity, budget: int = BUDGET) -> None:
         self._proximity = proximity
         self._left = budget
-        self._without: frozenset[Group] = frozenset()
 
-    def certify(
-        self,
-        robot: str,
-        tube: Piece,
-        others: Sequence[tuple[str, Piece]],
-        without: frozenset[Group] = frozenset(),
-    ) -> Certificate:
+    def certify(self, robot: str, tube: Piece, others: Sequence[tuple[str, Piece]]) -> Certificate:
         """Certify one robot's tube against the structure, itself and the tubes of others.
 
         Args:
             robot: name of the robot.
             tube: its tube.
             others: names of other robots with each tube that they may be in.
-            without: groups that the caller answers for.
         """
-        self._without = without
         certificates = [self._alone(robot, tube)]
         for other, other_tube in others:
             if certificates[-1].holds:
@@ -78,7 +69,7 @@ class Certifier:
         return Certificate(True, min(bindings, key=lambda item: item.room_m, default=None))
 
     def _alone(self, robot: str, tube: Piece) -> Certificate:
-        groups = self._groups(self._proximity.alone[robot])
+        groups = self._proximity.alone[robot]
         least: Binding | None = None
         stack: list[tuple[Piece, list[Group]]] = [(tube, groups)] if groups else []
         while stack:
@@ -95,7 +86,7 @@ class Certifier:
         return Certificate(True, least)
 
     def _between(self, robot: str, tube: Piece, other: str, other_tube: Piece) -> Certificate:
-        groups = self._groups(self._proximity.between[robot, other])
+        groups = self._proximity.between[robot, other]
         least: Binding | None = None
         stack: list[tuple[Piece, Piece, list[Group]]] = [(tube, other_tube, groups)] if groups else []
         while stack:
@@ -126,13 +117,8 @@ class Certifier:
         """The budget is spent, or bodies are too near even at the middle of the strip, which no halving mends."""
         return self._left < 0 or look.too_near
 
-    def _groups(self, groups: list[Group]) -> list[Group]:
-        if not self._without:
-            return groups
-        return [group for group in groups if group not in self._without]
-
-    def _measure(self, groups: Sequence[Group]) -> tuple[Look, Binding]:
+    def _measure(self, groups: Sequence[Group]) -> tuple[Look, Binding | None]:
         """What the groups, at least one, show at the present placement, and the pair with the least room."""
         self._left -= 1
         look = self._proximity.look(groups, NUMERICAL_TOLERANCE_M)
-        return look, Binding(look.tightest, look.stop_distance_m)
+        return look, None if look.tightest is None else Binding(look.tightest, look.stop_distance_m)

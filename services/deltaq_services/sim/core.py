@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.group import Nearest
 from deltaq_cell.proximity import Proximity
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import (
@@ -32,7 +30,9 @@ from deltaq_protocol.guarded import (
 from deltaq_protocol.messages import Message, NearestPair, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, with_receipt
-from deltaq_protocol.topics import Topic
+from deltaq_services.phases import MAY_MOVE
+from deltaq_services.sim.answers import Output, nearest_pair, reply, verdict_of
+from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.fingerprint import fingerprint
 from deltaq_services.sim.gate import Decision, Gate
 from deltaq_services.sim.inbox import Inbox
@@ -41,15 +41,6 @@ from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Output:
-    """A message to publish, and the robot whose key it goes to ("" for keys without one)."""
-
-    topic: Topic
-    robot: str
-    message: Message
 
 
 class Decider(Protocol):
@@ -67,6 +58,7 @@ class Sim:
         gate: what decides.
         counters: outcomes and reasons so far.
         fingerprint: tells the gate's code and configuration.
+        contacts: which bodies may touch now.
         taken: messages taken so far.
     """
 
@@ -81,11 +73,14 @@ class Sim:
         self._proximity = Proximity(cell)
         lag_cycles = math.ceil(description.gate.servo_lag_s / cycle_s)
         self._robots = {name: Tracker(name, robot, lag_cycles) for name, robot in description.robots.items()}
+        self.contacts = Contacts(self._proximity, description.contacts)
         self.gate: Decider = Gate(
             self._proximity,
             {name: Limits.of(robot, cycle_s) for name, robot in description.robots.items()},
             description.gate,
+            self.contacts,
         )
+        self._dry_run_cycles = dict.fromkeys(description.robots, -1)
         self._orders = {
             name: Orders(self._robots[name], math.ceil(description.gate.hli_timeout_s / cycle_s))
             for name in description.robots
@@ -142,16 +137,20 @@ class Sim:
         return outputs + self._decide(robot)
 
     def on_command(self, command: Command) -> list[Output]:
-        """The HLI passed on a stop, a reset or digital outputs."""
+        """The HLI passed on a stop, a reset, digital outputs, a dry run or a change of contacts."""
         self.taken += 1
         names = list(self._robots) if command.robot is None else [command.robot]
         if not set(names) <= set(self._robots):
-            return [_reply(command.id, ReasonCode.UNKNOWN_ROBOT, f"no robot {command.robot!r} here")]
+            return [reply(command.id, ReasonCode.UNKNOWN_ROBOT, f"no robot {command.robot!r} here")]
         self.counters[f"command_{command.kind}"] += 1
+        if command.kind == "dry_run":
+            return [self._dry_run(command)]
+        if command.kind == "contact":
+            return [self._switch_contact(command)]
         if command.kind == "reset":
             refused = [self._orders[name].reset(command.id) for name in names]
-            return [_reply(command.id, *item) for item in refused if item is not None]
-        outputs = [_reply(command.id)]
+            return [reply(command.id, *item) for item in refused if item is not None]
+        outputs = [reply(command.id)]
         for name in names:
             if command.kind == "stop":
                 self._orders[name].stop(command.reason)
@@ -162,6 +161,33 @@ class Sim:
                 self._orders[name].outputs.update(command.outputs)
         return outputs
 
+    def _switch_contact(self, command: Command) -> Output:
+        if command.contact not in self.contacts:
+            return reply(command.id, ReasonCode.MALFORMED, f"no contact {command.contact!r} here")
+        self.contacts.switch(command.contact or "", command.allowed)
+        return reply(command.id)
+
+    def _dry_run(self, command: Command) -> Output:
+        """Judge an increment as it would be now; at most one for each state, so that nobody keeps the gate busy."""
+        robot = self._robots.get(command.robot or "")
+        if robot is None or robot.state is None:
+            return reply(command.id, ReasonCode.NOT_READY, "no state of that robot yet")
+        dq, joints = command.dq or (), self._joints[robot.name]
+        if len(dq) != joints:
+            return reply(command.id, ReasonCode.BAD_SHAPE, f"dq has {len(dq)} elements, not {joints}")
+        if self._dry_run_cycles[robot.name] == robot.state.cycle:
+            return reply(command.id, ReasonCode.SUPERSEDED, "one dry run for each state of the robot")
+        self._dry_run_cycles[robot.name] = robot.state.cycle
+        if robot.state.phase not in MAY_MOVE or self._orders[robot.name].standing_stop is not None:
+            return reply(command.id, ReasonCode.STOPPED, f"{robot.name} is {robot.state.phase}")
+        reason = self._unready(robot, robot.state)
+        if reason is not None:
+            return reply(command.id, reason.code, f"{robot.name}: {reason.what}")
+        decision = self.gate.decide(robot, self._others(robot), np.array(dq))
+        verdict = verdict_of(robot.name, robot.state.cycle, 0, decision, self._cycle_s)
+        answer = CommandReply(id=command.id, accepted=True, verdict=verdict)
+        return Output(topics.COMMAND_REPLY, "", answer)
+
     def memory(self) -> GateMemory:
         """All that decisions depend on, for `recall`."""
         return GateMemory(
@@ -170,6 +196,7 @@ class Sim:
             sequence=self._sequence,
             receipt=self._receipt,
             fingerprint=self.fingerprint,
+            contacts=self.contacts.allowed,
             robots={name: self._robot_memory(name) for name in self._robots},
         )
 
@@ -177,7 +204,9 @@ class Sim:
         """Go on from where another gate of this cell was, counters excepted."""
         self.epoch, self.taken = memory.epoch, memory.number
         self._sequence, self._receipt = memory.sequence, memory.receipt
+        self.contacts.allow(memory.contacts)
         for name, robot in memory.robots.items():
+            self._dry_run_cycles[name] = robot.dry_run_cycle
             self._robots[name].recall(robot.tracker)
             self._orders[name].recall(robot.orders)
             inbox = self._inboxes[name]
@@ -193,6 +222,7 @@ class Sim:
             decided_cycle=inbox.decided_cycle,
             lease_epoch=inbox.lease_epoch,
             seq=inbox.seq,
+            dry_run_cycle=self._dry_run_cycles[name],
         )
 
     def nearest(self) -> NearestPair | None:
@@ -204,7 +234,8 @@ class Sim:
         if len(known) > 1:
             lists.append(self._proximity.between[known[0].name, known[1].name])
         looks = [self._proximity.look(groups, 0.0).tightest for groups in lists if groups]
-        return _message(min(looks, key=lambda near: near.distance_m)) if looks else None
+        found = [near for near in looks if near is not None]
+        return nearest_pair(min(found, key=lambda near: near.distance_m)) if found else None
 
     def _supervise(self, robot: Tracker) -> list[Output]:
         orders = self._orders[robot.name]
@@ -221,30 +252,37 @@ class Sim:
         return [Output(topics.SUPERVISION, robot.name, message)]
 
     def _answered(self, robot: Tracker) -> list[Output]:
-        return [_reply(id_) for id_ in self._orders[robot.name].fulfilled()]
+        return [reply(id_) for id_ in self._orders[robot.name].fulfilled()]
 
     def _decide(self, robot: Tracker) -> list[Output]:
         inbox, state = self._inboxes[robot.name], robot.state
         if state is None or not inbox.due(state):
             return []
         reason = inbox.fault_on(state, self._orders[robot.name].standing_stop is not None)
-        others = [other for other in self._robots.values() if other is not robot]
-        unheard = [other.name for other in others if other.state is None]
-        if reason is None and unheard:  # nobody knows where it is, so nothing can be kept clear of it
-            reason = Reason(code=ReasonCode.NOT_READY, what=unheard[0])
-        if reason is None and state.epoch != self.epoch:
-            reason = Reason(code=ReasonCode.NOT_READY, what="gate epoch")
+        reason = reason or self._unready(robot, state)
         request = inbox.take()
         assert request is not None  # it is due
         assert request.dq is not None  # signs of life are not put there
         if reason is not None:
             return [self._refuse(request, reason)]
         inbox.decided_cycle = state.cycle
-        decision = self.gate.decide(robot, others, np.array(request.dq))
+        decision = self.gate.decide(robot, self._others(robot), np.array(request.dq))
         outputs = [self._verdict(request, state.cycle, decision)]
         if decision.outcome is not Outcome.HELD:
             outputs.insert(0, self._admit(robot, state, decision))
         return outputs
+
+    def _others(self, robot: Tracker) -> list[Tracker]:
+        return [other for other in self._robots.values() if other is not robot]
+
+    def _unready(self, robot: Tracker, state: ServerState) -> Reason | None:
+        """Why nothing can be decided for a robot, whatever is asked."""
+        unheard = [other.name for other in self._others(robot) if other.state is None]
+        if unheard:  # nobody knows where it is, so nothing can be kept clear of it
+            return Reason(code=ReasonCode.NOT_READY, what=unheard[0])
+        if state.epoch != self.epoch:
+            return Reason(code=ReasonCode.NOT_READY, what="gate epoch")
+        return None
 
     def _admit(self, robot: Tracker, state: ServerState, decision: Decision) -> Output:
         self._sequence += 1
@@ -266,19 +304,7 @@ class Sim:
         self.counters[decision.outcome] += 1
         for reason in decision.reasons[:1]:
             self.counters[f"reason_{reason.code}"] += 1
-        near = decision.binding.nearest if decision.binding is not None else None
-        verdict = Verdict(
-            robot=request.robot,
-            cycle=cycle,
-            seq=request.seq,
-            outcome=decision.outcome,
-            scale=decision.scale,
-            dq=tuple(decision.dq.tolist()),
-            time_to_stop_s=decision.brake_cycles * self._cycle_s,
-            reasons=decision.reasons,
-            clearance_m=near.distance_m if near is not None else None,
-            pair=near.pair if near is not None else None,
-        )
+        verdict = verdict_of(request.robot, cycle, request.seq, decision, self._cycle_s)
         if decision.outcome is Outcome.HELD:
             verdict = self._with_receipt(verdict)
         return Output(topics.GATE_VERDICT, request.robot, verdict)
@@ -300,13 +326,3 @@ class Sim:
         assert signed.receipt is not None  # that is what it was given
         self._receipt = signed.receipt
         return signed
-
-
-def _reply(id_: int, code: ReasonCode | None = None, message: str = "") -> Output:
-    reply = CommandReply(id=id_, accepted=code is None, code=code, message=message)
-    return Output(topics.COMMAND_REPLY, "", reply)
-
-
-def _message(near: Nearest) -> NearestPair:
-    first, second = (tuple(point.tolist()) for point in near.points_m)
-    return NearestPair(pair=near.pair, distance_m=near.distance_m, points_m=(first, second))

@@ -18,6 +18,7 @@ from deltaq_cell.proximity import Proximity
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Binding, Certificate, Certifier
+from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
 from deltaq_services.sim.slow_down import SlowDown
@@ -57,9 +58,16 @@ class Decision:
 class Gate:
     """Decides requests; knows the bodies and the limits, and nothing of clocks or wires."""
 
-    def __init__(self, proximity: Proximity, limits: dict[str, Limits], margins: GateDescription) -> None:
+    def __init__(
+        self,
+        proximity: Proximity,
+        limits: dict[str, Limits],
+        margins: GateDescription,
+        contacts: Contacts,
+    ) -> None:
         self._proximity = proximity
         self._limits = limits
+        self._contacts = contacts
         self._retreat = Retreat(proximity, margins)
         self._slow_down = SlowDown(proximity, margins, next(iter(limits.values())).cycle_s)
 
@@ -77,6 +85,9 @@ class Gate:
         scale, reasons = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
         scale, tighter = limits.position_scale(brake, request, robot.q_cmd, scale)
         reasons = tighter or reasons
+        share, contact = self._contacts.speed(robot.name)
+        if contact and (slow := limits.slow_scale(brake, request, share)) < scale:
+            scale, reasons = slow, [Reason(code=ReasonCode.CONTACT, what=contact, bound=share)]
         scale, tighter = self._slow_down.scale(robot, others, brake, request, scale)
         reasons = tighter or reasons
         tubes = [(other.name, tube) for other in others for tube in other.tubes()]

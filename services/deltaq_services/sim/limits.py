@@ -96,6 +96,13 @@ class Limits:
             )
         return max(0.0, float(scales[joint])), [reason]
 
+    def slow_scale(self, brake: Array, request: Array, share: float) -> float:
+        """Largest s that leaves every joint within a share of its velocity limit; 0 while the brake is faster."""
+        allowed = share * self.max_dq
+        if np.any(np.abs(brake) > allowed):
+            return 0.0
+        return share_within(brake, request, -allowed, allowed)
+
     def position_scale(
         self, brake: Array, request: Array, q_cmd: Array, at_most: float
     ) -> tuple[float, list[Reason]]:

@@ -20,7 +20,7 @@ from deltaq_cell.proximity import Proximity
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Certifier
-from deltaq_services.sim.limits import Limits, share_within
+from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Piece, Windows
 
@@ -69,17 +69,11 @@ class Retreat:
             for item in violations
             for index, distance in item.distances.items()
         ]
-        scale = min(at_most, self._slow_scale(limits, brake, request))
+        scale = min(at_most, limits.slow_scale(brake, request, self._speed))
         dq = brake + scale * (request - brake)
         tube = robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
         leads_out = scale > 0 and self._leads_out(robot.name, tube, others, violations)
         return (scale if leads_out else 0.0), reasons
-
-    def _slow_scale(self, limits: Limits, brake: Array, request: Array) -> float:
-        allowed = self._speed * limits.max_dq
-        if np.any(np.abs(brake) > allowed):
-            return 0.0
-        return share_within(brake, request, -allowed, allowed)
 
     def _violations(self, robot: Tracker, others: Others) -> list[_Violation]:
         # what fails already where the robot stands, with all that the drives' lag leaves uncertain ...
@@ -106,20 +100,20 @@ class Retreat:
             groups = self._proximity.between[robot, other[0]]
         return self._proximity.look(groups, NUMERICAL_TOLERANCE_M).failing if groups else []
 
-    def _distances(self, group: Group, other: tuple[str, Piece] | None) -> list[float]:
+    def _distances(self, group: Group, other: tuple[str, Piece] | None) -> dict[int, float]:
         """Distances of all pairs of a group where the robot is placed [m]."""
         if other is not None:
             self._place(*other)
         self._proximity.least(group)
-        return [pair.swept_m for pair in group.all_pairs()]
+        return {index: pair.swept_m for index, pair in group.measured().items()}
 
     def _place(self, robot: str, piece: Piece) -> None:
         strip = piece.strip()
         self._proximity.place(robot, strip.middle, strip.half, strip.direction)
 
     def _leads_out(self, robot: str, tube: Windows, others: Others, violations: list[_Violation]) -> bool:
-        with _set_aside(violations) as emptied:
-            certificate = Certifier(self._proximity).certify(robot, tube, others, without=emptied)
+        with _set_aside(violations):
+            certificate = Certifier(self._proximity).certify(robot, tube, others)
         if not certificate.holds:
             return False
         for point in tube.points[tube.first + 1 :]:
@@ -134,14 +128,14 @@ class Retreat:
 
 
 @contextmanager
-def _set_aside(violations: list[_Violation]) -> Iterator[frozenset[Group]]:
-    """Leave the violated pairs out of their groups; yields the groups that have no other pair."""
+def _set_aside(violations: list[_Violation]) -> Iterator[None]:
+    """Leave the violated pairs out of their groups for a while."""
     for item in violations:
         for index in item.distances:
-            item.group.data.deactivateCollisionPair(index)
+            item.group.leave_out(index)
     try:
-        yield frozenset(item.group for item in violations if len(item.distances) == len(item.group.pairs))
+        yield
     finally:
         for item in violations:
             for index in item.distances:
-                item.group.data.activateCollisionPair(index)
+                item.group.take_in(index)

@@ -104,6 +104,7 @@ class Shell:
             counters=dict(self.sim.counters),
             nearest=self.sim.nearest(),
             fingerprint=self.sim.fingerprint,
+            contacts=self.sim.contacts.allowed,
         )
         key = topics.HEALTH.key(self._name, service="sim")
         self._session.put(key, self._seal.close(key, pack(health)))

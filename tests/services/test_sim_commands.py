@@ -1,0 +1,133 @@
+"""A dry run and contacts: what the gate would say, and what it lets touch."""
+
+import numpy as np
+import pytest
+from gate_rig import CELL, SMALL, Rig
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.messages import Outcome, Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.core import Sim
+
+CONTACT = "gripper_on_valves"
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def test_a_dry_run_says_what_the_gate_would_and_changes_nothing(rig):
+    before = rig.sim.memory()
+    reply = rig.command(kind="dry_run", robot="fr", dq=SMALL)
+    assert reply.accepted
+    after = rig.sim.memory()
+    assert after.robots["fr"].tracker == before.robots["fr"].tracker
+    assert (after.sequence, after.receipt) == (before.sequence, before.receipt)
+    assert rig.sim.counters[Outcome.ADMITTED] == 0
+    said = rig.request()
+    assert reply.verdict.model_copy(update={"seq": said.seq}) == said
+
+
+def test_a_second_dry_run_of_a_cycle_is_refused_and_one_in_the_next_is_not(rig):
+    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).accepted
+    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.SUPERSEDED
+    assert rig.command(kind="dry_run", robot="gr", dq=(0.0,) * 9).accepted
+    rig.cycle()
+    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).accepted
+
+
+def test_a_dry_run_that_cannot_be_judged_says_why(rig):
+    assert rig.command(kind="dry_run", robot="fr", dq=(0.0,) * 7).code is ReasonCode.BAD_SHAPE
+    assert rig.command(kind="dry_run", robot="fr").code is ReasonCode.BAD_SHAPE
+    rig.command(kind="stop")
+    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.STOPPED
+    unheard = Sim(CELL, epoch=1)
+    rig.sim = unheard
+    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.NOT_READY
+
+
+def test_a_held_robot_is_told_so_in_a_dry_run(rig):
+    rig.command(kind="stop")
+    rig.cycle()
+    rig.cycle()
+    assert rig.state.phase is Phase.HELD
+    assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.STOPPED
+
+
+T_HOME = CELL.robots["gr"].forward(CELL.robots["gr"].home)
+BUOY = T_HOME[:3, 3] + 0.3 * T_HOME[:3, 2]
+LIMITS = CELL.robots["gr"].max_velocity * CELL.description.cycle_s
+
+
+def with_a_buoy(folder):
+    """The lab with a ball before the leader's gripper, that it may touch when an operator says so."""
+    path = folder / "buoy.yaml"
+    position = ", ".join(f"{number:.4f}" for number in BUOY)
+    path.write_text(
+        "extends: lab\n"
+        f"structure: {{buoy: {{shape: {{kind: sphere, radius_m: 0.05}}, pose: {{position_m: [{position}]}}}}}}\n"
+        f"contacts: {{touch: {{bodies: {GRIPPER}, against: [structure/buoy], speed: 0.05}}}}\n",
+        encoding="utf-8",
+    )
+    return CellModel.load(path)
+
+
+GRIPPER = "[gr/tool_gripper, gr/tool_finger_1, gr/tool_finger_2]"
+
+
+def driven_at_the_buoy(rig, cycles):
+    """The last verdict, where the tool is from the buoy [m], and the greatest share of a velocity limit."""
+    robot, server = CELL.robots["gr"], rig.servers["gr"]
+    verdict, fastest = None, 0.0
+    for _ in range(cycles):
+        q = np.array(server.state.q_cmd)
+        way = BUOY - robot.forward(q)[:3, 3]
+        dq = np.linalg.lstsq(robot.jacobian(q)[:3], way * min(1.0, 0.01 / np.linalg.norm(way)), rcond=None)[0]
+        verdict = rig.request(tuple(dq), robot="gr", cycle=server.state.cycle)
+        rig.cycle()
+        fastest = max(fastest, float(np.max(np.abs(server.state.dq) / LIMITS)))
+    q = np.array(server.state.q_cmd)
+    return verdict, float(np.linalg.norm(robot.forward(q)[:3, 3] - BUOY)), fastest
+
+
+def test_bodies_touch_slowly_while_a_contact_is_allowed_and_not_without(tmp_path):
+    cell = with_a_buoy(tmp_path)
+    rig = Rig(cell)
+    verdict, kept_off, _ = driven_at_the_buoy(rig, 60)
+    assert verdict.outcome is not Outcome.ADMITTED
+    assert verdict.reasons[0].code is ReasonCode.CLEARANCE
+    assert "structure/buoy" in verdict.reasons[0].what
+    assert rig.command(kind="contact", contact="touch", allowed=True).accepted
+    for _ in range(12):
+        rig.cycle()
+    verdict, reached, fastest = driven_at_the_buoy(rig, 120)
+    assert reached < kept_off - 0.05
+    assert fastest <= cell.description.contacts["touch"].speed * (1 + 1e-9)
+    assert ReasonCode.CONTACT in {reason.code for reason in verdict.reasons} or verdict.reasons == ()
+    assert rig.command(kind="contact", contact="touch", allowed=False).accepted
+    for _ in range(12):
+        rig.cycle()
+    verdict, nearer, _ = driven_at_the_buoy(rig, 5)
+    assert verdict.outcome is Outcome.HELD
+    assert nearer >= reached - 1e-3
+
+
+def test_only_robots_of_the_contact_are_slowed(rig):
+    rig.command(kind="contact", contact=CONTACT, allowed=True)
+    assert rig.sim.contacts.speed("gr") == (CELL.description.contacts[CONTACT].speed, CONTACT)
+    assert rig.sim.contacts.speed("fr") == (1.0, "")
+
+
+def test_a_contact_that_the_cell_does_not_have_is_refused(rig):
+    assert rig.command(kind="contact", contact="handshake", allowed=True).code is ReasonCode.MALFORMED
+
+
+def test_what_is_allowed_is_remembered_for_a_replay(rig):
+    rig.command(kind="contact", contact=CONTACT, allowed=True)
+    memory = rig.sim.memory()
+    assert memory.contacts == (CONTACT,)
+    other = Sim(CELL, epoch=9)
+    other.recall(memory)
+    assert other.contacts.allowed == (CONTACT,)
+    assert other.memory() == memory
