@@ -191,7 +191,7 @@ CLAIMS = (
             _kept_clear(BARRIER_LESS_1_CM),
             _collision,
         )
-        for seed in (1, 2)
+        for seed in (1,)
     ),
     *(
         Claim(
@@ -201,7 +201,7 @@ CLAIMS = (
             _kept_clear(BARRIER_LESS_1_CM),
             _collision,
         )
-        for seed in (0, 1, 2)
+        for seed in (0, 1)
     ),
     *(
         Claim(
@@ -211,7 +211,7 @@ CLAIMS = (
             _kept_clear(BARRIER_LESS_1_CM),
             _collision,
         )
-        for seed in (0, 1, 2)
+        for seed in (0, 1)
     ),
     Claim(
         "collision",
