@@ -74,6 +74,7 @@ class Ledger:
         gate_silent: telegrams since the gate was heard.
         missed: replies missed in a row.
         silence_told: the newest state that the gate took in repeats a cycle, as it does while the KRC is silent.
+        began_anew: the Robot Server crashed and has not been held since; an order under way was not for this process.
     """
 
     course: tuple[float, ...] = ()
@@ -82,6 +83,7 @@ class Ledger:
     gate_silent: int = 0
     missed: int = 0
     silence_told: bool = False
+    began_anew: bool = False
 
     def stop_taken(self) -> Ledger:
         """The gate took a stop."""
@@ -100,8 +102,10 @@ class Ledger:
         return replace(self, course=())
 
     def server_crashed(self) -> Ledger:
-        """The Robot Server started anew: the KRC stands where it was last sent."""
-        return replace(self, course=(), gate_silent=0, missed=0)
+        """The Robot Server started anew: the KRC stands where it was last sent, and that is as good as a stop."""
+        return replace(
+            self, course=(), since_stop=self.since_stop or 0, gate_silent=0, missed=0, began_anew=True
+        )
 
     def gate_crashed(self, offline: bool) -> Ledger:
         """The gate started anew; a robot that it never reached is not held by what it had ordered."""
@@ -130,7 +134,7 @@ class Ledger:
         if was_held and (after.phase is not Phase.HELD or _was_reset(told)):
             return ledger._left_held(self.course, told)
         if after.phase is Phase.HELD and (told.before is None or told.before.phase is not Phase.HELD):
-            return replace(ledger, reset_given=False)
+            return replace(ledger, reset_given=False, began_anew=False)
         return ledger
 
     def _course(self, told: Telegram) -> tuple[float, ...]:
@@ -171,7 +175,7 @@ class Ledger:
             raise Violation(Property.NOTICED, f"{told.after.phase} though the gate fell silent")
         if self.missed > KRC_TIMEOUT_CYCLES:
             raise Violation(Property.NOTICED, f"{told.after.phase} though replies are missed for long")
-        if told.order_of_stop and self.since_stop is not None:
+        if told.order_of_stop and self.since_stop is not None and not self.began_anew:
             raise Violation(
                 Property.NOTICED, f"{told.after.phase} though a stop was taken and its order came"
             )
