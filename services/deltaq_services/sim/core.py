@@ -114,7 +114,7 @@ class Sim:
         self.counters[f"missed_admissions_{robot.name}"] = robot.missed
         orders.cycle_passed()
         if robot.restarted:
-            orders.stop(ReasonCode.SERVER_LOST)
+            orders.server_restarted(state)
             self._inboxes[robot.name].decided_cycle = -1  # its cycles begin anew
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 

@@ -79,6 +79,12 @@ class Orders:
             if self._cycles_without_hli is not None and self._cycles_without_hli > self._hli_timeout_cycles:
                 self.stop(ReasonCode.HLI_LOST)
 
+    def server_restarted(self, state: ServerState) -> None:
+        """Another Robot Server process took the place of the one that knew of holds and resets: hold it."""
+        self.resets = state.resets
+        self._awaited_resets = []  # they were of a hold that nobody remembers
+        self.stop(ReasonCode.SERVER_LOST)
+
     def stop(self, reason: ReasonCode) -> None:
         """Order the robot to brake and hold; the first reason stands."""
         self.standing_stop = self.standing_stop or reason
