@@ -11,9 +11,9 @@ from private_cell import write_private_cell
 from deltaq_cell.load import load_cell
 from deltaq_deploy.launcher import Launcher
 from deltaq_deploy.services import cell_services
-from deltaq_experiments.faults import CATALOGUE, UnknownFaultError, fault_named
-from deltaq_experiments.faults_inject import inject
-from deltaq_experiments.faults_table import run_table
+from deltaq_experiments.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
+from deltaq_experiments.faults.inject import inject
+from deltaq_experiments.faults.table import run_table
 from deltaq_protocol.errors import ServiceUnreachableError
 
 pytestmark = pytest.mark.live

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_experiments.faults import CATALOGUE, Process, UnknownFaultError, fault_named
-from deltaq_experiments.faults_cell import VirtualCell
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_lockstep import run_fault
-from deltaq_experiments.faults_mover import CRUISE_RAD_S
-from deltaq_experiments.faults_report import BY_ITSELF
-from deltaq_experiments.faults_table import markdown, run_table
+from deltaq_experiments.faults.catalogue import CATALOGUE, Process, UnknownFaultError, fault_named
+from deltaq_experiments.faults.cell import VirtualCell
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.lockstep import run_fault
+from deltaq_experiments.faults.mover import CRUISE_RAD_S
+from deltaq_experiments.faults.report import BY_ITSELF
+from deltaq_experiments.faults.table import markdown, run_table
 from deltaq_services.phases import MAY_MOVE
 
 BRAKE_S = CRUISE_RAD_S / 10.9

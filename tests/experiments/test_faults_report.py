@@ -5,8 +5,8 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_emulator.catalogue import Code, KrcMessage
-from deltaq_experiments.faults_panel import protest
-from deltaq_experiments.faults_report import is_good, judged, motion_after
+from deltaq_experiments.faults.panel import protest
+from deltaq_experiments.faults.report import is_good, judged, motion_after
 
 CYCLE_S = 0.012
 CRUISE = np.deg2rad(30) * CYCLE_S

@@ -8,9 +8,9 @@ import pytest
 from live_stack import live_stack
 from small_cell import endpoint
 
-from deltaq_experiments.faults import Link
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_placed import Place, placed
+from deltaq_experiments.faults.catalogue import Link
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.placed import Place, placed
 from deltaq_experiments.impairment.process import RelayProcess
 from deltaq_experiments.impairment.relay import Unit
 from deltaq_experiments.impairment.stream import StreamFaults

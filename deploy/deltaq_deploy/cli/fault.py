@@ -11,7 +11,7 @@ from deltaq_deploy.cli.impair import impair
 from deltaq_deploy.cli.options import CellOption, JsonOption, RobotOption
 
 if TYPE_CHECKING:
-    from deltaq_experiments.faults import Fault
+    from deltaq_experiments.faults.catalogue import Fault
 
 fault = typer.Typer(
     help="Let a moving robot suffer faults, and see what was kept.",
@@ -26,7 +26,7 @@ fault.command()(impair)
 def list_faults(json: JsonOption = False) -> None:
     """List the faults that there are."""
     from deltaq_deploy.cli.console import print_json, print_table
-    from deltaq_experiments.faults import CATALOGUE
+    from deltaq_experiments.faults.catalogue import CATALOGUE
 
     if json:
         rows = (
@@ -63,21 +63,21 @@ def table(
     """Inject fault after fault into a moving robot; exit status 1 if a limit was passed or it never moved again."""
     from deltaq_deploy.cli.console import print_json, print_table
     from deltaq_deploy.cli.progress import progress_bar
-    from deltaq_experiments import faults_table
-    from deltaq_experiments.faults import CATALOGUE, fault_named
+    from deltaq_experiments.faults import table as fault_table
+    from deltaq_experiments.faults.catalogue import CATALOGUE, fault_named
 
     chosen = [fault_named(name) for name in names] if names else CATALOGUE
     with progress_bar("faults" + (" live" if live else "")) as progress:
-        result = faults_table.run_table(cell, robot, faults=chosen, live=live, seed=seed, on_row=progress)
+        result = fault_table.run_table(cell, robot, faults=chosen, live=live, seed=seed, on_row=progress)
     if json:
         print_json(result.model_dump(mode="json") | {"good": result.good})
     elif markdown:
-        typer.echo(faults_table.markdown(result))
+        typer.echo(fault_table.markdown(result))
     else:
         title = f"faults of {result.robot} in cell {result.cell}" + (
             ", live" if live else ", in virtual time"
         )
-        print_table(title, faults_table.COLUMNS, map(faults_table.shown, result.rows))
+        print_table(title, fault_table.COLUMNS, map(fault_table.shown, result.rows))
     if not result.good:
         raise typer.Exit(BAD)
 
@@ -96,8 +96,8 @@ def inject(
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json
     from deltaq_deploy.running import known_robot
-    from deltaq_experiments.faults import fault_named
-    from deltaq_experiments.faults_inject import inject as run
+    from deltaq_experiments.faults.catalogue import fault_named
+    from deltaq_experiments.faults.inject import inject as run
 
     description = load_cell(cell)
     known_robot(description, robot)

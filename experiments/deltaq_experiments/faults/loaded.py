@@ -13,7 +13,7 @@ from deltaq_cell.find import find_cell, resolve_near
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import KrcSettings
-from deltaq_experiments.faults import UnknownFaultError
+from deltaq_experiments.faults.catalogue import UnknownFaultError
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_protocol.rsi import load_ethernet_xml
 from deltaq_services.robot_server.core import RobotServer

@@ -1,4 +1,4 @@
-"""Clients that ask for everything and read nothing: `python -m deltaq_experiments.faults_reader CELL`.
+"""Clients that ask for everything and read nothing: `python -m deltaq_experiments.faults.reader CELL`.
 
 Several hang on the TCP port with full buffers, and a zenoh session stays alive while its reading stands still.
 """

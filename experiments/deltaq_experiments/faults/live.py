@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from deltaq_deploy.running import connect
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults import Fault, FillDisk, Freeze, Kill, PressStop, Process
-from deltaq_experiments.faults_live_cell import MovingCell, moving_cell, rows_of
-from deltaq_experiments.faults_live_inject import Injector
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_lockstep import ATTEMPTS, FaultRunError
-from deltaq_experiments.faults_mover import CRUISE_RAD_S, SWING_RAD
-from deltaq_experiments.faults_panel import protest, told, way_back
-from deltaq_experiments.faults_placed import Place
-from deltaq_experiments.faults_report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_experiments.faults.catalogue import Fault, FillDisk, Freeze, Kill, PressStop, Process
+from deltaq_experiments.faults.live_cell import MovingCell, moving_cell, rows_of
+from deltaq_experiments.faults.live_inject import Injector
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.lockstep import ATTEMPTS, FaultRunError
+from deltaq_experiments.faults.mover import CRUISE_RAD_S, SWING_RAD
+from deltaq_experiments.faults.panel import protest, told, way_back
+from deltaq_experiments.faults.placed import Place
+from deltaq_experiments.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from deltaq_experiments.faults import CATALOGUE, Fault, UnknownFaultError
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_lockstep import run_fault
-from deltaq_experiments.faults_mover import CRUISE_RAD_S
-from deltaq_experiments.faults_report import Row, Table
+from deltaq_experiments.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.lockstep import run_fault
+from deltaq_experiments.faults.mover import CRUISE_RAD_S
+from deltaq_experiments.faults.report import Row, Table
 
 COLUMNS = (
     "fault",
@@ -68,7 +68,7 @@ def run_table(
             on_row(len(rows), len(chosen))
 
     if live:
-        from deltaq_experiments.faults_live import run_live_faults
+        from deltaq_experiments.faults.live import run_live_faults
 
         run_live_faults(chosen, loaded, name, add, seed)
     else:

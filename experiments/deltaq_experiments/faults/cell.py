@@ -10,11 +10,11 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from functools import partial
 
-from deltaq_experiments.faults import Link, Process
-from deltaq_experiments.faults_arm import Life, VirtualArm
-from deltaq_experiments.faults_controller import VirtualController
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_wires import MessageWire, next_arrival_s
+from deltaq_experiments.faults.arm import Life, VirtualArm
+from deltaq_experiments.faults.catalogue import Link, Process
+from deltaq_experiments.faults.controller import VirtualController
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.wires import MessageWire, next_arrival_s
 from deltaq_protocol import topics
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, ServerState, Supervision

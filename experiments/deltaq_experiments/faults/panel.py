@@ -10,7 +10,7 @@ from typing import Any
 from deltaq_cell.description import CellDescription, RsiDriver
 from deltaq_emulator.catalogue import TEXTS, Code
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults import UnknownFaultError
+from deltaq_experiments.faults.catalogue import UnknownFaultError
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
 _TIMEOUT_S = 2.0

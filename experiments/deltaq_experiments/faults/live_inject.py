@@ -10,7 +10,7 @@ import sys
 import time
 
 from deltaq_deploy.running import connect
-from deltaq_experiments.faults import (
+from deltaq_experiments.faults.catalogue import (
     AskPanel,
     Fault,
     FillDisk,
@@ -21,9 +21,9 @@ from deltaq_experiments.faults import (
     Process,
     ReadNothing,
 )
-from deltaq_experiments.faults_live_cell import MovingCell
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_lockstep import FaultRunError
+from deltaq_experiments.faults.live_cell import MovingCell
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.lockstep import FaultRunError
 
 _FULL_BYTES = 4096
 """No file of the recorder may be longer than this once its disk is full."""
@@ -49,7 +49,7 @@ class Injector:
         if not isinstance(fault.action, ReadNothing):
             return
         cell = self._loaded.model.description
-        command = [sys.executable, "-m", "deltaq_experiments.faults_reader", str(self._loaded.file)]
+        command = [sys.executable, "-m", "deltaq_experiments.faults.reader", str(self._loaded.file)]
         self._reader = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self._reader.stdout is not None  # a pipe was asked for
         self._reader.stdout.readline()  # it hangs there now

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from deltaq_deploy.launcher import Launcher
 from deltaq_deploy.services import Role, Service, cell_services, recorder
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults import Process
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_panel import PanelClient
-from deltaq_experiments.faults_placed import Place, PlacedRelay, placed
+from deltaq_experiments.faults.catalogue import Process
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.panel import PanelClient
+from deltaq_experiments.faults.placed import Place, PlacedRelay, placed
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ def moving_cell(
             services = relay.told(services, loaded, robot, folder)
             port = relay.controller_port
         home = loaded.model.robots[robot].home[0]
-        arguments = ("-m", "deltaq_experiments.faults_mover", str(port), robot, f"{home}")
+        arguments = ("-m", "deltaq_experiments.faults.mover", str(port), robot, f"{home}")
         services.append(Service(Process.CONTROLLER, Role.LEADER, arguments, needs=("hli",)))
         if recorded:
             services.append(recorder(str(loaded.file), str(folder / "run.mcap")))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults import (
+from deltaq_experiments.faults.arm import Life
+from deltaq_experiments.faults.catalogue import (
     AskPanel,
     Fault,
     Freeze,
@@ -23,12 +24,11 @@ from deltaq_experiments.faults import (
     Slow,
     StepClock,
 )
-from deltaq_experiments.faults_arm import Life
-from deltaq_experiments.faults_cell import VirtualCell
-from deltaq_experiments.faults_loaded import LoadedCell
-from deltaq_experiments.faults_mover import CRUISE_RAD_S
-from deltaq_experiments.faults_panel import checked, protest, told, way_back
-from deltaq_experiments.faults_report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_experiments.faults.cell import VirtualCell
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.faults.mover import CRUISE_RAD_S
+from deltaq_experiments.faults.panel import checked, protest, told, way_back
+from deltaq_experiments.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_experiments.oracle import TELEGRAM_STEP, ClearanceOracle
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Done, Phase

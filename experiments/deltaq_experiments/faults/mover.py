@@ -1,7 +1,7 @@
 """The controller that moves while faults are injected: one joint at a constant speed, to and fro.
 
 It only ever asks for its cruising speed; how fast that may be reached is the gate's to say. As a process it speaks
-JSON lines: `python -m deltaq_experiments.faults_mover PORT ROBOT HOME_RAD`.
+JSON lines: `python -m deltaq_experiments.faults.mover PORT ROBOT HOME_RAD`.
 """
 
 from __future__ import annotations
