@@ -114,6 +114,14 @@ def test_status_shows_people_the_phase_of_each_robot(cell: RunningCell) -> None:
     assert re.search(r"gr .* ready", done.stdout)
 
 
+def test_top_looks_as_often_as_asked_and_shows_what_status_shows(cell: RunningCell) -> None:
+    done = cell.deltaq("top", "--count", "3", "--interval-s", "0.1", "--json")
+    looks = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(looks) == 3
+    assert looks[0]["robots"]["fr"]["cycle"] < looks[2]["robots"]["fr"]["cycle"]
+    assert re.search(r"fr .* ready", cell.deltaq("top", "--count", "1").stdout)
+
+
 def test_states_come_once_a_cycle(cell: RunningCell) -> None:
     measured = json.loads(cell.deltaq("hz", "--duration-s", "2", "--json").stdout)
     rate = measured["topics"]["deltaq/lab/fr/state"]

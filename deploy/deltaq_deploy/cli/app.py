@@ -32,6 +32,7 @@ from deltaq_deploy.cli import (
     schema,
     status,
     stop,
+    top,
     up,
 )
 
@@ -50,6 +51,7 @@ app.command(rich_help_panel=RUN)(up.up)
 app.command(rich_help_panel=RUN)(demo.demo)
 app.command(rich_help_panel=RUN)(key.key)
 app.command(rich_help_panel=WATCH)(status.status)
+app.command(rich_help_panel=WATCH)(top.top)
 app.command(rich_help_panel=WATCH)(echo.echo)
 app.command(rich_help_panel=WATCH)(hz.hz)
 app.command(rich_help_panel=WATCH)(health.health)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 PIPE_WIDTH = 160
 """A pipe has no width of its own; a table may be this wide."""
@@ -30,6 +31,14 @@ def print_json(data: object) -> None:
 
 def print_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
     """A table on standard output; None is shown as a dash."""
+    target = console()
+    if not target.is_terminal:
+        target.width = PIPE_WIDTH
+    target.print(table_of(title, columns, rows))
+
+
+def table_of(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
+    """A table; None is shown as a dash."""
     from rich.table import Table
 
     texts = [["-" if cell is None else str(cell) for cell in row] for row in rows]
@@ -38,10 +47,7 @@ def print_table(title: str, columns: Iterable[str], rows: Iterable[Iterable[obje
         table.add_column(column, justify="right" if all(_is_number(row[number]) for row in texts) else "left")
     for row in texts:
         table.add_row(*row)
-    target = console()
-    if not target.is_terminal:
-        target.width = PIPE_WIDTH
-    target.print(table)
+    return table
 
 
 def _is_number(text: str) -> bool:

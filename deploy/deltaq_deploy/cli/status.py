@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from deltaq_deploy.cli.options import CellOption, JsonOption
 
 if TYPE_CHECKING:
+    from rich.console import Group
+
     from deltaq_cell.description import CellDescription
     from deltaq_protocol.messages import Status
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 def status(cell: CellOption = "lab", json: JsonOption = False) -> None:
     """Show a running cell: phases, leases, age of data, what the gate decided, the nearest pair."""
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.cli.console import print_json
+    from deltaq_deploy.cli.console import PIPE_WIDTH, console, print_json
     from deltaq_deploy.running import connect
 
     description = load_cell(cell)
@@ -23,12 +25,18 @@ def status(cell: CellOption = "lab", json: JsonOption = False) -> None:
     if json:
         print_json(answer.model_dump(mode="json"))
     else:
-        show(answer, description)
+        target = console()
+        if not target.is_terminal:
+            target.width = PIPE_WIDTH
+        target.print(shown(answer, description))
 
 
-def show(answer: Status, cell: CellDescription) -> None:
-    """Print a status as people read it."""
-    from deltaq_deploy.cli.console import counts, degrees_or_millimetres, print_table
+def shown(answer: Status, cell: CellDescription) -> Group:
+    """A status as people read it."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from deltaq_deploy.cli.console import counts, degrees_or_millimetres, table_of
 
     rows = []
     for name, robot in answer.robots.items():
@@ -36,13 +44,13 @@ def show(answer: Status, cell: CellDescription) -> None:
         q = " ".join(degrees_or_millimetres(*joint) for joint in zip(robot.q, units, strict=False))
         age = None if robot.state_age_s is None else f"{robot.state_age_s * 1000:.0f} ms"
         rows.append((name, robot.phase, robot.reason, robot.cycle, age, robot.lease.holder, q))
-    print_table(
-        f"cell {answer.cell}", ("robot", "phase", "reason", "cycle", "age", "leased by", "joints"), rows
-    )
+    columns = ("robot", "phase", "reason", "cycle", "age", "leased by", "joints")
     gate_age = "silent" if answer.gate_age_s is None else f"{answer.gate_age_s:.1f} s ago"
-    print(f"gate ({gate_age}): {counts(answer.gate)}")
-    print(f"hli: {counts(answer.hli)}")
-    for name, robot in answer.robots.items():
-        print(f"{name}: {counts(robot.counters)}")
+    lines = [f"gate ({gate_age}): {counts(answer.gate)}", f"hli: {counts(answer.hli)}"]
+    lines += [f"{name}: {counts(robot.counters)}" for name, robot in answer.robots.items()]
+    if answer.contacts:
+        lines.append(f"contacts allowed: {', '.join(answer.contacts)}")
     if answer.nearest is not None:
-        print(f"nearest: {' and '.join(answer.nearest.pair)}, {answer.nearest.distance_m * 1000:.0f} mm")
+        pair = " and ".join(answer.nearest.pair)
+        lines.append(f"nearest: {pair}, {answer.nearest.distance_m * 1000:.0f} mm")
+    return Group(table_of(f"cell {answer.cell}", columns, rows), *map(Text, lines))

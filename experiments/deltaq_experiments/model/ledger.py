@@ -101,11 +101,13 @@ class Ledger:
         """The KRC fell silent: it holds its last correction, and the robot stands there."""
         return replace(self, course=())
 
-    def server_crashed(self) -> Ledger:
-        """The Robot Server started anew: the KRC stands where it was last sent, and that is as good as a stop."""
-        return replace(
-            self, course=(), since_stop=self.since_stop or 0, gate_silent=0, missed=0, began_anew=True
-        )
+    def server_crashed(self, offline: bool) -> Ledger:
+        """The Robot Server started anew: the KRC stands where it was last sent, and that is as good as a stop.
+
+        One that the gate never reached had nothing to forget.
+        """
+        ledger = replace(self, course=(), gate_silent=0, missed=0)
+        return ledger if offline else replace(ledger, since_stop=self.since_stop or 0, began_anew=True)
 
     def gate_crashed(self, offline: bool) -> Ledger:
         """The gate started anew; a robot that it never reached is not held by what it had ordered."""

@@ -202,7 +202,7 @@ class System:
             q=world.server.state.q_cmd[0],
             new_admission=False,
             new_supervision=False,
-            ledger=world.ledger.server_crashed(),
+            ledger=world.ledger.server_crashed(world.server.state.phase is Phase.OFFLINE),
         )
 
     # --- states on their way to the gate --------------------------------------------------------------------

@@ -1,0 +1,42 @@
+"""`deltaq top`."""
+
+from __future__ import annotations
+
+import contextlib
+from itertools import count as counted
+from typing import Annotated
+
+import typer
+
+from deltaq_deploy.cli.options import CellOption, JsonOption
+
+
+def top(
+    cell: CellOption = "lab",
+    interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two looks.")] = 0.5,
+    count: Annotated[int, typer.Option(min=0, help="End after so many looks; 0: at Ctrl-C.")] = 0,
+    json: JsonOption = False,
+) -> None:
+    """Watch a running cell: what `status` shows, again and again until Ctrl-C; with --json one object a line."""
+    import time
+
+    from rich.live import Live
+
+    from deltaq_cell.load import load_cell
+    from deltaq_deploy.cli.console import console, print_json
+    from deltaq_deploy.cli.status import shown
+    from deltaq_deploy.running import connect
+
+    description = load_cell(cell)
+    with connect(description, "deltaq top") as running, contextlib.suppress(KeyboardInterrupt):
+        screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
+        with screen as live:
+            for look in counted(1):
+                answer = running.status()
+                if live is None:
+                    print_json(answer.model_dump(mode="json"))
+                else:
+                    live.update(shown(answer, description), refresh=True)
+                if look == count:
+                    return
+                time.sleep(interval_s)
