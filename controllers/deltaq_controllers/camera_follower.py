@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from deltaq_controllers.camera_controllers import NAMES, FocusController, camera_controller_named
-from deltaq_controllers.gains import FollowerGains
+from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
+from deltaq_controllers.camera.gains import FollowerGains
+from deltaq_controllers.camera.rehearsal import Rehearsal
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, run
-from deltaq_controllers.rehearsal import Rehearsal
-from deltaq_controllers.scene import Scene
 from deltaq_controllers.tally import ErrorFigures, Tally
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS

@@ -13,7 +13,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_error import skew
 
 Array = NDArray[np.float64]
 
@@ -81,3 +80,9 @@ def joints_that_move(robot: RobotModel, carriers: NDArray[np.intp]) -> NDArray[n
             if joint > 0:
                 moves[row, joint - 1] = True
     return moves
+
+
+def skew(v: Array) -> Array:
+    """(3, 3) matrix of the cross product: `skew(v) @ w = v x w`."""
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -8,8 +8,8 @@ import numpy as np
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import LastIncrement, View
+from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.scripted_leader import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.virtual import record
 

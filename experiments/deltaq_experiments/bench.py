@@ -17,7 +17,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import make_reproducible
 from deltaq_cell.joined import WORLD, joined
 from deltaq_controllers.interface import View
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.lockstep import Lockstep
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.virtual import view_of

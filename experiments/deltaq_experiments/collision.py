@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.attacking_leader import TARGETS, AttackingLeader
-from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.camera.controllers import FocusController
+from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Line, Marks, Panel
 from deltaq_experiments.report import Outcome, Report

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera_controllers import FocusController, camera_controller_named
-from deltaq_controllers.scene import Scene
+from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
+from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.options import Options
 from deltaq_protocol.errors import DeltaqError
 

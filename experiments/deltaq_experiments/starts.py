@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.camera.controllers import FocusController
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_protocol.errors import DeltaqError

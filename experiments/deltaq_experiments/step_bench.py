@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.attacking_leader import AttackingLeader
-from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.interface import Controller, View
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.leader.attacking import AttackingLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.virtual import record

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.camera.controllers import FocusController
 from deltaq_experiments.oracle import ClearanceOracle, LimitViolations, limit_violations
 from deltaq_experiments.report import LeastClearance, LimitCounts
 

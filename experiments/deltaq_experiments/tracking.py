@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Line, Panel
 from deltaq_experiments.report import Outcome, Report

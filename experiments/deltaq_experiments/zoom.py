@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera_controllers import FocusController
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.camera.controllers import FocusController
+from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Line, Marks, Panel
 from deltaq_experiments.report import Outcome, Report

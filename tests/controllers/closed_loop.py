@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_controller import CameraController
-from deltaq_controllers.follower import CORRECTED, CameraFollower, FollowerGains, Variants
+from deltaq_controllers.camera.controller import CameraController
+from deltaq_controllers.camera.follower import CORRECTED, CameraFollower, FollowerGains, Variants
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 
 Array = NDArray[np.float64]
 

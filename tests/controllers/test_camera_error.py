@@ -6,7 +6,7 @@ from closed_loop import lab, with_camera
 
 from deltaq_cell.description import Camera, Pose
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_error import (
+from deltaq_controllers.camera.error import (
     ANTIPODE_RAD,
     easiest_way_round,
     look,

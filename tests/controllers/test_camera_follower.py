@@ -7,9 +7,9 @@ from closed_loop import CYCLE_S, Servo, approach, lab, limit_violations, with_ca
 
 from deltaq_cell.description import Camera
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_controller import CameraController
-from deltaq_controllers.camera_error import view_angle
-from deltaq_controllers.follower import AS_PRINTED, CORRECTED, CameraFollower, FollowerGains, Variants
+from deltaq_controllers.camera.controller import CameraController
+from deltaq_controllers.camera.error import view_angle
+from deltaq_controllers.camera.follower import AS_PRINTED, CORRECTED, CameraFollower, FollowerGains, Variants
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.spheres import Spheres

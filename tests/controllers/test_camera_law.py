@@ -6,9 +6,9 @@ import pytest
 from closed_loop import CYCLE_S, lab, with_camera
 
 from deltaq_cell.description import Camera, Pose
-from deltaq_controllers.camera_error import look
-from deltaq_controllers.camera_law import CameraLaw
-from deltaq_controllers.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
+from deltaq_controllers.camera.error import look
+from deltaq_controllers.camera.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
+from deltaq_controllers.camera.law import CameraLaw
 from deltaq_controllers.kinematics import Kinematics
 
 random = np.random.default_rng(17)

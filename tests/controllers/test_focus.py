@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deltaq_controllers.focus import FocusTracker
+from deltaq_controllers.camera.focus import FocusTracker
 from deltaq_controllers.interface import ControllerError
 
 VELOCITY = np.array([0.2, -0.1, 0.05])

@@ -7,10 +7,10 @@ import pytest
 import seven_axes
 from closed_loop import CYCLE_S, limit_violations
 
-from deltaq_controllers.camera_controllers import camera_controller_named
+from deltaq_controllers.camera.controllers import camera_controller_named
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.scene import Scene
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 
 
 @pytest.mark.parametrize("name", ["paper", "predictive", "qp"])

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera, Pose
-from deltaq_controllers.camera_controllers import NAMES, camera_controller_named
+from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
+from deltaq_controllers.camera.qp_follower import QpFollower
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, RobotView, View
-from deltaq_controllers.qp_follower import QpFollower
-from deltaq_controllers.scene import Scene
-from deltaq_controllers.scripted_leader import ScriptedLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 
 Array = NDArray[np.float64]
 

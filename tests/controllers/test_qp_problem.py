@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deltaq_controllers.qp_problem import QuadraticProgram
+from deltaq_controllers.camera.qp_problem import QuadraticProgram
 
 N = 6
 NONE = np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp)

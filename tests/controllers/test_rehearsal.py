@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from closed_loop import CYCLE_S, lab, limit_violations
 
-from deltaq_controllers.camera_controllers import camera_controller_named
+from deltaq_controllers.camera.controllers import camera_controller_named
+from deltaq_controllers.camera.rehearsal import Rehearsal
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.rehearsal import Rehearsal
-from deltaq_controllers.scene import Scene
 
 ROBOT, Q_LEADER = lab().robots["fr"], lab().robots["gr"].home
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from closed_loop import lab
 
+from deltaq_controllers.camera.repulsion import Potential, Repulsion
 from deltaq_controllers.kinematics import Kinematics
-from deltaq_controllers.repulsion import Potential, Repulsion
 from deltaq_controllers.spheres import Spheres, cover, local_box
 
 random = np.random.default_rng(11)

@@ -5,7 +5,7 @@ from closed_loop import CYCLE_S, lab, limit_violations
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
-from deltaq_controllers.scripted_leader import Joystick, ScriptedLeader, Workspace
+from deltaq_controllers.leader.scripted import Joystick, ScriptedLeader, Workspace
 from deltaq_experiments.oracle import ClearanceOracle
 
 GR = lab().robots["gr"]

@@ -6,15 +6,15 @@ import pytest
 from closed_loop import CYCLE_S, lab, with_camera
 
 from deltaq_cell.description import Camera, Pose
-from deltaq_controllers.follower import CameraFollower
-from deltaq_controllers.kinematics import Kinematics
-from deltaq_controllers.subtasks import (
+from deltaq_controllers.camera.follower import CameraFollower
+from deltaq_controllers.camera.subtasks import (
     roll,
     roll_effect,
     turn_to_level,
     turns_about_view_axis,
     view_distance_field,
 )
+from deltaq_controllers.kinematics import Kinematics
 
 random = np.random.default_rng(7)
 LEVEL = Camera(pose=Pose(position_m=(0, 0, 0.17), rpy_deg=(0, 0, 180)))

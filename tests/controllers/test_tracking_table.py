@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from closed_loop import track
 
-from deltaq_controllers.follower import AS_PRINTED, CORRECTED, Variants
-from deltaq_controllers.gains import BY_NAME
+from deltaq_controllers.camera.follower import AS_PRINTED, CORRECTED, Variants
+from deltaq_controllers.camera.gains import BY_NAME
 
 
 def test_the_leader_at_a_quarter_metre_per_second_is_kept_within_a_degree_and_two_centimetres() -> None:

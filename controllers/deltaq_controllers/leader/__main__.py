@@ -6,15 +6,13 @@ import argparse
 import asyncio
 import contextlib
 
-from deltaq_controllers.attacking_leader import TARGETS, AttackingLeader
 from deltaq_controllers.interface import Controller
+from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
+from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.live import drive, model_of, robot_models, run
-from deltaq_controllers.scripted_leader import ScriptedLeader, Workspace
 from deltaq_controllers.tally import Tally
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
-
-__all__ = ["ScriptedLeader", "Workspace", "main"]
 
 
 async def lead(options: argparse.Namespace, tally: Tally) -> None:

@@ -123,12 +123,6 @@ def easiest_way_round(rotation: Array, jacobian_at_focus: Array) -> Array:
     return way
 
 
-def skew(v: Array) -> Array:
-    """(3, 3) matrix of the cross product: `skew(v) @ w = v x w`."""
-    x, y, z = v.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def view_jacobians(view: Look, position: Array, focus: Array, twists: Array) -> tuple[Array, Array]:
     """The task Jacobian of (4), and how the lens approaches the focus.
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_error import Look, easiest_way_round, look, view_jacobians
-from deltaq_controllers.gains import FollowerGains, Variants
+from deltaq_controllers.camera.error import Look, easiest_way_round, look, view_jacobians
+from deltaq_controllers.camera.gains import FollowerGains, Variants
+from deltaq_controllers.camera.repulsion import Potential, Repulsion
+from deltaq_controllers.camera.subtasks import turn_to_level, turns_about_view_axis, view_distance_field
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.redundancy import WeightedGradient, damped_rates, emergency_rates
-from deltaq_controllers.repulsion import Potential, Repulsion
-from deltaq_controllers.subtasks import turn_to_level, turns_about_view_axis, view_distance_field
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.camera_controllers import FocusController
+from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.focus import FocusTracker
+from deltaq_controllers.camera.focus import FocusTracker
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView
-from deltaq_controllers.scene import Scene
 from deltaq_controllers.spheres import PlacedSpheres
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.kinematics import Kinematics
-from deltaq_controllers.scripted_leader import STICK_ACCELERATION_M_S2, ScriptedLeader, Workspace
+from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2, ScriptedLeader, Workspace
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.camera_controller import CameraController
-from deltaq_controllers.follower import CameraFollower, FollowerGains
-from deltaq_controllers.gains import BY_NAME
+from deltaq_controllers.camera.controller import CameraController
+from deltaq_controllers.camera.follower import CameraFollower, FollowerGains
+from deltaq_controllers.camera.gains import BY_NAME
+from deltaq_controllers.camera.qp_follower import QpFollower
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import Controller, ControllerError
-from deltaq_controllers.qp_follower import QpFollower
-from deltaq_controllers.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -22,24 +22,24 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.camera_error import (
+from deltaq_controllers.camera.error import (
     Look,
     easiest_way_round,
     look,
     view_angle,
     view_jacobians,
 )
+from deltaq_controllers.camera.neighbours import Near, Neighbours
+from deltaq_controllers.camera.qp_gains import QpGains
+from deltaq_controllers.camera.qp_others import OtherRobots
+from deltaq_controllers.camera.qp_problem import QuadraticProgram
+from deltaq_controllers.camera.repulsion import Potential, Repulsion
+from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.subtasks import roll_effects, turn_to_level
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.neighbours import Near, Neighbours
-from deltaq_controllers.qp_gains import QpGains
-from deltaq_controllers.qp_others import OtherRobots
-from deltaq_controllers.qp_problem import QuadraticProgram
 from deltaq_controllers.redundancy import WeightedGradient
-from deltaq_controllers.repulsion import Potential, Repulsion
-from deltaq_controllers.scene import Scene
-from deltaq_controllers.subtasks import roll_effects, turn_to_level
 from deltaq_protocol.brake import brake_cycles
 
 Array = NDArray[np.float64]

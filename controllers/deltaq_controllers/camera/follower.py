@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.camera_law import CameraLaw
-from deltaq_controllers.focus import FocusTracker
-from deltaq_controllers.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
-from deltaq_controllers.integrator import integrate
+from deltaq_controllers.camera.focus import FocusTracker
+from deltaq_controllers.camera.gains import AS_PRINTED, CORRECTED, FollowerGains, Variants
+from deltaq_controllers.camera.integrator import integrate
+from deltaq_controllers.camera.law import CameraLaw
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import Emergency

@@ -1,0 +1,1 @@
+"""Leaders for the camera follower's experiments: an operator that steers about, and one that attacks."""
