@@ -25,12 +25,6 @@ def test_a_branch_goes_on_with_what_was_not_sent_yet(step, shares):
     np.testing.assert_allclose(setpoints, [HERE + share * DQ for share in shares] if shares else setpoints)
 
 
-@pytest.mark.parametrize("step", range(-1, 6))
-def test_a_branch_ends_at_its_last_setpoint(step):
-    branch = Branch(DQ, 4, step)
-    np.testing.assert_allclose(branch.end(HERE), [HERE, *branch.setpoints(HERE)][-1], atol=1e-12)
-
-
 def test_a_branch_without_motion_has_no_setpoints_to_come():
     assert Branch(np.zeros(2), 4, -1).setpoints(HERE).shape == (0, 2)
     assert len(Branch(np.array([0.0, 0.1]), 4, -1).setpoints(HERE)) == 4

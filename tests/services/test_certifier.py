@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from gate_bench import (
+    CELL,
     FR_BESIDE_GR,
     GR_BESIDE_FR,
     HOME,
@@ -14,6 +15,7 @@ from gate_bench import (
     with_room,
 )
 
+from deltaq_cell.proximity import Proximity
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.tube import Windows
 
@@ -127,18 +129,23 @@ def test_a_path_that_was_divided_names_the_pair_of_the_first_look():
     assert set(divided.binding.nearest.pair) == {"fr/base", "gr/tool_gripper"}  # inflated by all of the path
 
 
-def test_groups_that_the_caller_answers_for_are_left_out():
+def test_pairs_that_are_left_out_are_neither_judged_nor_told():
     low, gr = standing("fr", LOW), standing("gr", HOME["gr"])
-    floor = [group for group in PROXIMITY.alone["fr"] if ("fr/link_3", "structure/floor") in names(group)]
-    assert certify("fr", low, without=frozenset(floor)).holds is True
-    everything = frozenset([*PROXIMITY.alone["fr"], *PROXIMITY.between["fr", "gr"]])
-    none_left = certify("fr", low, ("gr", gr), without=everything)
+    proximity = Proximity(CELL)
+
+    def certify_low():
+        return Certifier(proximity).certify("fr", low, [("gr", gr)])
+
+    assert certify_low().holds is False
+    proximity.leave_out([("fr/link_3", "structure/floor")])
+    assert certify_low().holds is True
+    proximity.leave_out(
+        (one.name, other.name)
+        for group in [*proximity.alone["fr"], *proximity.between["fr", "gr"]]
+        for one, other in group.pairs
+    )
+    none_left = certify_low()
     assert (none_left.holds, none_left.binding) == (True, None)
-    assert certify("fr", low).holds is False
-
-
-def names(group):
-    return [(one.name, other.name) for one, other in group.pairs]
 
 
 def corner(first, second, third):

@@ -137,8 +137,7 @@ def _decision(
 
 def _clearance_reason(certificate: Certificate) -> Reason:
     binding = certificate.binding
-    if binding is None:
-        return Reason(code=ReasonCode.CLEARANCE)
+    assert binding is not None  # what is not certified names its pair
     return Reason(
         code=ReasonCode.CLEARANCE,
         what=" ".join(binding.nearest.pair),

@@ -15,8 +15,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_protocol.brake import brake_travel
-
 Array = NDArray[np.float64]
 
 _SHORTEST = 1e-7
@@ -41,12 +39,6 @@ class Branch:
             return np.empty((0, q_cmd.size))
         share = np.cumsum((self.brake_cycles - steps) / self.brake_cycles)
         return q_cmd + share[:, None] * self.dq
-
-    def end(self, q_cmd: Array) -> Array:
-        """(n,) where the brake ends [rad or m]."""
-        if self.step < 0:
-            return q_cmd + self.dq + brake_travel(self.dq, self.brake_cycles, 0)
-        return q_cmd + brake_travel(self.dq, self.brake_cycles, self.step)
 
 
 class Piece(Protocol):
