@@ -1,5 +1,7 @@
 """One decision of the gate at a time: how much of a request is admitted, and what it says of the rest."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 from gate_bench import (
@@ -19,8 +21,9 @@ from gate_bench import (
     with_room,
 )
 
+from deltaq_cell.description import ContactDescription
 from deltaq_protocol.guarded import Admission
-from deltaq_protocol.messages import Outcome
+from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Certificate, Certifier
 from deltaq_services.sim.contacts import Contacts
@@ -192,3 +195,36 @@ def test_motion_that_leads_out_is_let_go_where_the_lag_leaves_too_much_uncertain
     decision = decide(robot, np.array((-0.0028, -0.0016, 0.0019, 0.0254, -0.00018, 0.0403)))
     assert decision.outcome is Outcome.SCALED
     assert [reason.code for reason in decision.reasons] == [ReasonCode.RETREAT]
+
+
+@contextmanager
+def touching(speed):
+    """A gate while FR's camera may touch the floor."""
+    contact = ContactDescription(bodies=("fr/tool_camera",), against=("structure/floor",), speed=speed)
+    contacts = Contacts(PROXIMITY, {"touch": contact})
+    contacts.allow(["touch"])
+    try:
+        yield Gate(PROXIMITY, LIMITS, CELL.description.gate, contacts)
+    finally:
+        contacts.allow([])
+
+
+def test_while_a_contact_is_allowed_its_robot_is_slow_and_told_why():
+    request = one_joint("fr", 0, LIMITS["fr"].max_dv[0])
+    speed = 0.25 * request[0] / LIMITS["fr"].max_dq[0]
+    with touching(speed) as gate:
+        decision = gate.decide(at_rest("fr", HOME["fr"]), [], request)
+        assert decision.scale == pytest.approx(0.25)
+        assert decision.reasons == (Reason(code=ReasonCode.CONTACT, what="touch", bound=speed),)
+        slower = gate.decide(at_rest("fr", HOME["fr"]), [], 0.2 * request)
+        assert slower.outcome is Outcome.ADMITTED
+
+
+def test_what_a_limit_holds_already_is_not_held_for_a_contact():
+    step = LIMITS["fr"].max_dv[5]
+    dq = one_joint("fr", 5, 4 * step)
+    on_the_limit = HOME["fr"] + one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5] - 6 * step)
+    with touching(0.01) as gate:
+        decision = gate.decide(in_motion("fr", on_the_limit, dq), [], 2 * dq)
+        assert decision.outcome is Outcome.HELD
+        assert [reason.code for reason in decision.reasons] == [ReasonCode.POSITION_LIMIT]

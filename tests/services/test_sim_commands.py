@@ -5,6 +5,8 @@ import pytest
 from gate_rig import CELL, SMALL, Rig
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_protocol import topics
+from deltaq_protocol.guarded import Command
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Sim
@@ -45,6 +47,38 @@ def test_a_dry_run_that_cannot_be_judged_says_why(rig):
     unheard = Sim(CELL, epoch=1)
     rig.sim = unheard
     assert rig.command(kind="dry_run", robot="fr", dq=SMALL).code is ReasonCode.NOT_READY
+
+
+def told(sim, **fields):
+    """The one reply to a command: whether it was taken, why not, and in words."""
+    (output,) = sim.on_command(Command(id=23, **fields))
+    assert (output.topic, output.robot, output.message.id) == (topics.COMMAND_REPLY, "", 23)
+    return output.message.accepted, output.message.code, output.message.message
+
+
+def test_the_reply_to_a_dry_run_says_in_words_what_is_in_its_way(rig):
+    fields = {"kind": "dry_run", "robot": "fr", "dq": SMALL}
+    shape = (False, ReasonCode.BAD_SHAPE, "dq has 7 elements, not 6")
+    assert told(rig.sim, **fields | {"dq": (0.0,) * 7}) == shape
+    nobody = (False, ReasonCode.NOT_READY, "no state of that robot yet")
+    assert told(Sim(CELL, epoch=5), **fields) == told(rig.sim, kind="dry_run", dq=SMALL) == nobody
+    alone = Sim(CELL, epoch=5)
+    alone.on_state(rig.state)
+    assert told(alone, **fields) == (False, ReasonCode.NOT_READY, "fr: gr")
+    assert told(rig.sim, **fields) == (True, None, "")
+    again = (False, ReasonCode.SUPERSEDED, "one dry run for each state of the robot")
+    assert told(rig.sim, **fields) == again
+    rig.cycle()
+    rig.command(kind="stop")
+    assert told(rig.sim, **fields) == (False, ReasonCode.STOPPED, "fr is ready")
+
+
+def test_a_dry_run_of_a_robot_s_first_cycle_is_judged(rig):
+    sim = Sim(CELL, epoch=5)
+    for server in rig.servers.values():
+        sim.on_state(server.state.model_copy(update={"cycle": 1}))
+    (output,) = sim.on_command(Command(id=23, kind="dry_run", robot="fr", dq=SMALL))
+    assert (output.message.verdict.seq, output.message.verdict.cycle) == (0, 1)
 
 
 def test_a_held_robot_is_told_so_in_a_dry_run(rig):
@@ -120,7 +154,10 @@ def test_only_robots_of_the_contact_are_slowed(rig):
 
 
 def test_a_contact_that_the_cell_does_not_have_is_refused(rig):
-    assert rig.command(kind="contact", contact="handshake", allowed=True).code is ReasonCode.MALFORMED
+    for contact, said in (("handshake", "'handshake'"), (None, "None")):
+        refused = (False, ReasonCode.MALFORMED, f"no contact {said} here")
+        assert told(rig.sim, kind="contact", contact=contact, allowed=True) == refused
+    assert told(rig.sim, kind="contact", contact=CONTACT, allowed=True) == (True, None, "")
 
 
 def test_what_is_allowed_is_remembered_for_a_replay(rig):

@@ -2,14 +2,32 @@
 
 import numpy as np
 import pytest
+from gate_bench import (
+    FR_BESIDE_GR,
+    GR_BESIDE_FR,
+    LIMITS,
+    PROXIMITY,
+    above_the_floor,
+    at_rest,
+    in_motion,
+    one_joint,
+    with_room,
+)
 from gate_rig import CELL, Rig
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.load import CellError, load_cell
 from deltaq_cell.proximity import Proximity
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.slow_down import SlowDown
 
 BAND_M, SPEED_M_S, STOP_M = 0.4, 0.2, 0.05
+BAND = CELL.description.gate.model_copy(
+    update={"slow_down_distance_m": BAND_M, "slow_down_speed_m_s": SPEED_M_S}
+)
+CYCLE_S = CELL.description.cycle_s
+DOWN = one_joint("fr", 1, 0.5 * LIMITS["fr"].max_dq[1])
+FLOOR = "fr/link_3 structure/floor"
 
 
 def with_band(folder, distance_m):
@@ -85,3 +103,60 @@ def test_the_loss_of_distance_is_that_of_a_small_motion():
             mean = (before[pair].per_joint + after[pair].per_joint) @ step / 2
             checked += abs(lost - mean) < 2e-6
     assert checked > 20
+
+
+def scale(robot, request, others=(), at_most=1.0):
+    return SlowDown(PROXIMITY, BAND, CYCLE_S).scale(robot, list(others), robot.brake(), request, at_most)
+
+
+def floor_loss(dq):
+    """How far an increment brings FR's third link nearer to the floor, where FR has just been judged [m]."""
+    near = PROXIMITY.approaches("fr", PROXIMITY.alone["fr"], BAND_M)
+    return next(item for item in near if " ".join(item.pair) == FLOOR).per_joint @ dq
+
+
+def test_the_reason_tells_the_speed_of_what_other_limits_leave_and_the_speed_that_is_allowed():
+    robot = in_motion("fr", above_the_floor(0.1), 0.08 * DOWN)
+    brake, allowed = robot.brake(), SPEED_M_S * 0.1 / (BAND_M - STOP_M)
+    assert brake.any()
+    for at_most in (1.0, 0.8):
+        found, (reason,) = scale(robot, DOWN, at_most=at_most)
+        assert (reason.code, reason.what) == (ReasonCode.SLOW_DOWN, FLOOR)
+        assert reason.bound == pytest.approx(allowed, rel=1e-3)
+        assert reason.value == pytest.approx(floor_loss(brake + at_most * (DOWN - brake)) / CYCLE_S)
+        assert floor_loss(brake + found * (DOWN - brake)) / CYCLE_S == pytest.approx(allowed, rel=1e-3)
+
+
+def test_what_other_limits_slow_enough_is_left_as_it_is():
+    robot = at_rest("fr", above_the_floor(0.05))
+    found, _ = scale(robot, DOWN)
+    assert 0.0 < found < 1.0
+    assert scale(robot, DOWN, at_most=0.9 * found) == (0.9 * found, [])
+
+
+def test_motion_that_becomes_no_faster_is_left_alone_however_fast_the_brake_is():
+    robot = in_motion("fr", above_the_floor(0.01), DOWN)
+    brake = robot.brake()
+    assert scale(robot, DOWN)[0] == 0.0
+    assert floor_loss(brake) > SPEED_M_S * 0.01 / (BAND_M - STOP_M) * CYCLE_S
+    assert scale(robot, brake) == (1.0, [])
+    assert scale(robot, 0.5 * brake) == (1.0, [])
+
+
+def test_within_the_stop_distance_nothing_comes_nearer_and_what_is_held_already_gets_no_second_reason():
+    robot = at_rest("fr", above_the_floor(-2e-3))
+    found, (reason,) = scale(robot, DOWN)
+    assert (found, reason.what, reason.bound) == (0.0, FLOOR, 0.0)
+    assert scale(robot, DOWN, at_most=0.0) == (0.0, [])
+    assert scale(robot, -DOWN) == (1.0, [])
+
+
+def test_the_tightest_of_several_bodies_binds_whichever_comes_first():
+    here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
+    gr, fr = at_rest("gr", with_room(0.01, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
+    request = one_joint("gr", 4, 0.5 * LIMITS["gr"].max_dq[4])
+    alone, _ = scale(gr, request)
+    beside, (reason,) = scale(gr, request, [fr])
+    assert beside < alone
+    assert set(reason.what.split()) == {"gr/link_3", "fr/link_1"}
+    assert reason.bound == pytest.approx(0.5 * SPEED_M_S * 0.01 / (BAND_M - STOP_M), rel=1e-2)
