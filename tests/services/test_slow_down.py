@@ -19,6 +19,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.load import CellError, load_cell
 from deltaq_cell.proximity import Proximity
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.contacts import Contacts
+from deltaq_services.sim.gate import Gate
 from deltaq_services.sim.slow_down import SlowDown
 
 BAND_M, SPEED_M_S, STOP_M = 0.4, 0.2, 0.05
@@ -160,3 +162,12 @@ def test_the_tightest_of_several_bodies_binds_whichever_comes_first():
     assert beside < alone
     assert set(reason.what.split()) == {"gr/link_3", "fr/link_1"}
     assert reason.bound == pytest.approx(0.5 * SPEED_M_S * 0.01 / (BAND_M - STOP_M), rel=1e-2)
+
+
+def test_the_gate_tells_the_band_where_it_is_tighter_than_the_limits_and_the_limit_where_it_is_not():
+    gate = Gate(PROXIMITY, LIMITS, BAND, Contacts(PROXIMITY, {}))
+    other, request = at_rest("gr", CELL.robots["gr"].home), one_joint("fr", 1, 2 * LIMITS["fr"].max_dv[1])
+    for room_m, code in ((0.005, ReasonCode.SLOW_DOWN), (0.1, ReasonCode.ACCELERATION_LIMIT)):
+        decision = gate.decide(at_rest("fr", above_the_floor(room_m)), [other], request)
+        assert [reason.code for reason in decision.reasons] == [code]
+        assert 0.0 < decision.scale <= 0.5 * (1 + 1e-9)
