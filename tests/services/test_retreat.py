@@ -63,6 +63,9 @@ def test_no_more_is_let_go_than_the_limits_leave(low):
 
 def test_motion_inwards_is_not_let_go_and_what_changes_no_distance_is(low):
     assert find(low, -OUT)[0] == 0.0
+    least = -0.02 * OUT
+    assert LIMITS["fr"].brake_cycles(least) == 1  # it is at rest after the first setpoint
+    assert find(low, least)[0] == 0.0
     assert find(low, one_joint("fr", 0, SLOW[0]))[0] == 1.0  # about the vertical
 
 
