@@ -146,6 +146,9 @@ def test_pairs_that_are_left_out_are_neither_judged_nor_told():
     )
     none_left = certify_low()
     assert (none_left.holds, none_left.binding) == (True, None)
+    proximity.alone["fr"], proximity.between["fr", "gr"] = [], []  # a cell that has no such bodies at all
+    without_bodies = certify_low()
+    assert (without_bodies.holds, without_bodies.binding) == (True, None)
 
 
 def corner(first, second, third):
