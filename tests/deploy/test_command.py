@@ -76,6 +76,8 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
         (("experiment", "tracing"), "'tracing' is not"),
         (("experiment", "tracking", "--duration-s", "many"), "--duration-s"),
         (("hz", "--duration-s", "0"), "0.1"),
+        (("dry-run", "--robot", "fr", "--dq", "1,x"), "finite numbers"),
+        (("dry-run", "--robot", "fr", "--dq", "nan,0,0,0,0,0"), "finite numbers"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )

@@ -19,6 +19,8 @@ def dry_run(
     json: JsonOption = False,
 ) -> None:
     """Ask the gate what it would say to an increment now; nothing moves. Exit status 1 if not admitted whole."""
+    import math
+
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json
     from deltaq_deploy.running import connect, known_robot
@@ -27,7 +29,9 @@ def dry_run(
     try:
         increment = [float(number) for number in dq.split(",")]
     except ValueError:
-        raise typer.BadParameter(f"numbers with commas between them, got {dq!r}", param_hint="--dq") from None
+        increment = []
+    if not increment or not all(map(math.isfinite, increment)):
+        raise typer.BadParameter(f"finite numbers with commas between them, got {dq!r}", param_hint="--dq")
     description = load_cell(cell)
     known_robot(description, robot)
     with connect(description, "deltaq dry-run") as running:
