@@ -51,6 +51,7 @@ lint: $(INSTALLED) ## lint, format, types, rooms
 
 nightly: $(INSTALLED) ## the long proofs
 	$(BIN)/pytest -m nightly
+	$(BIN)/pytest -m 'hypothesis and not nightly' --hypothesis-profile exploring
 
 mutation: $(INSTALLED) ## change gate and guards in small ways, and see each change fail a test; takes a while
 	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)

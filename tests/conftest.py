@@ -4,6 +4,12 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.register_profile("exploring", deadline=None, max_examples=2000)
+settings.load_profile("repeatable")
 
 PROCESSES = ("tests/deploy", "tests/live")
 

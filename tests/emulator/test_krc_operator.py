@@ -229,7 +229,8 @@ def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
 
 @given(st.binary(max_size=200))
 def test_whatever_is_sent_to_the_panel_is_answered(request_bytes: bytes) -> None:
-    assert json.loads(make_panel(Bench()).handle(request_bytes))["ok"] is False
+    answer = json.loads(make_panel(Bench()).handle(request_bytes))
+    assert answer["ok"] or answer["error"]
 
 
 def test_the_shipped_settings_open_the_makers_limits_and_can_be_loaded() -> None:
