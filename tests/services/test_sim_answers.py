@@ -89,12 +89,19 @@ def test_a_repeated_state_can_show_that_a_reset_is_done(rig):
     assert done[1:] == [Output(topics.COMMAND_REPLY, "", CommandReply(id=17, accepted=True))]
 
 
+def test_a_state_that_was_overtaken_is_supervised_as_the_newest(rig):
+    overtaken = rig.state
+    rig.cycle()
+    (supervised,) = rig.sim.on_state(overtaken)
+    assert supervised.message.cycle == rig.state.cycle == overtaken.cycle + 1
+
+
 def test_the_gate_s_times_are_whole_cycles_that_are_not_shorter(rig):
     for _ in range(20):
         rig.cycle()
     lag_cycles = math.ceil(GATE.servo_lag_s / CYCLE_S)
     assert lag_cycles > 2
-    assert len(rig.sim._robots["fr"].standing().points) == lag_cycles
+    assert len(rig.sim.robots["fr"].tracker.standing().points) == lag_cycles
     rig.alive()
     for _ in range(math.ceil(GATE.hli_timeout_s / CYCLE_S)):
         rig.cycle()

@@ -150,7 +150,7 @@ def test_a_silent_krc_is_a_standing_cause(rig):
 
 def test_a_lost_admission_stays_part_of_what_the_robot_may_do(rig):
     rig.request(dq=(1e-3, 0, 0, 0, 0, 0))
-    tracker = rig.sim._robots["fr"]
+    tracker = rig.sim.robots["fr"].tracker
     assert len(tracker.tubes()) == 2
     rig.mail["fr"] = (None, rig.mail["fr"][1])
     rig.cycle()

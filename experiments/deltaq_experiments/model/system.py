@@ -74,8 +74,8 @@ class System:
         """A SIM that follows its robot and orders it about with these."""
         sim = one_joint_sim(self._description)
         tracker = tracker_type(ROBOT, self._description.robots[ROBOT], LAG_CYCLES)
-        sim._robots[ROBOT] = tracker
-        sim._orders[ROBOT] = orders_type(tracker, HLI_TIMEOUT_CYCLES)
+        sim.robots[ROBOT].tracker = tracker
+        sim.robots[ROBOT].orders = orders_type(tracker, HLI_TIMEOUT_CYCLES)
         return sim
 
     def start(self, faults: int) -> World:

@@ -6,7 +6,6 @@ each of its states, one request after the other, so that a decision always sees 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
@@ -23,7 +22,6 @@ from deltaq_protocol.guarded import (
     CommandReply,
     GateMemory,
     Request,
-    RobotMemory,
     ServerState,
     Supervision,
 )
@@ -35,9 +33,8 @@ from deltaq_services.sim.answers import Output, nearest_pair, reply, verdict_of
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.fingerprint import fingerprint
 from deltaq_services.sim.gate import Decision, Gate
-from deltaq_services.sim.inbox import Inbox
+from deltaq_services.sim.gated_robot import GatedRobot
 from deltaq_services.sim.limits import Limits
-from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 
 Array = NDArray[np.float64]
@@ -56,6 +53,7 @@ class Sim:
 
     Attributes:
         gate: what decides.
+        robots: what it keeps of each.
         counters: outcomes and reasons so far.
         fingerprint: tells the gate's code and configuration.
         contacts: which bodies may touch now.
@@ -71,8 +69,10 @@ class Sim:
         self._receipt = first_receipt(self.fingerprint, epoch)
         self.counters: Counter[str] = Counter()
         self._proximity = Proximity(cell)
-        lag_cycles = math.ceil(description.gate.servo_lag_s / cycle_s)
-        self._robots = {name: Tracker(name, robot, lag_cycles) for name, robot in description.robots.items()}
+        self.robots = {
+            name: GatedRobot(name, robot, description.gate, cycle_s)
+            for name, robot in description.robots.items()
+        }
         self.contacts = Contacts(self._proximity, description.contacts)
         self.gate: Decider = Gate(
             self._proximity,
@@ -80,14 +80,6 @@ class Sim:
             description.gate,
             self.contacts,
         )
-        self._dry_run_cycles = dict.fromkeys(description.robots, -1)
-        self._orders = {
-            name: Orders(self._robots[name], math.ceil(description.gate.hli_timeout_s / cycle_s))
-            for name in description.robots
-        }
-        max_age_cycles = math.ceil(description.gate.max_request_age_s / cycle_s)
-        self._joints = {name: len(robot.joints) for name, robot in description.robots.items()}
-        self._inboxes = {name: Inbox(joints, max_age_cycles) for name, joints in self._joints.items()}
         self._sequence = 0
 
     def take(self, message: Message) -> list[Output]:
@@ -103,44 +95,42 @@ class Sim:
     def on_state(self, state: ServerState) -> list[Output]:
         """A Robot Server published its state."""
         self.taken += 1
-        if state.robot not in self._robots or len(state.q) != self._joints[state.robot]:
+        robot = self.robots.get(state.robot)
+        if robot is None or len(state.q) != robot.joints:
             self.counters["unknown_state"] += 1
             return []
-        robot = self._robots[state.robot]
-        orders = self._orders[state.robot]
-        if not robot.observe(state):
-            orders.repeated(state)
+        if not robot.tracker.observe(state):
+            robot.orders.repeated(state)
             return [*self._supervise(robot), *self._answered(robot)]
-        self.counters[f"missed_admissions_{robot.name}"] = robot.missed
-        orders.cycle_passed()
-        if robot.restarted:
-            orders.server_restarted(state)
-            self._inboxes[robot.name].decided_cycle = -1  # its cycles begin anew
+        self.counters[f"missed_admissions_{robot.name}"] = robot.tracker.missed
+        robot.orders.cycle_passed()
+        if robot.tracker.restarted:
+            robot.orders.server_restarted(state)
+            robot.inbox.decided_cycle = -1  # its cycles begin anew
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 
     def on_request(self, request: Request) -> list[Output]:
         """The HLI sent an increment, or a sign of life."""
         self.taken += 1
-        robot = self._robots.get(request.robot)
+        robot = self.robots.get(request.robot)
         if robot is None:
             self.counters["unknown_request"] += 1
             return []
-        self._orders[robot.name].hli_heard()
+        robot.orders.hli_heard()
         if request.dq is None:
             return []
-        inbox = self._inboxes[robot.name]
-        reason = inbox.fault(request)
+        reason = robot.inbox.fault(request)
         if reason is not None:
             return [self._refuse(request, reason)]
-        replaced = inbox.put(request)
+        replaced = robot.inbox.put(request)
         outputs = [] if replaced is None else [self._refuse(replaced, Reason(code=ReasonCode.SUPERSEDED))]
         return outputs + self._decide(robot)
 
     def on_command(self, command: Command) -> list[Output]:
         """The HLI passed on a stop, a reset, digital outputs, a dry run or a change of contacts."""
         self.taken += 1
-        names = list(self._robots) if command.robot is None else [command.robot]
-        if not set(names) <= set(self._robots):
+        robots = [robot for name, robot in self.robots.items() if command.robot in (None, name)]
+        if not robots:
             return [reply(command.id, ReasonCode.UNKNOWN_ROBOT, f"no robot {command.robot!r} here")]
         self.counters[f"command_{command.kind}"] += 1
         if command.kind == "dry_run":
@@ -148,17 +138,17 @@ class Sim:
         if command.kind == "contact":
             return [self._switch_contact(command)]
         if command.kind == "reset":
-            refused = [self._orders[name].reset(command.id) for name in names]
+            refused = [robot.orders.reset(command.id) for robot in robots]
             return [reply(command.id, *item) for item in refused if item is not None]
         outputs = [reply(command.id)]
-        for name in names:
+        for robot in robots:
             if command.kind == "stop":
-                self._orders[name].stop(command.reason)
-                waiting = self._inboxes[name].take()
+                robot.orders.stop(command.reason)
+                waiting = robot.inbox.take()
                 if waiting is not None:
                     outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
             else:
-                self._orders[name].outputs.update(command.outputs)
+                robot.orders.outputs.update(command.outputs)
         return outputs
 
     def _switch_contact(self, command: Command) -> Output:
@@ -169,22 +159,23 @@ class Sim:
 
     def _dry_run(self, command: Command) -> Output:
         """Judge an increment as it would be now; at most one for each state, so that nobody keeps the gate busy."""
-        robot = self._robots.get(command.robot or "")
-        if robot is None or robot.state is None:
+        robot = self.robots.get(command.robot or "")
+        state = None if robot is None else robot.tracker.state
+        if robot is None or state is None:
             return reply(command.id, ReasonCode.NOT_READY, "no state of that robot yet")
-        dq, joints = command.dq or (), self._joints[robot.name]
-        if len(dq) != joints:
-            return reply(command.id, ReasonCode.BAD_SHAPE, f"dq has {len(dq)} elements, not {joints}")
-        if self._dry_run_cycles[robot.name] == robot.state.cycle:
+        dq = command.dq or ()
+        if len(dq) != robot.joints:
+            return reply(command.id, ReasonCode.BAD_SHAPE, f"dq has {len(dq)} elements, not {robot.joints}")
+        if robot.dry_run_cycle == state.cycle:
             return reply(command.id, ReasonCode.SUPERSEDED, "one dry run for each state of the robot")
-        self._dry_run_cycles[robot.name] = robot.state.cycle
-        if robot.state.phase not in MAY_MOVE or self._orders[robot.name].standing_stop is not None:
-            return reply(command.id, ReasonCode.STOPPED, f"{robot.name} is {robot.state.phase}")
-        reason = self._unready(robot, robot.state)
+        robot.dry_run_cycle = state.cycle
+        if state.phase not in MAY_MOVE or robot.orders.standing_stop is not None:
+            return reply(command.id, ReasonCode.STOPPED, f"{robot.name} is {state.phase}")
+        reason = self._unready(state)
         if reason is not None:
             return reply(command.id, reason.code, f"{robot.name}: {reason.what}")
-        decision = self.gate.decide(robot, self._others(robot), np.array(dq))
-        verdict = verdict_of(robot.name, robot.state.cycle, 0, decision, self._cycle_s)
+        decision = self._judge(robot, dq)
+        verdict = verdict_of(robot.name, state.cycle, 0, decision, self._cycle_s)
         answer = CommandReply(id=command.id, accepted=True, verdict=verdict)
         return Output(topics.COMMAND_REPLY, "", answer)
 
@@ -197,7 +188,7 @@ class Sim:
             receipt=self._receipt,
             fingerprint=self.fingerprint,
             contacts=self.contacts.allowed,
-            robots={name: self._robot_memory(name) for name in self._robots},
+            robots={name: robot.memory() for name, robot in self.robots.items()},
         )
 
     def recall(self, memory: GateMemory) -> None:
@@ -206,28 +197,11 @@ class Sim:
         self._sequence, self._receipt = memory.sequence, memory.receipt
         self.contacts.allow(memory.contacts)
         for name, robot in memory.robots.items():
-            self._dry_run_cycles[name] = robot.dry_run_cycle
-            self._robots[name].recall(robot.tracker)
-            self._orders[name].recall(robot.orders)
-            inbox = self._inboxes[name]
-            inbox.waiting, inbox.decided_cycle = robot.waiting, robot.decided_cycle
-            inbox.lease_epoch, inbox.seq = robot.lease_epoch, robot.seq
-
-    def _robot_memory(self, name: str) -> RobotMemory:
-        inbox = self._inboxes[name]
-        return RobotMemory(
-            tracker=self._robots[name].memory(),
-            orders=self._orders[name].memory(),
-            waiting=inbox.waiting,
-            decided_cycle=inbox.decided_cycle,
-            lease_epoch=inbox.lease_epoch,
-            seq=inbox.seq,
-            dry_run_cycle=self._dry_run_cycles[name],
-        )
+            self.robots[name].recall(robot)
 
     def nearest(self) -> NearestPair | None:
         """The nearest two bodies of different robots, or of a robot and the structure or itself, now."""
-        known = [robot for robot in self._robots.values() if robot.state is not None]
+        known = [robot.tracker for robot in self.robots.values() if robot.tracker.state is not None]
         for robot in known:
             self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
         lists = [self._proximity.alone[robot.name] for robot in known]
@@ -237,54 +211,55 @@ class Sim:
         found = [near for near in looks if near is not None]
         return nearest_pair(min(found, key=lambda near: near.distance_m)) if found else None
 
-    def _supervise(self, robot: Tracker) -> list[Output]:
-        orders = self._orders[robot.name]
-        orders.judge()
-        assert robot.state is not None  # called with a state just observed
+    def _supervise(self, robot: GatedRobot) -> list[Output]:
+        robot.orders.judge()
+        state = robot.tracker.state
+        assert state is not None  # called with a state just observed
         message = Supervision(
             robot=robot.name,
             epoch=self.epoch,
-            cycle=robot.state.cycle,
-            stop=orders.standing_stop,
-            resets=orders.resets,
-            outputs=orders.outputs,
+            cycle=state.cycle,
+            stop=robot.orders.standing_stop,
+            resets=robot.orders.resets,
+            outputs=robot.orders.outputs,
         )
         return [Output(topics.SUPERVISION, robot.name, message)]
 
-    def _answered(self, robot: Tracker) -> list[Output]:
-        return [reply(id_) for id_ in self._orders[robot.name].fulfilled()]
+    def _answered(self, robot: GatedRobot) -> list[Output]:
+        return [reply(id_) for id_ in robot.orders.fulfilled()]
 
-    def _decide(self, robot: Tracker) -> list[Output]:
-        inbox, state = self._inboxes[robot.name], robot.state
+    def _decide(self, robot: GatedRobot) -> list[Output]:
+        inbox, state = robot.inbox, robot.tracker.state
         if state is None or not inbox.due(state):
             return []
-        reason = inbox.fault_on(state, self._orders[robot.name].standing_stop is not None)
-        reason = reason or self._unready(robot, state)
+        reason = inbox.fault_on(state, robot.orders.standing_stop is not None)
+        reason = reason or self._unready(state)
         request = inbox.take()
         assert request is not None  # it is due
         assert request.dq is not None  # signs of life are not put there
         if reason is not None:
             return [self._refuse(request, reason)]
         inbox.decided_cycle = state.cycle
-        decision = self.gate.decide(robot, self._others(robot), np.array(request.dq))
+        decision = self._judge(robot, request.dq)
         outputs = [self._verdict(request, state.cycle, decision)]
         if decision.outcome is not Outcome.HELD:
             outputs.insert(0, self._admit(robot, state, decision))
         return outputs
 
-    def _others(self, robot: Tracker) -> list[Tracker]:
-        return [other for other in self._robots.values() if other is not robot]
+    def _judge(self, robot: GatedRobot, dq: Sequence[float]) -> Decision:
+        others = [other.tracker for other in self.robots.values() if other is not robot]
+        return self.gate.decide(robot.tracker, others, np.array(dq))
 
-    def _unready(self, robot: Tracker, state: ServerState) -> Reason | None:
-        """Why nothing can be decided for a robot, whatever is asked."""
-        unheard = [other.name for other in self._others(robot) if other.state is None]
+    def _unready(self, state: ServerState) -> Reason | None:
+        """Why nothing can be decided on a state, whatever is asked."""
+        unheard = [name for name, other in self.robots.items() if other.tracker.state is None]
         if unheard:  # nobody knows where it is, so nothing can be kept clear of it
             return Reason(code=ReasonCode.NOT_READY, what=unheard[0])
         if state.epoch != self.epoch:
             return Reason(code=ReasonCode.NOT_READY, what="gate epoch")
         return None
 
-    def _admit(self, robot: Tracker, state: ServerState, decision: Decision) -> Output:
+    def _admit(self, robot: GatedRobot, state: ServerState, decision: Decision) -> Output:
         self._sequence += 1
         admission = Admission(
             robot=robot.name,
@@ -297,7 +272,7 @@ class Sim:
             dq=tuple(decision.dq.tolist()),
             brake_cycles=decision.brake_cycles,
         )
-        robot.in_flight = admission
+        robot.tracker.in_flight = admission
         return Output(topics.ADMISSION, robot.name, admission)
 
     def _verdict(self, request: Request, cycle: int, decision: Decision) -> Output:

@@ -1,0 +1,54 @@
+"""All that the gate keeps of one robot: how it moves, what it is ordered to do, what is asked of it."""
+
+from __future__ import annotations
+
+import math
+
+from deltaq_cell.description import GateDescription, RobotDescription
+from deltaq_protocol.guarded import RobotMemory
+from deltaq_services.sim.inbox import Inbox
+from deltaq_services.sim.orders import Orders
+from deltaq_services.sim.tracker import Tracker
+
+
+class GatedRobot:
+    """One robot as the gate knows it.
+
+    Attributes:
+        name: of the robot.
+        joints: how many it has.
+        tracker: its motion.
+        orders: stop, reset and outputs.
+        inbox: the requests for it.
+        dry_run_cycle: cycle of the state for which a dry run was answered last.
+    """
+
+    def __init__(
+        self, name: str, description: RobotDescription, gate: GateDescription, cycle_s: float
+    ) -> None:
+        self.name = name
+        self.joints = len(description.joints)
+        self.tracker = Tracker(name, description, math.ceil(gate.servo_lag_s / cycle_s))
+        self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
+        self.inbox = Inbox(self.joints, math.ceil(gate.max_request_age_s / cycle_s))
+        self.dry_run_cycle = -1
+
+    def memory(self) -> RobotMemory:
+        """What `recall` needs to go on from here."""
+        return RobotMemory(
+            tracker=self.tracker.memory(),
+            orders=self.orders.memory(),
+            waiting=self.inbox.waiting,
+            decided_cycle=self.inbox.decided_cycle,
+            lease_epoch=self.inbox.lease_epoch,
+            seq=self.inbox.seq,
+            dry_run_cycle=self.dry_run_cycle,
+        )
+
+    def recall(self, memory: RobotMemory) -> None:
+        """Go on from where another gate was with this robot."""
+        self.tracker.recall(memory.tracker)
+        self.orders.recall(memory.orders)
+        self.inbox.waiting, self.inbox.decided_cycle = memory.waiting, memory.decided_cycle
+        self.inbox.lease_epoch, self.inbox.seq = memory.lease_epoch, memory.seq
+        self.dry_run_cycle = memory.dry_run_cycle
