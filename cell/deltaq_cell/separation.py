@@ -130,52 +130,56 @@ class Separation:
             distances: (k,) at the middle of the strips; no plane can show more [m].
             asked: (k,) least distances to be shown [m].
         """
-        first, second = self._first[numbers], self._second[numbers]
+        pairs = np.stack([self._first[numbers], self._second[numbers]])
+        moved_by = self._moved_by[pairs]
         # joints that move both bodies leave their distance as it is
-        move_first = self._moved_by[first] & ~self._moved_by[second]
-        move_second = self._moved_by[second] & ~self._moved_by[first]
-        asked = asked + self._blur(first, move_first) + self._blur(second, move_second)
-        if np.all(distances < asked):
+        moves = moved_by & ~moved_by[::-1]
+        asked = asked + self._blur(pairs, moves).sum(axis=0)
+        if (distances < asked).all():
             return np.zeros(len(asked), dtype=bool)
-        forth = self._sides(first, move_first, normals)
-        back = self._sides(second, move_second, -normals)
+        sides = self._sides(pairs, moves, np.stack([normals, -normals]))
         # bodies of one robot are at the same t
-        together = self._owner[first] == self._owner[second]
-        reach = np.where(together, (forth + back).max(axis=0), forth.max(axis=0) + back.max(axis=0))
+        together = self._owner[pairs[0]] == self._owner[pairs[1]]
+        reach = np.where(together, sides.sum(axis=1).max(axis=0), sides.max(axis=0).sum(axis=0))
         kept: Bits = -reach >= asked
         return kept
 
     def _sides(self, bodies: Indices, moved_by: Bits, normals: Array) -> Array:
-        """(2, k) how far bodies reach along the normals, to first order, at t = -1 and t = 1 [m]."""
+        """(2, 2, k) how far (2, k) bodies reach along (2, k, 3) normals, to first order, at t = -1 and t = 1 [m]."""
         twists = moved_by @ self._columns
-        linear = np.einsum("ij,ij->i", normals, twists[:, :3])
-        tilt = _cross(normals, twists[:, 3:])
+        linear = _dot(normals, twists[..., :3])
+        tilt = _cross(normals, twists[..., 3:])
         ends = np.stack([normals - tilt, normals + tilt])
-        reach: Array = np.einsum("kci,ski->skc", self._corners[bodies], ends).max(axis=2)
+        reach: Array = (self._corners[bodies] @ ends[..., None])[..., 0].max(axis=-1)
         axis = self._axis[bodies]
-        across = ends - np.einsum("ki,ski->sk", axis, ends)[..., None] * axis
-        reach += self._disc[bodies] * np.linalg.norm(across, axis=2)
-        reach += self._ball[bodies] * np.linalg.norm(ends, axis=2)
+        across = ends - _dot(axis, ends)[..., None] * axis
+        reach += self._disc[bodies] * np.sqrt(_dot(across, across))
+        reach += self._ball[bodies] * np.sqrt(_dot(ends, ends))
         reach[0] -= linear
         reach[1] += linear
         return reach
 
     def _blur(self, bodies: Indices, moved_by: Bits) -> Array:
-        """(k,) what deviation and bend may add to a side [m]."""
+        """(2, k) what deviation and bend may add to each side [m]."""
         arms = self._arms[bodies] * moved_by
         half = self._half * moved_by
-        travel = np.einsum("ij,ij->i", half, arms)
+        travel = _dot(half, arms)
         turns = half * self._revolute
-        before = np.cumsum(turns, axis=1) - turns
-        levers = arms + travel[:, None]
-        bend = np.einsum("ij,ij,ij->i", half, levers, before + 0.5 * turns)
+        before = turns.cumsum(axis=-1) - turns
+        bend = _dot(half * (arms + travel[..., None]), before + 0.5 * turns)
         blur: Array = arms @ self._deviation + bend
         return blur
 
 
+def _dot(a: Array, b: Array) -> Array:
+    """Products of the last axes, as many as there are."""
+    product: Array = np.einsum("...i,...i", a, b)
+    return product
+
+
 def _cross(a: Array, b: Array) -> Array:
-    """(k, 3) cross products; numpy's own takes five times as long for so few."""
-    product: Array = a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT]
+    """Cross products of the last axes; numpy's own takes five times as long for so few."""
+    product: Array = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
     return product
 
 

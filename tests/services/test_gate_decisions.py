@@ -159,11 +159,22 @@ def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
     assert Outcome.HELD in [decide(robot, turn, [gr]).outcome for turn in turns]  # the one that leads nearer
 
 
-@pytest.mark.parametrize("greatest", [0.0, 0.03, 0.3, 0.49, 0.79])
+@pytest.mark.parametrize("greatest", [0.0, 0.025, 0.03, 0.3, 0.49, 0.79])
 def test_the_greatest_certified_share_is_found_to_a_thirty_second(greatest):
     refused = 0.8
-    found = _largest(lambda s: Certificate(s <= greatest, None), refused)
+    found = _largest(lambda s: Certificate(s <= greatest, None), refused / 32, refused)
     assert greatest - refused / 32 <= found <= greatest
+
+
+def test_where_the_least_share_is_refused_no_other_is_tried():
+    asked = []
+
+    def certify(scale):
+        asked.append(scale)
+        return Certificate(False, None)
+
+    assert _largest(certify, 0.025, 0.8) == 0.0
+    assert asked == [0.025]
 
 
 def test_what_is_admitted_for_clearance_is_certified_and_hardly_more_would_be():

@@ -100,21 +100,26 @@ class Gate:
         certificate = certify(scale, Certifier(self._proximity))
         if not certificate.holds:
             reasons = [_clearance_reason(certificate)]
-            limit_scale = scale
+            limit_scale, least = scale, scale / 2**_HALVINGS
             stands = Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds
             # all smaller scales share one budget, so that a decision ends in time
             certifier = Certifier(self._proximity)
-            scale = _largest(lambda s: certify(s, certifier), limit_scale) if stands else 0.0
-            if scale < _LEAST_SCALE:
+            scale = _largest(lambda s: certify(s, certifier), least, limit_scale) if stands else 0.0
+            if scale <= max(least, _LEAST_SCALE):
                 out, near = self._retreat.find(robot, tubes, limits, brake, request, limit_scale)
-                if out > 0 or not stands:
+                if out > scale or not stands:
                     scale, reasons = out, near
         return _decision(limits, brake, request, scale, reasons, certificate.binding)
 
 
-def _largest(certify: Callable[[float], Certificate], refused: float) -> float:
-    """Largest scale found below `refused` that is certified; 0 is the brake, which always is."""
-    certified = 0.0
+def _largest(certify: Callable[[float], Certificate], least: float, refused: float) -> float:
+    """Largest scale found from `least` to one that is refused; 0 if even `least` is refused.
+
+    Where a robot stands before something the least is refused, and with it nearly always all others.
+    """
+    if not certify(least).holds:
+        return 0.0
+    certified = least
     for _ in range(_HALVINGS):
         middle = (certified + refused) / 2
         if certify(middle).holds:
