@@ -79,8 +79,8 @@ def _container(service: Service, cell_name: str) -> dict[str, Any]:
     }
     if Path(cell_name).is_absolute():
         container["volumes"] = [f"{cell_name}:{cell_name}:ro"]
-    if service.role is Role.ROBOT_SERVER:
-        container["cap_add"] = ["SYS_NICE"]  # to reply at real-time priority
+    if service.role in (Role.ROBOT_SERVER, Role.SIM, Role.HLI):
+        container["cap_add"] = ["SYS_NICE"]  # for real-time priority
     if service.needs:
         container["depends_on"] = {name: {"condition": "service_healthy"} for name in service.needs}
     if service.probe is not None:

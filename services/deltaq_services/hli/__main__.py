@@ -14,10 +14,13 @@ from deltaq_cell.robot import RobotModel
 from deltaq_cell.summary import description_message
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_services.hli.shell import Hli
-from deltaq_services.process import arguments, run
+from deltaq_services.process import arguments, ask_for_real_time, run
 
 OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
 """Environment variable: where set, `take` and `reset` need this token."""
+
+_REAL_TIME_PRIORITY = 9
+"""Below the gate's: clients that keep the HLI busy shall not keep the gate from deciding."""
 
 
 async def _run(cell: CellDescription, told: Description) -> None:
@@ -43,7 +46,9 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
-    asyncio.run(_run(load_cell(options.cell), description_message(options.cell)))
+    cell, told = load_cell(options.cell), description_message(options.cell)
+    ask_for_real_time(_REAL_TIME_PRIORITY)
+    asyncio.run(_run(cell, told))
 
 
 if __name__ == "__main__":

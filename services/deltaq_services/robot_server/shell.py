@@ -6,7 +6,6 @@ One blocking loop in one Python thread: receive, answer at once, and publish aft
 from __future__ import annotations
 
 import math
-import os
 import select
 import socket
 import time
@@ -16,6 +15,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.description import RsiDriver as RsiDescription
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import AxisMap, SensorCodec, TelegramError, load_ethernet_xml
+from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import Measurement, RobotServer
 from deltaq_services.robot_server.link import Link
 from deltaq_services.robot_server.rsi_driver import RsiDriver
@@ -23,7 +23,9 @@ from deltaq_services.robot_server.rsi_driver import RsiDriver
 _DATAGRAM_BYTES = 65_536
 _MOST_WAITING = 1024
 """Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
+
 _REAL_TIME_PRIORITY = 20
+"""Above the gate's, so that a telegram is answered while the gate decides."""
 
 
 def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
@@ -35,6 +37,7 @@ def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
         ethernet_xml: the RSI configuration that the KRC has loaded; None for a kinematic robot.
     """
     server = RobotServer(cell, robot)
+    ask_for_real_time(_REAL_TIME_PRIORITY)
     driver = cell.robots[robot].driver
     if isinstance(driver, RsiDescription):
         assert ethernet_xml is not None  # the caller resolves it for this kind of driver
@@ -62,7 +65,6 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
         incoming = select.poll()
         incoming.register(sock, select.POLLIN)
         timeout_ms = math.ceil(cell.gate.krc_timeout_s * 1000)
-        _ask_for_real_time()
         print(
             f"ready: robot-server-{server.robot} waits for its KRC on {driver.address}:{driver.port}",
             flush=True,
@@ -92,7 +94,6 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
 def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:
     """A robot that is no KUKA: this process keeps the time, and the robot is where it was sent."""
     link = Link(cell, server.robot, server.counters)
-    _ask_for_real_time()
     print(f"ready: robot-server-{server.robot} keeps the time of a kinematic robot", flush=True)
     q = cell.robots[server.robot].home
     cycle_ms = round(cell.cycle_s * 1000)
@@ -142,11 +143,3 @@ def _read(rsi: RsiDriver, datagram: bytes, server: RobotServer) -> Measurement |
         if server.counters["telegrams_garbled"] == 1:
             print(f"first garbled telegram: {error}", flush=True)
         return None
-
-
-def _ask_for_real_time() -> None:
-    """Real-time priority for this thread where the system allows it; zenoh's threads keep theirs."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_REAL_TIME_PRIORITY))
-    except PermissionError:
-        print("no real-time priority: the system does not allow it to this user", flush=True)

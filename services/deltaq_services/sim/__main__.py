@@ -1,14 +1,18 @@
 """`python -m deltaq_services.sim --cell lab`."""
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_services.process import arguments, run
+from deltaq_services.process import arguments, ask_for_real_time, run
 from deltaq_services.sim.shell import Shell
+
+_REAL_TIME_PRIORITY = 10
+"""Between the Robot Servers' and the HLI's."""
 
 
 def main() -> None:
     """Serve the gate of a cell."""
     options = arguments("System Integrity Module: the gate that admits only what can still be braked")
     cell = CellModel.load(options.cell)
+    ask_for_real_time(_REAL_TIME_PRIORITY)
     shell = Shell(cell)
     print(f"ready: sim gates {', '.join(cell.robots)} on {cell.description.sim}", flush=True)
     shell.run()
