@@ -12,12 +12,14 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import DRIVABLE, NOT_LOOKED_FOR, Option, Progress, advise
 from deltaq_controllers.advisor.descent import descend, reduced_gradient
 from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.ground import FINE, LEAP, Ground
 from deltaq_controllers.advisor.methods import METHODS
 from deltaq_controllers.advisor.problem import AdvisorError, Problem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, search
 from deltaq_controllers.advisor.seeding import feasible
-from deltaq_controllers.advisor.space import HandsKept
-from deltaq_controllers.advisor.ways import FINE, LEAP, NoWayError, Ways
+from deltaq_controllers.advisor.space import HandsKept, HandsMoved
+from deltaq_controllers.advisor.trees import Tree
+from deltaq_controllers.advisor.ways import NoWayError, Ways
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 
 Array = NDArray[np.float64]
@@ -177,13 +179,15 @@ def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
 
 def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     task = problem()
-    ways = Ways(task, HandsKept(TRACKER, task.poses), EXACT, np.random.default_rng(9))
+    space = HandsKept(TRACKER, task.poses)
+    ground = Ground(task, space, DAWM.home[None], wider=1.0)
+    ways = Ways(task, space, EXACT, np.random.default_rng(9), DAWM.home)
     found = 0
     for q in search(task, np.random.default_rng(10), effort=0.5).q[:60]:
-        if ways._walked([DAWM.home, q], 0.05) is not None:
+        if ground.straight(DAWM.home[None], q[None])[0]:
             continue
         try:
-            path = ways.path(DAWM.home, q)
+            path = ways.to(q)
         except NoWayError:
             continue
         found += 1
@@ -192,6 +196,31 @@ def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
         if found == 2:
             return
     pytest.fail("no way round was found")
+
+
+def test_what_is_clear_is_told_as_it_is_measured() -> None:
+    q = np.random.default_rng(15).uniform(0.6 * DAWM.lower, 0.6 * DAWM.upper, (100, DAWM.n))
+    clear = [EXACT.is_clear(one[None]) for one in q]
+    assert clear == [EXACT.measure(one).room_m > 0.0 for one in q]
+    assert 10 < sum(clear) < 90
+    assert not EXACT.is_clear(q)
+    assert EXACT.is_clear(q[clear])
+
+
+def test_a_tree_is_cut_where_an_edge_is_not_clear_and_leads_nowhere_from_there() -> None:
+    task = problem()
+    ground = Ground(task, HandsMoved(DAWM), DAWM.home[None], wider=1.0)
+    tree, through = Tree(DAWM.home, ground), DAWM.home.copy()
+    through[[2, 4, 10, 12]] = DAWM.lower[[2, 4, 10, 12]]
+    near = DAWM.home - 0.05
+    (good,) = tree.add(near[None], np.array([0]))
+    (bad,) = tree.add(through[None], np.array([0]))
+    (beyond,) = tree.add(through[None] + 0.01, np.array([bad]))
+    assert tree.holds(good)
+    assert not tree.holds(beyond)
+    assert tree.nearest(through[None])[0] == good
+    assert tree.near(through, 4).tolist() == [good, 0]
+    assert tree.branch(good) == [0, good]
 
 
 def test_a_search_that_is_cancelled_ends_with_what_it_has() -> None:

@@ -10,6 +10,7 @@ import pytest
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.proximity import Proximity
 from deltaq_controllers.criteria import BY_NAME, TABLE, Category, Criterion, Normalised, Postures, RobotData
+from deltaq_controllers.criteria.bounds import ROUNDING_M
 from deltaq_controllers.criteria.capsules import box_distance, box_points, segment_points
 from deltaq_controllers.criteria.normalised import CriterionError, cost, references
 
@@ -135,6 +136,20 @@ def test_one_configuration_is_measured_as_it_is_among_many() -> None:
     postures = some(DATA["dawm"], 300, seed=7)
     alone = [Postures(DATA["dawm"], q).nearest.room[0] for q in postures.q[::17]]
     np.testing.assert_allclose(postures.nearest.room[::17], alone, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", DATA)
+def test_the_tightest_pair_is_the_one_that_is_found_by_measuring_all(robot: str) -> None:
+    field = DATA[robot].field
+    postures = some(DATA[robot], 60, seed=12)
+    middles, halves = field._placed(postures.frames, slice(0, 60))
+    lower, upper = field._bounds.of(middles, halves)
+    rows, pairs = np.nonzero(np.isfinite(lower))
+    every = field._measured(middles, halves, rows, pairs).room
+    shape = (60, -1)
+    np.testing.assert_array_equal(postures.nearest.room, every.reshape(shape).min(axis=1))
+    assert np.all(lower[rows, pairs] <= every + ROUNDING_M)
+    assert np.all(upper[rows, pairs] >= every - ROUNDING_M)
 
 
 def test_distances_of_segments_and_boxes_are_those_of_coal() -> None:

@@ -122,10 +122,10 @@ def advise(
     space: Space = HandsKept(problem.tracker, problem.poses) if there else HandsMoved(problem.robot)
     found = _described(problem, pool, _chosen(pool, space, present, options, exact), present, not there)
     ask("checking", 1.0, pool.best, tuple(found))
-    ways = Ways(problem, space, exact, generator)
+    ways = Ways(problem, space, exact, generator, present)
     for number, option in enumerate(found):
         try:
-            path = ways.path(present, option.q, go_on=lambda: not cancelled)
+            path = ways.to(option.q, lambda: not cancelled)
             found[number] = replace(option, path=path, no_path="")
         except NoWayError as error:
             found[number] = replace(option, no_path=str(error))

@@ -96,11 +96,12 @@ class Counsel:
             go_on: told the options at the end; asked now and then whether anybody still waits.
         """
         self._exact.place(others)
-        ways = Ways(self._problem, HandsKept(self.tracker, self._problem.poses), self._exact, self._generator)
+        space = HandsKept(self.tracker, self._problem.poses)
         first = self._first[rank - 1]
 
         def path(start: Array) -> Array:
-            return ways.path(start, first.q, go_on=lambda: go_on(self._progress))
+            ways = Ways(self._problem, space, self._exact, self._generator, start)
+            return ways.to(first.q, lambda: go_on(self._progress))
 
         try:
             try:

@@ -1,0 +1,109 @@
+"""Where a way may pass: clear of bodies and limits, and without a leap of any joint."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.space import Space
+from deltaq_controllers.criteria import Postures
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+STEP = 0.05
+"""Free joints between two configurations that are looked at while searching [rad or m]."""
+FINE = 0.01
+"""Free joints between two configurations of a path that is handed out [rad or m]."""
+LEAP = 4.0
+"""Times the step by which any joint may change over it; more is another branch, or too near to a singularity."""
+SEARCHED_LEAP = 3.0
+"""The same while searching, so that the finer look agrees."""
+MARGIN_M = 0.015
+"""Room that the search keeps where start and goal have it, so that the exact check agrees."""
+LIMIT_MARGIN = 0.05
+"""Room to the joints' limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
+FINE_SHARE = 0.4
+"""Share of the margins that is kept between the configurations that the search looked at."""
+SAMPLED = 6
+"""Of so many configurations of a way one is looked at first: most ways that are barred are so over a good part."""
+
+
+class Ground:
+    """What ways between some configurations may pass.
+
+    Args:
+        problem: the task, for the robot and the bodies about.
+        space: in which the ways lie.
+        ends: (k, n) configurations that ways begin and end at; margins are no larger than these have them.
+        wider: times the usual margin to bodies.
+
+    Attributes:
+        space: as given.
+        margin_m: room to bodies that is kept.
+    """
+
+    def __init__(self, problem: Problem, space: Space, ends: Array, wider: float) -> None:
+        self.space, self._data = space, problem.data
+        room = float(Postures(problem.data, ends).nearest.room.min())
+        self.margin_m = float(np.clip(0.8 * room, 0.0, wider * MARGIN_M))
+        self._limits = problem.robot.lower, problem.robot.upper
+        self._lowest, self._highest = ends.min(axis=0), ends.max(axis=0)
+
+    def within(self, q: Array, share: float = 1.0) -> Flags:
+        """(...) whether configurations (..., n) keep a share of the margin to the limits."""
+        lower, upper = self._limits
+        low = np.minimum(lower + share * LIMIT_MARGIN, self._lowest)
+        high = np.maximum(upper - share * LIMIT_MARGIN, self._highest)
+        within: Flags = np.all((q >= low) & (q <= high), axis=-1)
+        return within
+
+    def clear(self, q: Array, share: float = 1.0) -> Flags:
+        """(N,) whether configurations (N, n) keep a share of the margins to bodies and limits."""
+        clear = self.within(q, share)
+        inside = np.flatnonzero(clear)
+        if len(inside):
+            clear[inside] = Postures(self._data, q[inside]).nearest.room >= share * self.margin_m
+        return clear
+
+    def walk(self, origin: Array, target: Array) -> tuple[Array, Flags]:
+        """Ways that are straight in the free joints.
+
+        Args:
+            origin: (N, n) where they begin.
+            target: (N, m) free joints where they end.
+
+        Returns:
+            (N, P + 1, n) configurations, and (N,) whether each way is inside the limits and without a leap.
+        """
+        change = float(np.abs(target - origin[:, self.space.free]).max(initial=0.0))
+        way = self.space.walk(origin, target, max(1, int(np.ceil(change / STEP))))
+        steady = np.abs(np.diff(way, axis=1)).max(axis=2) <= SEARCHED_LEAP * STEP
+        return way, (steady & self.within(way[:, 1:])).all(axis=1)
+
+    def straight(self, origin: Array, target: Array) -> Flags:
+        """(N,) whether configurations (N, n) can be reached from others (N, n) straight in the free joints."""
+        way, passes = self.walk(origin, target[:, self.space.free])
+        passes &= np.abs(way[:, -1] - target).max(axis=1) < 1e-6
+        between = np.arange(1, way.shape[1])
+        for looked_at in (between[between % SAMPLED == 0], between[between % SAMPLED != 0]):
+            rows = np.flatnonzero(passes)
+            if len(rows) and len(looked_at):
+                seen = self.clear(way[rows][:, looked_at].reshape(-1, way.shape[2]))
+                passes[rows] = seen.reshape(len(rows), -1).all(axis=1)
+        return passes
+
+    def fine(self, corners: Array) -> Array | None:
+        """(P, n) the way from corner to corner (k, n) as it is handed out; None if a joint leaps."""
+        legs = [corners[:1]]
+        for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
+            change = np.abs(corner - start[self.space.free]).max()
+            (leg,) = self.space.walk(start[None], corner[None], max(1, int(np.ceil(change / FINE))))
+            legs.append(leg[1:])
+        path = np.concatenate(legs)
+        return path if self.is_steady(path) and np.abs(path[-1] - corners[-1]).max() < 1e-6 else None
+
+    def is_steady(self, path: Array) -> bool:
+        """Whether no joint leaps along a path (P, n) that is handed out."""
+        return bool((np.abs(np.diff(path, axis=0)).max(axis=1) <= LEAP * FINE).all())
