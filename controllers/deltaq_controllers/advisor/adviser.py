@@ -157,14 +157,16 @@ def _serve(
 ) -> None:
     """Answer questions until the line is closed; a new one ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
-    counsel: Counsel | None = None
+    counsel, trouble = _counsel(description, robot, weights)
     try:
         while True:
             question = line.recv()
             if isinstance(question, _GiveUp):
                 continue
+            if counsel is None:
+                line.send(_Answer(question.number, trouble=trouble, is_over=True))
+                continue
             try:
-                counsel = counsel or Counsel(cell_model(description), robot, weights)
                 _answer(line, counsel, question)
             except _GivenUpError:
                 continue
@@ -172,6 +174,16 @@ def _serve(
                 line.send(_Answer(question.number, trouble=str(error), is_over=True))
     except (EOFError, OSError):
         return
+
+
+def _counsel(
+    description: Description, robot: str, weights: Mapping[str, float] | None
+) -> tuple[Counsel | None, str]:
+    """Made before the first question, which then need not wait for it; or why it cannot be made."""
+    try:
+        return Counsel(cell_model(description), robot, weights), ""
+    except DeltaqError as error:
+        return None, str(error)
 
 
 def _answer(line: Connection, counsel: Counsel, question: _Ask | _Seek) -> None:

@@ -146,12 +146,19 @@ class _Choice:
         return Teleoperator(model, description.cycle_s, ModeName(self.mode), Frame(self.frame), modes)
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
+        from contextlib import suppress
+
+        from deltaq_controllers.interface import ControllerError
+        from deltaq_controllers.modes.motion import ModeName
         from deltaq_controllers.operator_input import Script
         from deltaq_controllers.operator_input_gamepad import Gamepad
         from deltaq_controllers.operator_input_keyboard import HELP, Keyboard
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
+        with suppress(ControllerError):  # a robot without a joint to spare has no advisor
+            # its process starts now, so that its first advice is not waited for longer than others
+            teleoperator.mode_named(ModeName.ADVISOR)
         if self.gamepad is not None:
             return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
         print(HELP, file=sys.stderr)
