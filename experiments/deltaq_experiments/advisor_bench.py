@@ -1,7 +1,8 @@
 """The advisor's methods side by side: time and quality on seeded tasks of the dual-arm cell.
 
 A task is where the hands of a random clear configuration are. Best known is the least energy that any method, or a
-longer search of two of them, has found for it in the same run.
+longer search of two of them, has found for it in the same run. And what a whole answer costs, all options with the ways
+to them, from the home of each robot that the advisor knows.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.advisor import advise
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.methods import METHODS
 from deltaq_controllers.advisor.problem import Problem
 from deltaq_controllers.advisor.search import Pool, search
+from deltaq_controllers.advisor.space import HandsKept
 from deltaq_controllers.inverse.titan import TitanInverse
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 
@@ -27,6 +30,8 @@ Array = NDArray[np.float64]
 TASKS = 12
 LONGER = {"annealing": 4.0, "shotgun": 3.0}
 """Methods, and their efforts, that search for the best known energy."""
+ANSWERED = (("dawm", "dawm"), ("lab", "gr"))
+"""Cells and robots of which whole answers are timed."""
 GOOD = 0.01
 """A search is good if it ends within this share of the best known energy."""
 
@@ -53,6 +58,24 @@ class Row(BaseModel):
     """Mean over the tasks."""
 
 
+class Answer(BaseModel):
+    """Whole answers of the advisor for one robot, from its home, search after search."""
+
+    model_config = ConfigDict(frozen=True)
+
+    cell: str
+    robot: str
+    median_cpu_s: float
+    """Processor time from the question to the last way."""
+    worst_cpu_s: float
+    options: float
+    """Mean number of options in an answer."""
+    barred: float
+    """Of these so many are beyond a singularity."""
+    ways: float
+    """And to so many a way was found."""
+
+
 class Table(BaseModel):
     """All methods of one run."""
 
@@ -65,6 +88,7 @@ class Table(BaseModel):
     """The same in a plain loop, one pose a call."""
     best_known: tuple[float, ...]
     rows: tuple[Row, ...]
+    answers: tuple[Answer, ...]
 
 
 def tasks(cell: CellModel, robot: str, count: int = TASKS) -> list[Array]:
@@ -137,6 +161,33 @@ def run(
         inverse_one_by_one_per_s=single,
         best_known=tuple(best.tolist()),
         rows=rows,
+        answers=tuple(whole_answers(*named, count) for named in ANSWERED),
+    )
+
+
+def whole_answers(cell_name: str, robot: str, count: int) -> Answer:
+    """Ask the advisor `count` times, each with a seed of its own, for options and the ways to them."""
+    cell = CellModel.load(cell_name)
+    tracker, exact, home = (
+        ConstraintTracker(cell.robots[robot]),
+        ExactClearance(cell, robot),
+        cell.robots[robot].home,
+    )
+    space = HandsKept(tracker, tracker.hands(home))
+    cpu, options = np.zeros(count), []
+    for seed in range(count):
+        task = Problem(cell, robot, tracker.hands(home), None, tracker)
+        began_s = time.process_time()
+        options += advise(task, home, generator=np.random.default_rng(seed), exact=exact)
+        cpu[seed] = time.process_time() - began_s
+    return Answer(
+        cell=cell_name,
+        robot=robot,
+        median_cpu_s=float(np.median(cpu)),
+        worst_cpu_s=float(cpu.max()),
+        options=len(options) / count,
+        barred=sum(bool(space.barred(home, option.q)) for option in options) / count,
+        ways=sum(option.path is not None for option in options) / count,
     )
 
 

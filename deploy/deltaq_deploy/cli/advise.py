@@ -119,6 +119,11 @@ def _bench(json: bool) -> None:
             for row in table.rows
         ),
     )
+    for answer in table.answers:
+        typer.echo(
+            f"{answer.robot}: {answer.options:.1f} options, ways to {answer.ways:.1f}, {answer.barred:.1f} barred, "
+            f"in {answer.median_cpu_s:.2f} s of the processor, at worst {answer.worst_cpu_s:.2f} s"
+        )
     typer.echo(
         f"closed form of the Titan II, all branches: {table.inverse_poses_per_s / 1e6:.2f} million poses/s, "
         f"one by one {table.inverse_one_by_one_per_s / 1e3:.1f} thousand"
