@@ -8,8 +8,10 @@ from advising import advised, advisor_of
 from driving import PlainDrive, StackDrive, model
 from numpy.typing import NDArray
 
+from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.modes.advisor import NOTHING_FOUND
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import ModeName, Wish
 from deltaq_protocol.messages import Outcome
@@ -128,7 +130,8 @@ def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refus
 class Thinking:
     """An adviser that has not answered yet."""
 
-    trouble, is_busy, progress = "", True, None
+    trouble, is_busy = "", True
+    progress: Progress | None = None
 
     def __init__(self) -> None:
         self.tracker = ConstraintTracker(model("gr"))
@@ -142,6 +145,21 @@ class Thinking:
 
     def give_up(self) -> None:
         self.given_up = True
+
+
+class AtALoss(Thinking):
+    """An adviser that has found nothing."""
+
+    is_busy, progress = False, Progress("finding paths", 1.0, np.inf, 1000)
+
+
+def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None:
+    run = PlainDrive("gr", ModeName.JOINT)
+    run.teleoperator = advised(run.robot, adviser=AtALoss())
+    go_to(run, 1, 50)
+    limitation = run.teleoperator.limitation
+    assert limitation is not None
+    assert (limitation.limit, limitation.text) == (Limit.NO_WAY, NOTHING_FOUND)
 
 
 def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_on_leaving() -> None:

@@ -26,6 +26,8 @@ AT_START = 1e-9
 ARRIVED = 1e-9
 """The robot stands at an option within this, in every joint [rad or m]."""
 
+NOTHING_FOUND = "nothing was found that holds the hands where they are, clear of limits and bodies; move them and ask again"
+
 
 def tracker_of(robot: RobotModel) -> ConstraintTracker:
     """The closed form that the advisor needs.
@@ -189,7 +191,11 @@ class AdvisorMode(Mode):
             return
         if not 1 <= self._wanted <= len(options):
             if not self._adviser.is_busy:
-                self._hindrance = f"there is no option {self._wanted}; there are {len(options)}"
+                self._hindrance = (
+                    f"there is no option {self._wanted}; there are {len(options)}"
+                    if options
+                    else NOTHING_FOUND
+                )
             return
         option = options[self._wanted - 1]
         is_start = bool(np.abs(option.start - q).max() < AT_START)

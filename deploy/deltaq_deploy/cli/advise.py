@@ -192,7 +192,9 @@ def _show(found: Advice) -> None:
         (_row(rank, option, names) for rank, option in enumerate(found.options, start=1)),
     )
     if not found.options:
-        typer.echo("nothing holds the hands there; move them nearer, or look longer with --effort")
+        typer.echo(
+            "nothing holds the hands there clear of limits and bodies; move them, or look longer with --effort"
+        )
     if found.executed is not None:
         there = "at" if found.executed.reached else "stopped on the way to"
         typer.echo(
