@@ -198,13 +198,16 @@ def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     pytest.fail("no way round was found")
 
 
-def test_what_is_clear_is_told_as_it_is_measured() -> None:
-    q = np.random.default_rng(15).uniform(0.6 * DAWM.lower, 0.6 * DAWM.upper, (100, DAWM.n))
-    clear = [EXACT.is_clear(one[None]) for one in q]
-    assert clear == [EXACT.measure(one).room_m > 0.0 for one in q]
-    assert 10 < sum(clear) < 90
-    assert not EXACT.is_clear(q)
-    assert EXACT.is_clear(q[clear])
+@pytest.mark.parametrize(("robot", "room_m"), [("dawm", 0.0), ("dawm", 0.02), ("gr", 0.0)])
+def test_what_keeps_its_distance_is_told_as_it_is_measured(robot: str, room_m: float) -> None:
+    cell = CELL if robot == "dawm" else CellModel.load("lab")
+    exact, model = ExactClearance(cell, robot), cell.robots[robot]
+    q = model.home + np.random.default_rng(15).normal(size=(100, model.n)) * 0.5
+    keeps = [exact.keeps(one[None], room_m) for one in q]
+    assert keeps == [exact.measure(one).room_m > room_m for one in q]
+    assert 10 < sum(keeps) < 90
+    assert not exact.keeps(q, room_m)
+    assert exact.keeps(q[keeps], room_m)
 
 
 def test_a_tree_is_cut_where_an_edge_is_not_clear_and_leads_nowhere_from_there() -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import Group
+from deltaq_cell.joined import joined
 from deltaq_cell.proximity import Proximity
-from deltaq_cell.screen import ScreenedGroups
 
 Array = NDArray[np.float64]
 
@@ -45,7 +48,8 @@ class ExactClearance:
         self._robot = robot
         lists = [self._proximity.alone[robot]]
         lists += [self._proximity.between[robot, name] for name in cell.robots if name != robot]
-        self._lists = [groups for groups in lists if isinstance(groups, ScreenedGroups) and groups]
+        self._lists = [groups for groups in lists if groups]
+        self._kept = _KeptDistances(cell, robot, [group for groups in self._lists for group in groups])
         self.place({name: model.home for name, model in cell.robots.items()} | dict(others or {}))
 
     def place(self, others: Mapping[str, Array]) -> None:
@@ -53,21 +57,11 @@ class ExactClearance:
         for name, q in others.items():
             if name != self._robot:
                 self._proximity.place(name, q, np.zeros(len(q)))
+                self._kept.place(name, q)
 
-    def is_clear(self, q: Array) -> bool:
-        """Whether all configurations (N, n) keep more than the stop distance."""
-        return all(map(self._is_clear, q))
-
-    def _is_clear(self, q: Array) -> bool:
-        self._proximity.place(self._robot, q, np.zeros(len(q)))
-        return all(self._proximity.least(group) > group.stop_distance_m for group in self._doubtful())
-
-    def _doubtful(self) -> Iterator[Group]:
-        """Groups of bodies that are not seen from afar to be clear."""
-        for groups in self._lists:
-            for index in np.flatnonzero(groups.screen.rooms() <= 0.0):
-                if not groups[index].is_empty:
-                    yield groups[index]
+    def keeps(self, q: Array, room_m: float = 0.0) -> bool:
+        """Whether all configurations (N, n) have more than `room_m` beyond the stop distances; stops at the first."""
+        return self._kept.at(q, room_m)
 
     def measure(self, q: Array) -> Clearance:
         """The tightest pair at configuration `q` (n,)."""
@@ -76,3 +70,53 @@ class ExactClearance:
         rooms = [(near.swept_m - look.stop_distance_m, near) for look in looks if (near := look.tightest)]
         room_m, near = min(rooms, key=lambda item: item[0])
         return Clearance(room_m, near.distance_m, near.pair)
+
+
+class _KeptDistances:
+    """A yes or no about the pairs of some groups: much quicker than their distances."""
+
+    def __init__(self, cell: CellModel, robot: str, groups: Sequence[Group]) -> None:
+        self._model, places = joined(cell)
+        self._data, self._q = self._model.createData(), pin.neutral(self._model)
+        self._slices = {
+            name: slice(place.first_q, place.first_q + cell.robots[name].n) for name, place in places.items()
+        }
+        self._robot = robot
+        self._geometry, numbers = pin.GeometryModel(), {}
+        for group in groups:
+            for pair in group.pairs:
+                for body in pair:
+                    if body.name not in numbers:
+                        own = pin.GeometryObject(
+                            body.name, body.parentJoint, body.placement, body.geometry.clone()
+                        )
+                        own.geometry.setSweptSphereRadius(0.0)
+                        numbers[body.name] = self._geometry.addGeometryObject(own)
+                self._geometry.addCollisionPair(pin.CollisionPair(*(numbers[body.name] for body in pair)))
+        self._placed = self._geometry.createData()
+        self._stop_m = [group.stop_distance_m for group in groups for _ in group.pairs]
+        self._room_m = np.nan
+        with warnings.catch_warnings():
+            # as `deltaq_cell.group.make_reproducible` says
+            warnings.simplefilter("ignore", DeprecationWarning)
+            for request in self._placed.collisionRequests:
+                request.gjk_initial_guess = coal.GJKInitialGuess.DefaultGuess
+                request.enable_cached_gjk_guess = False
+
+    def place(self, robot: str, q: Array) -> None:
+        """Place a robot at its configuration (n,)."""
+        self._q[self._slices[robot]] = q
+
+    def at(self, q: Array, room_m: float) -> bool:
+        """Whether all configurations (N, n) keep more than `room_m` beyond the stop distances."""
+        if room_m != self._room_m:
+            for request, stop_m in zip(self._placed.collisionRequests, self._stop_m, strict=True):
+                request.security_margin = stop_m + room_m
+            self._room_m = room_m
+        return all(map(self._keeps, q))
+
+    def _keeps(self, q: Array) -> bool:
+        self.place(self._robot, q)
+        pin.forwardKinematics(self._model, self._data, self._q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed)
+        return not pin.computeCollisions(self._geometry, self._placed, True)

@@ -59,12 +59,12 @@ class Ground:
         within: Flags = np.all((q >= low) & (q <= high), axis=-1)
         return within
 
-    def clear(self, q: Array, share: float = 1.0) -> Flags:
-        """(N,) whether configurations (N, n) keep a share of the margins to bodies and limits."""
-        clear = self.within(q, share)
+    def clear(self, q: Array) -> Flags:
+        """(N,) whether configurations (N, n) keep the margins to bodies and limits."""
+        clear = self.within(q)
         inside = np.flatnonzero(clear)
         if len(inside):
-            clear[inside] = Postures(self._data, q[inside]).nearest.room >= share * self.margin_m
+            clear[inside] = Postures(self._data, q[inside]).nearest.room >= self.margin_m
         return clear
 
     def walk(self, origin: Array, target: Array) -> tuple[Array, Flags]:

@@ -37,7 +37,7 @@ class Found:
 Method = Callable[[Problem, np.random.Generator, float], Iterator[Found]]
 
 CHAINS, CHAIN_STEPS = 64, 50
-BRANCHES_EVERY = 5
+BRANCHES_EVERY = 10
 """Steps of a chain after which it may change the branch of an arm; to try them all costs several trials."""
 FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.05, 5e-4
 FIRST_STEP, LAST_STEP = 0.12, 0.01

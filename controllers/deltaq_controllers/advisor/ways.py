@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.ground import FINE_SHARE, Ground
+from deltaq_controllers.advisor.ground import FINE_SHARE, MARGIN_M, Ground
 from deltaq_controllers.advisor.problem import Problem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.advisor.trees import Tree, connected
 
 Array = NDArray[np.float64]
 
-ROUNDS = 40
+ROUNDS = 30
 """How often a tree is grown in search of one way."""
-CHECKED = 4
+CHECKED = 2
 """Of so many configurations of a path one is measured exactly; the gate measures every one that is driven."""
 ROUNDED = 31
 """Configurations of a path over which a corner is rounded."""
@@ -74,6 +74,7 @@ class Ways:
         if barred:
             raise NoWayError(barred)
         ends = np.stack([self._start, goal])
+        room_m = min(FINE_SHARE * MARGIN_M, *(max(0.0, 0.8 * self._exact.measure(q).room_m) for q in ends))
         for wider in WIDER:
             ground = Ground(self._problem, self._space, ends, wider)
             corners = connected(self._tree(wider), goal, ground, self._limits, self._generator, ROUNDS, go_on)
@@ -82,7 +83,7 @@ class Ways:
             if corners is None:
                 raise NoWayError("no clear way was found in the time that is taken")
             for path in _paths(ground, corners):
-                if ground.clear(path, FINE_SHARE).all() and self._exact.is_clear(path[::CHECKED]):
+                if ground.within(path, FINE_SHARE).all() and self._exact.keeps(path[::CHECKED], room_m):
                     return path
         raise NoWayError("the ways that were found are too narrow")
 

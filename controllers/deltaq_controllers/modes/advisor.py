@@ -26,7 +26,7 @@ AT_START = 1e-9
 ARRIVED = 1e-9
 """The robot stands at an option within this, in every joint [rad or m]."""
 
-NOTHING_FOUND = "nothing was found that holds the hands where they are, clear of limits and bodies; move them and ask again"
+NOTHING_FOUND = "nothing holds the hands where they are, clear of limits and bodies; move them and ask again"
 
 
 def tracker_of(robot: RobotModel) -> ConstraintTracker:
