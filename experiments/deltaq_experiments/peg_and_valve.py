@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.at_once import AdviserAtOnce
+from deltaq_controllers.advisor.at_once import AdvisorAtOnce
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.advisor import AdvisorMode
@@ -145,7 +145,7 @@ class _Run:
         self._cycles = 0
 
     def _advisor(self, robot: RobotModel) -> AdvisorMode:
-        return AdvisorMode(robot, self._cycle_s, AdviserAtOnce(self._stack.cell, robot.name))
+        return AdvisorMode(robot, self._cycle_s, AdvisorAtOnce(self._stack.cell, robot.name))
 
     def figures(self) -> ModeFigures:
         """Do the task."""

@@ -1,4 +1,4 @@
-"""A teleoperator with all five modes, whose adviser answers at once."""
+"""A teleoperator with all five modes, whose advisor answers at once."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from driving import CYCLE_S
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.at_once import AdviserAtOnce
+from deltaq_controllers.advisor.at_once import AdvisorAtOnce
 from deltaq_controllers.criteria.postures import RobotData
-from deltaq_controllers.modes.advisor import Advice, AdvisorMode, tracker_of
+from deltaq_controllers.modes.advisor import Advisor, AdvisorMode, tracker_of
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.switch import MODES, Teleoperator
@@ -25,14 +25,14 @@ def advised(
     robot: RobotModel,
     mode: ModeName = ModeName.ADVISOR,
     weights: dict[str, float] | None = None,
-    adviser: Advice | None = None,
+    advisor: Advisor | None = None,
 ) -> Teleoperator:
-    def advisor(robot: RobotModel) -> AdvisorMode:
+    def advisor_mode(robot: RobotModel) -> AdvisorMode:
         tracker_of(robot)
-        answers = adviser or AdviserAtOnce(cell_of(robot.name), robot.name, options=3, effort=0.2)
+        answers = advisor or AdvisorAtOnce(cell_of(robot.name), robot.name, options=3, effort=0.2)
         return AdvisorMode(robot, CYCLE_S, answers)
 
-    modes = {**MODES, ModeName.ADVISOR: advisor}
+    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
     if weights is not None:
         criteria = (weighed(RobotData(cell_of(robot.name), robot.name), weights),)
         modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)

@@ -128,7 +128,7 @@ def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refus
 
 
 class Thinking:
-    """An adviser that has not answered yet."""
+    """An advisor that has not answered yet."""
 
     trouble, is_busy = "", True
     progress: Progress | None = None
@@ -148,14 +148,14 @@ class Thinking:
 
 
 class AtALoss(Thinking):
-    """An adviser that has found nothing."""
+    """An advisor that has found nothing."""
 
     is_busy, progress = False, Progress("finding paths", 1.0, np.inf, 1000)
 
 
 def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None:
     run = PlainDrive("gr", ModeName.JOINT)
-    run.teleoperator = advised(run.robot, adviser=AtALoss())
+    run.teleoperator = advised(run.robot, advisor=AtALoss())
     go_to(run, 1, 50)
     limitation = run.teleoperator.limitation
     assert limitation is not None
@@ -163,15 +163,15 @@ def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None
 
 
 def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_on_leaving() -> None:
-    run, adviser = PlainDrive("gr", ModeName.JOINT), Thinking()
-    run.teleoperator = advised(run.robot, adviser=adviser)
+    run, advisor = PlainDrive("gr", ModeName.JOINT), Thinking()
+    run.teleoperator = advised(run.robot, advisor=advisor)
     home = run.now
     go_to(run, 1, 50)
     assert advisor_of(run.teleoperator).status == "thinking"
     assert (run.now == home).all()
     run.drive(0.5, ModeName.JOINT, a1=0.2)
     assert not run.teleoperator.is_at_rest
-    assert adviser.given_up
+    assert advisor.given_up
 
 
 @pytest.mark.parametrize(

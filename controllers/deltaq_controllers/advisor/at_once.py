@@ -14,7 +14,7 @@ from deltaq_controllers.advisor.counsel import Counsel
 Array = NDArray[np.float64]
 
 
-class AdviserAtOnce:
+class AdvisorAtOnce:
     """Answers before it returns, the other robots of the cell at home.
 
     Args:

@@ -1,4 +1,4 @@
-"""What an adviser does for one robot, question by question."""
+"""What an advisor does for one robot, question by question."""
 
 from __future__ import annotations
 

@@ -46,8 +46,8 @@ def tracker_of(robot: RobotModel) -> ConstraintTracker:
     return tracker
 
 
-class Advice(Protocol):
-    """What answers in the background of a control loop, as `Adviser` does.
+class Advisor(Protocol):
+    """What answers in the background of a control loop, as `AdvisorProcess` does.
 
     Attributes:
         tracker: of the robot.
@@ -92,14 +92,14 @@ class AdvisorMode(Mode):
     Args:
         robot: the robot.
         cycle_s: its cycle [s].
-        adviser: answers in its own time.
+        advisor: answers in its own time.
     """
 
     name = ModeName.ADVISOR
     drives_hands = False
 
-    def __init__(self, robot: RobotModel, cycle_s: float, adviser: Advice) -> None:
-        self._robot, self._cycle_s, self._adviser = robot, cycle_s, adviser
+    def __init__(self, robot: RobotModel, cycle_s: float, advisor: Advisor) -> None:
+        self._robot, self._cycle_s, self._advisor = robot, cycle_s, advisor
         self._hands = Hands(robot)
         self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
         self._wanted: int | None = None
@@ -113,7 +113,7 @@ class AdvisorMode(Mode):
     @property
     def options(self) -> tuple[Option, ...]:
         """What is known by now, best first."""
-        progress = self._adviser.progress
+        progress = self._advisor.progress
         return () if progress is None else progress.options
 
     @property
@@ -128,10 +128,10 @@ class AdvisorMode(Mode):
             return f"at option {self.arrived_at}"
         if self._wanted is not None and self._driven == self._wanted:
             return f"{100.0 * self.done:.0f} % of the way to option {self._wanted}"
-        progress = self._adviser.progress
+        progress = self._advisor.progress
         if progress is None:
-            return self._adviser.trouble or "thinking"
-        if self._adviser.is_busy:
+            return self._advisor.trouble or "thinking"
+        if self._advisor.is_busy:
             best = f", best energy {progress.energy:.4f}" if np.isfinite(progress.energy) else ""
             return f"{progress.doing}{best}, {progress.trials} trials"
         ways = sum(option.path is not None for option in progress.options)
@@ -148,11 +148,11 @@ class AdvisorMode(Mode):
         """Ask for options with the hands where they are."""
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
-        self._adviser.ask(q)
+        self._advisor.ask(q)
 
     def leave(self) -> None:
         """Nobody waits for the advisor any more."""
-        self._adviser.give_up()
+        self._advisor.give_up()
 
     def choose(self, option: int | None) -> None:
         """Go to the option of a rank, from 1; None is rest."""
@@ -185,12 +185,12 @@ class AdvisorMode(Mode):
 
     def _take_up(self, q: Array) -> None:
         """Take the way to the option that is wanted, if it is known; otherwise see that it is looked for."""
-        self._hindrance = self._adviser.trouble
+        self._hindrance = self._advisor.trouble
         options = self.options
-        if self._wanted is None or self._hindrance or (not options and self._adviser.is_busy):
+        if self._wanted is None or self._hindrance or (not options and self._advisor.is_busy):
             return
         if not 1 <= self._wanted <= len(options):
-            if not self._adviser.is_busy:
+            if not self._advisor.is_busy:
                 self._hindrance = (
                     f"there is no option {self._wanted}; there are {len(options)}"
                     if options
@@ -200,16 +200,16 @@ class AdvisorMode(Mode):
         option = options[self._wanted - 1]
         is_start = bool(np.abs(option.start - q).max() < AT_START)
         if is_start and option.path is not None:
-            self._adviser.give_up()  # a control loop in motion wants the processor
-            setpoints = timed(option.path, self._adviser.tracker, self._cycle_s, option.hands_move)
+            self._advisor.give_up()  # a control loop in motion wants the processor
+            setpoints = timed(option.path, self._advisor.tracker, self._cycle_s, option.hands_move)
             self._trail = np.concatenate([self._back(q)[::-1], option.path])
             self._route, self._driven, self._hands_move = Route(setpoints), self._wanted, option.hands_move
-        elif self._adviser.is_busy:
+        elif self._advisor.is_busy:
             return
         elif is_start and option.no_path != NOT_LOOKED_FOR:
             self._hindrance = f"no self-motion leads to option {self._wanted}: {option.no_path}"
         else:
-            self._adviser.seek(self._back(q), self._wanted)
+            self._advisor.seek(self._back(q), self._wanted)
 
     def _back(self, q: Array) -> Array:
         """(P, n) the way from `q` (n,) on or near the trail to where it begins."""

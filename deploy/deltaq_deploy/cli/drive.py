@@ -123,7 +123,7 @@ class _Choice:
         from functools import partial
 
         from deltaq_cell.robot import RobotModel
-        from deltaq_controllers.advisor.adviser import Adviser
+        from deltaq_controllers.advisor.process import AdvisorProcess
         from deltaq_controllers.criteria.postures import RobotData
         from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
         from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
@@ -134,12 +134,12 @@ class _Choice:
         description = running.description
         model = model_of(robot_models(description), self.robot)
 
-        def advisor(robot: RobotModel) -> AdvisorMode:
+        def advisor_mode(robot: RobotModel) -> AdvisorMode:
             others = where_others_are(running, self.robot)
-            adviser = Adviser(description, tracker_of(robot), others, self.weights)
-            return AdvisorMode(robot, description.cycle_s, stack.enter_context(adviser))
+            advisor = AdvisorProcess(description, tracker_of(robot), others, self.weights)
+            return AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
 
-        modes = {**MODES, ModeName.ADVISOR: advisor}
+        modes = {**MODES, ModeName.ADVISOR: advisor_mode}
         if self.weights is not None:
             criteria = (weighed(RobotData(cell_model(description), self.robot), self.weights),)
             modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)

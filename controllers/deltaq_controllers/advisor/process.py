@@ -59,7 +59,7 @@ class _GivenUpError(Exception):
     """Nobody waits for the answer any more."""
 
 
-class Adviser:
+class AdvisorProcess:
     """Asks the advisor for self-motions of a robot of a running cell.
 
     Args:

@@ -1,4 +1,4 @@
-"""The adviser's own process: asked, given up, asked again, and gone."""
+"""The advisor's own process: asked, given up, asked again, and gone."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.summary import description_message
-from deltaq_controllers.advisor.adviser import Adviser
+from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.modes.advisor import tracker_of
 
 pytestmark = pytest.mark.live
@@ -22,19 +22,19 @@ GR = LAB.robots["gr"]
 OTHERS = {"fr": LAB.robots["fr"].home}
 
 
-def adviser(**weights: float) -> Adviser:
-    return Adviser(description_message("lab"), tracker_of(GR), lambda: OTHERS, weights or None)
+def advisor(**weights: float) -> AdvisorProcess:
+    return AdvisorProcess(description_message("lab"), tracker_of(GR), lambda: OTHERS, weights or None)
 
 
-def wait_for(adviser: Adviser, reached: Callable[[], bool]) -> None:
+def wait_for(advisor: AdvisorProcess, reached: Callable[[], bool]) -> None:
     """Until what the process has said makes it so; each wait ends with a word of it."""
     deadline = time.monotonic() + 60
     while not reached():
-        assert adviser._line.poll(max(0.0, deadline - time.monotonic())), "the process says nothing"
+        assert advisor._line.poll(max(0.0, deadline - time.monotonic())), "the process says nothing"
 
 
 def test_options_come_first_their_ways_follow_and_a_question_given_up_is_answered_no_more() -> None:
-    with adviser() as asked:
+    with advisor() as asked:
         asked.ask(GR.home)
         assert asked.is_busy
         wait_for(asked, lambda: asked.progress is not None and bool(asked.progress.options))
@@ -59,14 +59,14 @@ def test_options_come_first_their_ways_follow_and_a_question_given_up_is_answere
 
 
 def test_what_cannot_be_answered_is_told() -> None:
-    with adviser(travle=1.0) as asked:
+    with advisor(travle=1.0) as asked:
         asked.ask(GR.home)
         wait_for(asked, lambda: not asked.is_busy)
         assert asked.trouble.startswith("no criterion 'travle'; there are travel")
 
 
 def test_a_process_that_has_ended_is_told_and_ends_no_loop() -> None:
-    with adviser() as asked:
+    with advisor() as asked:
         asked.ask(GR.home)
         assert asked._process.pid is not None
         os.kill(asked._process.pid, signal.SIGKILL)
