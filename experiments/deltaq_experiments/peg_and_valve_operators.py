@@ -161,16 +161,21 @@ class AdvisedOperator:
     """Steers the hand as in decoupled mode, and goes to an option of the advisor before going on to work.
 
     It is the option with the most room to the nearest joint limit of those that there is a way to, once for each goal
-    that is reached from afar, and wherever the hand is held up. The advisor's thinking takes no time here.
+    that is reached from afar, and wherever the hand is held up; where it is held up again on its way to the same goal,
+    the next one. The advisor's thinking takes no time here.
     """
 
     def __init__(self, teleoperator: Teleoperator, cycle_s: float) -> None:
         self._teleoperator = teleoperator
         self._hand = HandOperator(teleoperator.robot, cycle_s, ModeName.DECOUPLED)
         self._is_advised = self._is_stuck = False
+        self._goal: Goal | None = None
+        self._times_stuck = 0
 
     def wish(self, q: Array, goal: Goal) -> Wish | None:
         """To the goal, then the option; where something holds the hand up, the option first."""
+        if goal is not self._goal:
+            self._goal, self._times_stuck = goal, 0
         if not self._is_advised:
             wish = self._hand.wish(q, goal)
             self._is_stuck = (
@@ -185,6 +190,7 @@ class AdvisedOperator:
         if option is not None and self._teleoperator.arrived_at != option:
             return Wish(option=option)
         self._is_advised = False
+        self._times_stuck += self._is_stuck
         return self._hand.wish(q, goal) if self._is_stuck else None
 
     def _best(self) -> int | None:
@@ -193,7 +199,8 @@ class AdvisedOperator:
         ways = {
             rank: one.limit_share for rank, one in enumerate(mode.options, start=1) if one.path is not None
         }
-        return max(ways, key=lambda rank: ways[rank], default=None)
+        ranks = sorted(ways, key=lambda rank: -ways[rank])
+        return ranks[self._times_stuck % len(ranks)] if ranks else None
 
 
 class JointOperator:
