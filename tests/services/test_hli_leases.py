@@ -6,7 +6,7 @@ import pytest
 from test_hli_core import Bench, only, refused, sent
 
 from deltaq_protocol.guarded import Command, Request
-from deltaq_protocol.messages import Phase, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.outputs import Output
 
@@ -154,3 +154,27 @@ def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted() ->
     bench.core.on_tick(bench.now + 1.0)
     assert bench.core.on_tick(bench.now + 1.5) == []
     assert bench.core.counters["commands_unanswered"] == 1
+
+
+def test_an_hli_that_finds_the_time_of_day_set_back_goes_on_from_the_epochs_that_the_gate_knows() -> None:
+    bench = Bench().ready()
+    stale = only(Request, bench.move(1)).lease_epoch
+    known = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease_epoch", value=stale, bound=5_000)
+    refusal = Verdict(robot="fr", cycle=100, seq=1, outcome=Outcome.REFUSED, reasons=(known,))
+    bench.core.on_gate_verdict(refusal)
+    bench.state(101)
+    assert refused(bench.move(2, cycle=101)).code is ReasonCode.LEASE_NOT_HELD  # the client asks for it again
+    assert bench.lease(client="octave").granted
+    assert only(Request, bench.move(3, cycle=101)).lease_epoch == 5_001
+    assert bench.core.counters["leases_outdated"] == 1
+
+
+def test_a_refusal_for_an_epoch_that_was_granted_here_ends_no_lease() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    known = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease_epoch", value=900, bound=1_001)
+    bench.core.on_gate_verdict(
+        Verdict(robot="fr", cycle=90, seq=1, outcome=Outcome.REFUSED, reasons=(known,))
+    )
+    bench.state(101)
+    assert only(Request, bench.move(2, cycle=101)).lease_epoch == 1_001

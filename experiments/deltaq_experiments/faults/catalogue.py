@@ -38,6 +38,7 @@ class Link(StrEnum):
     HLI_SIM = "hli-sim"
     HLI_SERVER = "hli-server"
     SIM_SERVER = "sim-server"
+    KRC_SERVER = "krc-server"
 
 
 class Misbehaviour(StrEnum):
@@ -105,7 +106,23 @@ class Misbehave:
 
 @dataclass(frozen=True)
 class StepClock:
-    """The clock that a process reads leaps."""
+    """The monotonic clock that a process reads leaps, as forward it does when a machine stood still."""
+
+    process: Process
+    by_s: float
+
+
+@dataclass(frozen=True)
+class SetWallClock:
+    """The time of day is set in every service, or runs too fast from now on."""
+
+    by_s: float = 0.0
+    drift_ppm: int = 0
+
+
+@dataclass(frozen=True)
+class BeginInThePast:
+    """`kill -9`, and the process that takes its place finds the time of day set back."""
 
     process: Process
     by_s: float
@@ -133,6 +150,8 @@ Action = (
     | FillDisk
     | Misbehave
     | StepClock
+    | SetWallClock
+    | BeginInThePast
     | AskPanel
     | PressStop
 )
@@ -157,15 +176,27 @@ class Fault:
     @property
     def live(self) -> bool:
         """Whether real processes can be made to suffer it."""
-        return not isinstance(self.action, Slow | Misbehave | StepClock)
+        match self.action:
+            case Slow() | Misbehave():
+                return False
+            case StepClock(_, by_s):
+                return by_s > 0  # a monotonic clock never goes back
+        return True
 
     @property
     def virtual(self) -> bool:
-        """Whether it can be had in virtual time, where there are neither connections nor a recorder."""
-        recorder = (Kill(Process.RECORDER), Freeze(Process.RECORDER))
-        return (
-            not isinstance(self.action, ImpairStream | ReadNothing | FillDisk) and self.action not in recorder
-        )
+        """Whether it can be had in virtual time.
+
+        There are neither connections nor a recorder nor a time of day, and the KRC's own faults are those of its wire.
+        """
+        match self.action:
+            case ImpairStream() | ReadNothing() | FillDisk() | SetWallClock():
+                return False
+            case Kill(Process.RECORDER) | Freeze(Process.RECORDER) | Impair(Link.KRC_SERVER, _):
+                return False
+            case StepClock(Process.SIM, _):
+                return False  # the gate counts cycles and reads no clock
+        return True
 
     @property
     def injectable(self) -> bool:
@@ -174,6 +205,9 @@ class Fault:
 
 
 _NO_MORE_FAULTS = {"op": "fault"}
+
+
+_BETWEEN_PROCESSES = (Link.CONTROLLER_HLI, Link.HLI_SIM, Link.HLI_SERVER, Link.SIM_SERVER)
 
 
 def _wire(name: str, what: str, **faults: Any) -> Fault:
@@ -187,7 +221,7 @@ def _streams() -> tuple[Fault, ...]:
     )
     return tuple(
         Fault(f"{link}-{kind}", f"the connection {link} {what}", ImpairStream(link, faults))
-        for link in Link
+        for link in _BETWEEN_PROCESSES
         for kind, what, faults in kinds
     )
 
@@ -202,7 +236,25 @@ def _links() -> tuple[Fault, ...]:
     )
     return tuple(
         Fault(f"{link}-{kind}", f"the wire {link} {what}", Impair(link, faults))
-        for link in Link
+        for link in _BETWEEN_PROCESSES
+        for kind, what, faults in kinds
+    )
+
+
+def _datagrams() -> tuple[Fault, ...]:
+    link = Link.KRC_SERVER
+    kinds = (
+        ("cut", "carries nothing", LinkFaults(drop=1.0)),
+        ("lossy", "loses 30 %", LinkFaults(drop=0.3)),
+        ("slow", "takes 2 ms each way", LinkFaults(delay_s=0.002)),
+        ("late", "takes 8 ms each way", LinkFaults(delay_s=0.008)),
+        ("jittery", "takes up to 12 ms each way", LinkFaults(jitter_s=0.012)),
+        ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
+        ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
+        ("garbling", "garbles 30 %", LinkFaults(corrupt=0.3)),
+    )
+    return tuple(
+        Fault(f"{link}-{kind}", f"a relay on RSI's wire {what}", Impair(link, faults))
         for kind, what, faults in kinds
     )
 
@@ -220,15 +272,31 @@ CATALOGUE: tuple[Fault, ...] = (
     Fault("hli-frozen", "SIGSTOP of the HLI", Freeze(Process.HLI)),
     Fault("hli-clock-forward", "the HLI's clock leaps 10 s ahead", StepClock(Process.HLI, 10.0)),
     Fault("hli-clock-back", "the HLI's clock leaps 10 s back", StepClock(Process.HLI, -10.0)),
+    Fault(
+        "hli-begins-in-the-past",
+        "kill -9 of the HLI; the next one finds the time of day an hour back",
+        BeginInThePast(Process.HLI, -3600.0),
+    ),
     Fault("sim-dead", "kill -9 of the SIM", Kill(Process.SIM)),
     Fault("sim-frozen", "SIGSTOP of the SIM", Freeze(Process.SIM)),
     Fault("sim-slow", "the SIM's answers come 18 ms late", Slow(Process.SIM, 0.018)),
+    Fault("sim-clock-forward", "the SIM's clock leaps 10 s ahead", StepClock(Process.SIM, 10.0)),
     Fault("robot-server-dead", "kill -9 of the Robot Server", Kill(Process.ROBOT_SERVER)),
     Fault("robot-server-frozen", "SIGSTOP of the Robot Server", Freeze(Process.ROBOT_SERVER)),
+    Fault(
+        "robot-server-clock-forward",
+        "the Robot Server's clock leaps 10 s ahead",
+        StepClock(Process.ROBOT_SERVER, 10.0),
+    ),
     Fault(
         "robot-server-clock-back",
         "the Robot Server's clock leaps 10 s back",
         StepClock(Process.ROBOT_SERVER, -10.0),
+    ),
+    Fault("wall-clock-forward", "the time of day leaps an hour ahead in every service", SetWallClock(3600.0)),
+    Fault("wall-clock-back", "the time of day leaps an hour back in every service", SetWallClock(-3600.0)),
+    Fault(
+        "wall-clock-drift", "the time of day runs 5 % fast in every service", SetWallClock(drift_ppm=50_000)
     ),
     Fault("clients-not-reading", "clients over TCP and zenoh stop reading", ReadNothing()),
     Fault("recorder-dead", "kill -9 of the recorder", Kill(Process.RECORDER)),
@@ -236,6 +304,7 @@ CATALOGUE: tuple[Fault, ...] = (
     Fault("recorder-disk-full", "the recorder's disk is full", FillDisk()),
     *_links(),
     *_streams(),
+    *_datagrams(),
     _wire("krc-cut", "nothing passes between KRC and Robot Server", drop=1.0),
     _wire("krc-telegrams-lost", "30 % of the KRC's telegrams are lost", link="to_pc", drop=0.3),
     _wire("krc-replies-lost", "30 % of the replies to the KRC are lost", link="from_pc", drop=0.3),

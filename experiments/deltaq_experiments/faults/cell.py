@@ -36,6 +36,9 @@ from deltaq_services.sim.core import Sim
 _RING = 64
 """Messages that wait for a process that stands still, as the SIM's ring channel keeps them."""
 
+_BEGAN_S = 1e9
+"""Time of day at the beginning: epochs and ids are counted from it [s since 1970]."""
+
 _ENDS = {
     Link.CONTROLLER_HLI: (Process.CONTROLLER, Process.HLI),
     Link.HLI_SIM: (Process.HLI, Process.SIM),
@@ -70,13 +73,14 @@ class VirtualCell:
         arms: its robots.
         wires: by link and the process at the receiving end.
         clock_s: what the HLI's clock is ahead.
+        wall_clock_s: what the time of day is ahead that a new HLI finds.
     """
 
     def __init__(self, loaded: LoadedCell, robot: str, seed: int = 0) -> None:
         self.cell, self.robot = loaded.model, robot
         self._loaded = loaded
         self.now_s, self.cycle_count = 0.0, 0
-        self.clock_s = 0.0
+        self.clock_s = self.wall_clock_s = 0.0
         self._begun, self._tokens = 0, 0
         self._sim, self._hli = self._new_sim(), self._new_hli()
         self._lives = dict.fromkeys((Process.CONTROLLER, Process.HLI, Process.SIM), Life.RUNNING)
@@ -271,9 +275,7 @@ class VirtualCell:
         return Sim(self.cell, epoch=self._begun)
 
     def _new_hli(self) -> HliCore:
-        self._begun += 1
-        # epochs and ids count on from where no earlier process has been
-        first_epoch = self._begun * 1_000_000
+        first_epoch = round((_BEGAN_S + self.now_s + self.wall_clock_s) * 1000)
         loaded = self._loaded
         return HliCore(self.cell.description, loaded.told, loaded.tool_pose, self._token, first_epoch)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,18 +12,18 @@ from numpy.typing import NDArray
 
 from deltaq_deploy.running import connect
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults.catalogue import Fault, FillDisk, Freeze, Kill, PressStop, Process
-from deltaq_experiments.faults.live_cell import MovingCell, moving_cell, rows_of
+from deltaq_experiments.faults.catalogue import BeginInThePast, Fault, Freeze, Kill, PressStop, Process
+from deltaq_experiments.faults.live_cell import MovingCell, Needs, moving_cell, rows_of
 from deltaq_experiments.faults.live_inject import Injector
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.lockstep import ATTEMPTS, FaultRunError
 from deltaq_experiments.faults.mover import CRUISE_RAD_S, SWING_RAD
 from deltaq_experiments.faults.panel import protest, told, way_back
-from deltaq_experiments.faults.placed import Place
 from deltaq_experiments.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
 
 Array = NDArray[np.float64]
 
@@ -61,27 +62,27 @@ def run_live_faults(
     Raises:
         LaunchError: if a service does not come up.
         FaultRunError: if the robot never got to its cruising speed.
+        NoCompilerError: if clocks shall be set, and the library for that cannot be made.
     """
-    waiting: dict[tuple[Place | None, bool], list[Fault]] = {}
+    waiting: dict[Needs, list[Fault]] = {}
     for fault in faults:
-        waiting.setdefault((Place.of(fault), _needs_recorder(fault)), []).append(fault)
-    for (place, recorded), group in waiting.items():
+        waiting.setdefault(Needs.of(fault), []).append(fault)
+    for needs, group in waiting.items():
         while group:
-            with moving_cell(loaded, robot, place, recorded=recorded, seed=seed) as cell:
+            with moving_cell(loaded, robot, needs, seed) as cell:
                 while group:
                     fault = group.pop(0)
                     row = _Run(cell, loaded, robot).suffer(fault)
                     on_row(row)
-                    # the rest suffers in a cell that is well, and a recorder writes to a file of its own
-                    if row.recovery == NEVER or recorded:
-                        break
+                    if row.recovery == NEVER or needs.alone:
+                        break  # the rest suffers in a cell that is well
 
 
-def _needs_recorder(fault: Fault) -> bool:
-    return isinstance(fault.action, FillDisk) or fault.action in (
-        Kill(Process.RECORDER),
-        Freeze(Process.RECORDER),
-    )
+def _takes_the_hli_away(fault: Fault) -> bool:
+    match fault.action:
+        case Kill(Process.HLI) | Freeze(Process.HLI) | BeginInThePast(Process.HLI, _):
+            return True
+    return False
 
 
 class _Run:
@@ -157,32 +158,33 @@ class _Run:
 
     # --- while the fault stands ---------------------------------------------------------------------------
 
-    def _watch(self, fault: Fault) -> tuple[str | None, str | None, float | None, int]:
+    def _watch(self, fault: Fault) -> tuple[Phase | None, ReasonCode | None, float | None, int]:
         """Inject, and tell phase, reason, when it was held, and the KRC's cycle of the fault.
 
         There is no phase where the HLI cannot be asked.
         """
         deadline = time.monotonic() + FAULT_S
-        if fault.action in (Kill(Process.HLI), Freeze(Process.HLI)):
+        if _takes_the_hli_away(fault):
             cycle = self._status()["cycle"]
             self._injector.inject(fault)
             time.sleep(FAULT_S)
             return None, None, None, cycle
-        named = None
+        phase, reason, named = None, None, None
         with connect(self._description, "deltaq fault") as running:
             cycle, injected_s = self._status()["cycle"], time.monotonic()
             if isinstance(fault.action, PressStop):
                 running.stop()
             else:
                 self._injector.inject(fault)
-            while True:
-                status = running.status().robots[self._robot]
-                now_s = time.monotonic()
-                if named is None and status.phase is Phase.HELD:
-                    named = now_s - injected_s
-                if now_s >= deadline:
-                    return status.phase, status.reason if status.phase is Phase.HELD else None, named, cycle
+            while (now_s := time.monotonic()) < deadline:
+                # an HLI whose clock leapt takes its sessions for lost, this one among them
+                with suppress(ServiceUnreachableError):
+                    status = running.status().robots[self._robot]
+                    phase, reason = status.phase, status.reason if status.phase is Phase.HELD else None
+                    if named is None and status.phase is Phase.HELD:
+                        named = now_s - injected_s
                 time.sleep(_POLL_S)
+        return phase, reason, named, cycle
 
     # --- afterwards ---------------------------------------------------------------------------------------
 
@@ -210,7 +212,7 @@ class _Run:
             return False  # asked again, until the attempts are used up
         return True
 
-    def _phase(self) -> tuple[str, str | None]:
+    def _phase(self) -> tuple[Phase, ReasonCode | None]:
         """What the HLI shows once it is back and has heard the robot."""
         deadline = time.monotonic() + _START_S
         while True:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,7 +15,17 @@ from numpy.typing import NDArray
 from deltaq_deploy.launcher import Launcher
 from deltaq_deploy.services import Role, Service, cell_services, recorder
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults.catalogue import Process
+from deltaq_experiments.faults.catalogue import (
+    BeginInThePast,
+    Fault,
+    FillDisk,
+    Freeze,
+    Kill,
+    Process,
+    SetWallClock,
+    StepClock,
+)
+from deltaq_experiments.faults.clocks import SettableClocks
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.panel import PanelClient
 from deltaq_experiments.faults.placed import Place, PlacedRelay, placed
@@ -31,26 +42,58 @@ class MovingCell:
         panel: of the robot's emulated controller.
         records: what every emulated controller keeps.
         relay: in the wire that is to be impaired, if one is.
+        clocks: of its processes, where they can be set.
     """
 
     launcher: Launcher
     panel: PanelClient
     records: dict[str, Path]
     relay: PlacedRelay | None
+    clocks: SettableClocks | None
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a fault needs of a cell of real processes.
+
+    Attributes:
+        place: where a relay has to stand.
+        recorder: a recorder has to run.
+        clocks: the processes' clocks must be such that they can be set.
+    """
+
+    place: Place | None
+    recorder: bool
+    clocks: bool
+
+    @classmethod
+    def of(cls, fault: Fault) -> Needs:
+        """What this fault needs."""
+        recorder = (FillDisk(), Kill(Process.RECORDER), Freeze(Process.RECORDER))
+        return cls(
+            place=Place.of(fault),
+            recorder=fault.action in recorder,
+            clocks=isinstance(fault.action, StepClock | SetWallClock | BeginInThePast),
+        )
+
+    @property
+    def alone(self) -> bool:
+        """Whether a cell serves for one such fault: a recorder writes one file, and no clock leaps back again."""
+        return self.recorder or self.clocks
 
 
 @contextmanager
-def moving_cell(
-    loaded: LoadedCell, robot: str, place: Place | None = None, *, recorded: bool = False, seed: int = 0
-) -> Iterator[MovingCell]:
+def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> Iterator[MovingCell]:
     """Start the cell's services and a controller that moves the robot.
 
     Args:
         loaded: the cell; nobody else may run it.
         robot: the one that moves.
-        place: where a relay shall stand.
-        recorded: whether a recorder shall run.
+        needs: what the faults need that it shall suffer.
         seed: of the relay's random numbers.
+
+    Raises:
+        NoCompilerError: if clocks shall be set, and the library for that cannot be made.
     """
     description = loaded.model.description
     with ExitStack() as stack:
@@ -58,19 +101,21 @@ def moving_cell(
         records = {name: folder / f"{name}.csv" for name in loaded.model.robots}
         services = [_recorded(service, records) for service in cell_services(description, str(loaded.file))]
         port, relay = description.tcp_port, None
-        if place is not None:
-            relay = stack.enter_context(placed(place, description, robot, seed))
+        if needs.place is not None:
+            relay = stack.enter_context(placed(needs.place, description, robot, seed))
             services = relay.told(services, loaded, robot, folder)
             port = relay.controller_port
         home = loaded.model.robots[robot].home[0]
         arguments = ("-m", "deltaq_experiments.faults.mover", str(port), robot, f"{home}")
         services.append(Service(Process.CONTROLLER, Role.LEADER, arguments, needs=("hli",)))
-        if recorded:
+        if needs.recorder:
             services.append(recorder(str(loaded.file), str(folder / "run.mcap")))
-        launcher = stack.enter_context(Launcher(services, lambda *_: None))
+        clocks = SettableClocks(folder) if needs.clocks else None
+        python = (sys.executable,) if clocks is None else clocks.python
+        launcher = stack.enter_context(Launcher(services, lambda *_: None, python=python))
         panel = stack.enter_context(PanelClient(description, robot))
         launcher.start()
-        yield MovingCell(launcher, panel, records, relay)
+        yield MovingCell(launcher, panel, records, relay, clocks)
 
 
 def _recorded(service: Service, records: dict[str, Path]) -> Service:

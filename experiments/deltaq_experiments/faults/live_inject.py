@@ -10,8 +10,10 @@ import sys
 import time
 
 from deltaq_deploy.running import connect
+from deltaq_deploy.services import Role
 from deltaq_experiments.faults.catalogue import (
     AskPanel,
+    BeginInThePast,
     Fault,
     FillDisk,
     Freeze,
@@ -20,7 +22,10 @@ from deltaq_experiments.faults.catalogue import (
     Kill,
     Process,
     ReadNothing,
+    SetWallClock,
+    StepClock,
 )
+from deltaq_experiments.faults.clocks import Clocks, SettableClocks
 from deltaq_experiments.faults.live_cell import MovingCell
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.lockstep import FaultRunError
@@ -62,10 +67,14 @@ class Injector:
     def inject(self, fault: Fault) -> None:
         """Let the fault begin."""
         match fault.action:
-            case Kill(process):
+            case Kill(process) | BeginInThePast(process, _):
                 self._signal(process, signal.SIGKILL)
             case Freeze(process):
                 self._signal(process, signal.SIGSTOP)
+            case StepClock(process, by_s):
+                self._clocks.set(self._pid(process), Clocks(monotonic_s=by_s))
+            case SetWallClock(by_s, drift_ppm):
+                self._set_wall_clocks(Clocks(wall_s=by_s, wall_drift_ppm=drift_ppm))
             case AskPanel(request):
                 self._running.panel.ask(request)
             case Impair(_, faults) | ImpairStream(_, faults):
@@ -85,8 +94,14 @@ class Injector:
             case Kill(process):
                 self._running.launcher.restart(self._service(process))
                 return [f"restart of the {process}"]
+            case BeginInThePast(process, by_s):
+                self._clocks.begin_with(Clocks(wall_s=by_s))
+                self._running.launcher.restart(self._service(process))
+                return [f"restart of the {process}"]
             case Freeze(process):
                 self._signal(process, signal.SIGCONT)
+            case SetWallClock():
+                self._set_wall_clocks(Clocks())
             case Impair() | ImpairStream():
                 assert self._running.relay is not None  # it was impaired
                 self._running.relay.lift()
@@ -95,6 +110,18 @@ class Injector:
                 self._reader.kill()
                 self._reader.communicate()
         return []
+
+    @property
+    def _clocks(self) -> SettableClocks:
+        assert self._running.clocks is not None  # `Needs.of` says when
+        return self._running.clocks
+
+    def _set_wall_clocks(self, clocks: Clocks) -> None:
+        """Set those of every service; the emulated controllers are machines of their own."""
+        launcher = self._running.launcher
+        for service in launcher.services:
+            if service.role is not Role.EMULATOR:
+                self._clocks.set(launcher.children[service.name].pid, clocks)
 
     def _service(self, process: Process) -> str:
         return f"{process}-{self._robot}" if process is Process.ROBOT_SERVER else str(process)

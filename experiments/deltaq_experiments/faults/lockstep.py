@@ -14,6 +14,7 @@ from deltaq_emulator.states import KrcState
 from deltaq_experiments.faults.arm import Life
 from deltaq_experiments.faults.catalogue import (
     AskPanel,
+    BeginInThePast,
     Fault,
     Freeze,
     Impair,
@@ -146,7 +147,7 @@ class _Run:
         """Let the fault begin."""
         stack = self.stack
         match fault.action:
-            case Kill(process):
+            case Kill(process) | BeginInThePast(process, _):
                 stack.kill(process)
             case Freeze(process):
                 stack.freeze(process)
@@ -193,6 +194,10 @@ class _Run:
             self._ask_panel(fault.lift)
         match fault.action:
             case Kill(process):
+                stack.restart(process)
+                return [f"restart of the {process}"]
+            case BeginInThePast(process, by_s):
+                stack.wall_clock_s = by_s
                 stack.restart(process)
                 return [f"restart of the {process}"]
             case Freeze(process):

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deltaq_cell.description import CellDescription
+from deltaq_cell.description import CellDescription, RsiDriver
 from deltaq_deploy.services import Service
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.faults.catalogue import Fault, Impair, ImpairStream, Link
@@ -35,6 +35,8 @@ class Place:
         match fault.action:
             case Impair(Link.CONTROLLER_HLI, _):
                 return cls(Link.CONTROLLER_HLI, Unit.LINES)
+            case Impair(Link.KRC_SERVER, _):
+                return cls(Link.KRC_SERVER, Unit.DATAGRAMS)
             case Impair(link, _):
                 return cls(link, Unit.MESSAGES)
             case ImpairStream(link, _):
@@ -72,6 +74,14 @@ class PlacedRelay:
         match link:
             case Link.CONTROLLER_HLI:
                 return list(services)
+            case Link.KRC_SERVER:
+                emulator, where = f"emulator-{robot}", ("--server", f"{HERE}:{self.listen.port}")
+                return [
+                    replace(service, arguments=(*service.arguments, *where))
+                    if service.name == emulator
+                    else service
+                    for service in services
+                ]
             case Link.HLI_SIM:
                 name, change = "hli", f"sim: {here}\n"
             case Link.HLI_SERVER:
@@ -99,8 +109,10 @@ def placed(place: Place, cell: CellDescription, robot: str, seed: int) -> Iterat
         Link.HLI_SERVER: cell.robots[robot].server,
         Link.SIM_SERVER: cell.robots[robot].server,
     }
-    listen = Endpoint("tcp", HERE, _free_port())
+    if isinstance(driver := cell.robots[robot].driver, RsiDriver):
+        ends[Link.KRC_SERVER] = f"udp/{driver.address}:{driver.port}"
     to = Endpoint.parse(ends[place.link])
+    listen = Endpoint(to.transport, HERE, _free_port(to.transport))
     with RelayProcess(listen, to, place.unit, seed) as process:
         of_controllers = (
             listen if place.link is Link.CONTROLLER_HLI else Endpoint.parse(ends[Link.CONTROLLER_HLI])
@@ -114,8 +126,8 @@ def _of_cell(service: Service, file: Path) -> Service:
     return replace(service, arguments=tuple(arguments))
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
+def _free_port(transport: str) -> int:
+    with socket.socket(type=socket.SOCK_DGRAM if transport == "udp" else socket.SOCK_STREAM) as probe:
         probe.bind((HERE, 0))
         port: int = probe.getsockname()[1]
         return port

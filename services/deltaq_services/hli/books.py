@@ -9,7 +9,7 @@ from collections.abc import Callable
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command
-from deltaq_protocol.messages import Done, IoReply, Phase, Reason
+from deltaq_protocol.messages import Done, IoReply, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.leases import Lease, Leases
@@ -26,7 +26,7 @@ class Books:
     Args:
         cell: description of the cell.
         new_token: makes a secret, different each time.
-        first_epoch: greater than any lease epoch or command id used before, also by an earlier process.
+        first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
     """
 
     def __init__(self, cell: CellDescription, new_token: Callable[[], str], first_epoch: int) -> None:
@@ -49,6 +49,16 @@ class Books:
         late, answers = self.commands.overdue(time_s)
         self.counters["commands_unanswered"] += late
         outputs += answers
+        return outputs
+
+    def learn_epoch(self, verdict: Verdict) -> list[Output]:
+        """Where the gate knows of a greater epoch than was ever granted here, end what is numbered below it."""
+        outputs: list[Output] = []
+        for reason in verdict.reasons:
+            if reason.code is ReasonCode.LEASE_NOT_HELD and reason.bound is not None:
+                for lease in self.leases.count_on_from(int(reason.bound)):
+                    self.counters["leases_outdated"] += 1
+                    outputs += self.end_lease(lease)
         return outputs
 
     def refuse(self, robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:

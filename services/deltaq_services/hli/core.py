@@ -43,7 +43,7 @@ class HliCore:
         told: what clients are told about the cell.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         new_token: makes a secret, different each time.
-        first_epoch: greater than any lease epoch or command id used before, also by an earlier process.
+        first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
         operator_token: where given, `take` and `reset` need it.
 
     Attributes:
@@ -109,7 +109,7 @@ class HliCore:
         outputs: list[Output] = [ToOpen(topics.VERDICT, verdict.robot, verdict)]
         if sender is not None:
             outputs.insert(0, ToSender(sender, verdict))
-        return outputs
+        return outputs + self._books.learn_epoch(verdict)
 
     def on_command_reply(self, reply: CommandReply) -> list[Output]:
         """The gate has taken a command or refused it."""

@@ -1,6 +1,7 @@
 """Leases: one writer a robot. Who writes is decided here and nowhere else.
 
-Every grant has an epoch of its own, greater than any before, and a token that only its holder is told.
+Every grant has an epoch of its own, greater than any before, and a token that only its holder is told. Epochs begin
+with the time of day; should that have been set back, the gate still knows the epochs of an earlier process.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Leases:
         robots: names of the robots.
         lease_s: how long a lease lasts without a renewal.
         new_token: makes a secret, different each time.
-        first_epoch: greater than any epoch granted before, also by an earlier process.
+        first_epoch: greater than any epoch granted before; `count_on_from` mends it if it is not.
     """
 
     def __init__(
@@ -64,6 +65,13 @@ class Leases:
         lease = Lease(robot, self._epoch, client, self._new_token(), time_s + self._lease_s, connection)
         self._leases[robot] = lease
         return lease
+
+    def count_on_from(self, epoch: int) -> list[Lease]:
+        """An earlier process granted `epoch`: grant greater ones; returns the leases that the gate takes for old."""
+        if epoch <= self._epoch:
+            return []
+        self._epoch = epoch
+        return [lease for lease in self._leases.values() if lease is not None]
 
     def renew(self, lease: Lease, time_s: float) -> None:
         """Let a lease last from now."""
