@@ -241,7 +241,7 @@ def _last(messages: list[T]) -> T | None:
 
 def _arm(cell: CellModel, name: str, robot: RobotModel, cell_file: Path, q_start: Array) -> Arm:
     description, cycle_s = robot.description, cell.description.cycle_s
-    server = RobotServer(cell.description, name)
+    server = RobotServer(cell.description, name, process=1)
     if not isinstance(description.driver, RsiDescription):
         return Arm(None, None, server, q_start)
     config = load_ethernet_xml(resolve_near(cell_file, description.driver.ethernet_xml))

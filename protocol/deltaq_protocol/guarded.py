@@ -27,11 +27,13 @@ class Plan(Message):
 class ServerState(Message):
     """State of one robot as its Robot Server publishes it, after it replied to the KRC.
 
-    `q_cmd` and `dq` are the setpoint just sent and its increment. `sequence` is the admission it follows in
-    gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n of them everywhere.
+    `process` is a number that no other process of this Robot Server has: each begins with cycle 1, and knows nothing of
+    the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment. `sequence` is the
+    admission it follows in gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n everywhere.
     """
 
     robot: Name
+    process: Count
     cycle: Count
     ipoc: Count
     time_s: FiniteFloat
@@ -162,6 +164,7 @@ class TrackerMemory(Message):
     """What the gate remembers of one robot's motion: its newest state and the setpoints behind it."""
 
     state: ServerState | None = None
+    ended_processes: tuple[Count, ...] = ()
     in_flight: Admission | None = None
     missed: Count = 0
     history: tuple[Joints, ...] = ()

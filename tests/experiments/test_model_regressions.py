@@ -16,12 +16,14 @@ class Pair:
     def __init__(self):
         self.cell = one_joint_cell()
         self.sim = one_joint_sim(self.cell)
+        self.processes = 0
         self.start_server()
         self.time = 0
         self.supervision = None
 
     def start_server(self):
-        self.server = RobotServer(self.cell, ROBOT)
+        self.processes += 1
+        self.server = RobotServer(self.cell, ROBOT, self.processes)
 
     def cycles(self, count=4):
         for _ in range(count):
@@ -32,6 +34,13 @@ class Pair:
             self.take(self.server.state)
             self.take(Request(robot=ROBOT, cycle=self.server.state.cycle, lease_epoch=1))
         return self.server.state.phase
+
+    def unheard(self, count):
+        """As many cycles of which the gate hears nothing."""
+        for _ in range(count):
+            self.time += 1
+            q_start = np.zeros(1) if self.server.state is None else None
+            self.server.cycle(Measurement(self.time, np.zeros(1), q_start=q_start), float(self.time))
 
     def take(self, message):
         outputs = [output.message for output in self.sim.take(message)]
@@ -75,6 +84,29 @@ def test_a_robot_server_that_starts_anew_takes_no_old_reset_for_a_new_one(pair):
     assert pair.server.state.reason is ReasonCode.SERVER_LOST
     pair.command("reset")
     assert pair.cycles() is Phase.READY
+
+
+@pytest.mark.parametrize("further", [0, 1, 30])
+def test_a_robot_server_that_starts_anew_is_held_even_if_the_gate_hears_it_only_when_it_has_come_as_far(
+    pair, further
+):
+    pair.command("stop")
+    pair.cycles()
+    reached = pair.server.state.cycle
+    pair.start_server()
+    pair.unheard(reached + further - 1)
+    assert pair.cycles() is Phase.HELD
+    assert pair.server.state.reason is ReasonCode.SERVER_LOST
+
+
+def test_a_state_of_a_robot_server_that_has_ended_is_not_believed_any_more(pair):
+    old = pair.server.state
+    pair.start_server()
+    pair.cycles()
+    newest = pair.server.state
+    pair.take(old)
+    assert pair.sim.robots[ROBOT].tracker.state is newest
+    assert not pair.sim.robots[ROBOT].tracker.restarted
 
 
 def test_no_reset_is_accepted_while_the_krc_of_a_held_robot_is_silent(pair):

@@ -96,7 +96,7 @@ def test_a_robot_server_takes_whatever_is_a_message_and_never_leaves_its_limits(
     orders: list[tuple[Admission | None, Supervision | None]],
 ) -> None:
     cell = small_cell()
-    server, robot = RobotServer(cell, "fr"), cell.robots["fr"]
+    server, robot = RobotServer(cell, "fr", process=1), cell.robots["fr"]
     for number, (admission, supervision) in enumerate(orders):
         q = robot.home
         measured = Measurement(ipoc=12 * number, q=q, q_start=q if number == 0 else None)

@@ -24,7 +24,7 @@ class Rig:
     """A Robot Server whose robot is always where it was sent."""
 
     def __init__(self):
-        self.server = RobotServer(CELL, "fr")
+        self.server = RobotServer(CELL, "fr", process=1)
         self.q = FR.home.copy()
         self.ipoc = 1000
         self.resets = 0
@@ -68,13 +68,13 @@ def rig():
 
 
 def test_it_is_offline_until_the_gate_is_heard():
-    server = RobotServer(CELL, "fr")
+    server = RobotServer(CELL, "fr", process=1)
     server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
     assert server.state.phase is Phase.OFFLINE
 
 
 def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
-    server = RobotServer(CELL, "fr")
+    server = RobotServer(CELL, "fr", process=1)
     for count in range(GATE_TIMEOUT + 5):
         q_start = FR.home if count == 0 else None
         server.cycle(Measurement(12 * count, FR.home, q_start=q_start), 0.0)
@@ -85,7 +85,7 @@ def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
 
 
 def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_taken():
-    server = RobotServer(CELL, "gr")
+    server = RobotServer(CELL, "gr", process=1)
     assert server.outputs == {"gripper": False, "tool_changer": False}
     home = CELL.robots["gr"].home
     orders = Supervision(robot="gr", epoch=EPOCH, cycle=0, outputs={"gripper": True, "lamp": True})
@@ -280,7 +280,7 @@ def test_replies_may_be_missed_for_their_time_and_no_cycle_longer(rig):
 
 
 def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
-    server = RobotServer(CELL, "fr")
+    server = RobotServer(CELL, "fr", process=1)
     alive = Supervision(robot="fr", epoch=EPOCH, cycle=0)
     for count in range(KRC_TIMEOUT + 1):
         assert server.state is None or server.state.phase is Phase.READY
@@ -322,14 +322,14 @@ def test_of_several_causes_the_silent_krc_stands(rig):
 
 
 def test_a_krc_that_was_silent_before_its_first_telegram_changes_nothing():
-    server = RobotServer(CELL, "fr")
+    server = RobotServer(CELL, "fr", process=1)
     server.krc_silent(99.0)
     assert server.state is None
     assert server.counters == {"krc_silent": 1}
 
 
 def test_a_silent_krc_does_not_hold_a_robot_that_no_gate_has_linked():
-    server = RobotServer(CELL, "fr")
+    server = RobotServer(CELL, "fr", process=1)
     server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
     server.krc_silent(99.0)
     assert (server.state.phase, server.state.reason) == (Phase.OFFLINE, None)

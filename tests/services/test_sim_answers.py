@@ -113,7 +113,7 @@ def test_the_gate_s_times_are_whole_cycles_that_are_not_shorter(rig):
 def test_a_robot_server_that_began_anew_is_stopped_and_its_first_cycles_are_decided_anew(rig):
     rig.sim.on_request(ask(rig))
     decided = rig.state.cycle
-    again = next_state(rig, cycle=1, time_s=rig.time_s + 60.0)
+    again = next_state(rig, process=2, cycle=1)
     assert rig.sim.on_state(again)[0].message.stop is ReasonCode.SERVER_LOST
     held = again.model_copy(update={"cycle": decided - 1, "time_s": again.time_s + 1, "phase": Phase.HELD})
     assert rig.sim.on_state(held)[0].message.stop is None

@@ -57,7 +57,7 @@ def test_a_repeated_cycle_may_tell_a_new_phase_unless_it_was_overtaken(tracker):
     assert tracker.state is same_time
 
 
-@pytest.mark.parametrize("time_s", [4.9, 5.0])
+@pytest.mark.parametrize("time_s", [4.9, 5.0, 500.0])
 def test_a_state_that_was_overtaken_changes_nothing(tracker, time_s):
     newest = state(2, 0.2, time_s=5.0)
     tracker.observe(newest)
@@ -70,17 +70,34 @@ def test_a_robot_server_that_began_anew_is_followed_from_there(tracker):
     for cycle in range(50, 50 + LAG):
         tracker.observe(state(cycle, 0.2, time_s=5.0 + cycle))
     tracker.in_flight = admission(9)
-    assert tracker.observe(state(1, 0.5, time_s=500.0))
+    assert tracker.observe(state(1, 0.5, process=2))
     np.testing.assert_array_equal(first_joint(tracker.standing()), [0.5])
     assert (tracker.in_flight, tracker.missed) == (None, 0)
 
 
-def test_a_restart_shows_in_the_first_state_of_the_new_process_and_in_no_other(tracker):
+@pytest.mark.parametrize("first_cycle", [1, 51, 52, 900])
+def test_a_restart_shows_in_the_first_state_of_the_new_process_and_in_no_other(tracker, first_cycle):
     seen = [tracker.restarted]
-    for cycle, time_s in [(50, 5.0), (51, 5.1), (1, 500.0), (2, 500.1), (2, 500.2)]:
-        tracker.observe(state(cycle, time_s=time_s))
+    states = [(1, 50), (1, 51), *((2, first_cycle + later) for later in (0, 1, 1))]
+    for process, cycle in states:
+        tracker.observe(state(cycle, process=process, time_s=5.0))
         seen.append(tracker.restarted)
     assert seen == [False, False, False, True, False, False]
+
+
+def test_of_processes_that_have_ended_no_state_is_taken_whatever_its_cycle(tracker):
+    for process in (1, 2, 3):
+        tracker.observe(state(10, process=process))
+    newest = tracker.state
+    for process in (1, 2):
+        assert not tracker.observe(state(99, process=process, time_s=500.0))
+    assert (tracker.state, tracker.restarted) == (newest, False)
+
+
+def test_of_many_processes_the_last_sixteen_that_ended_are_remembered(tracker):
+    for process in range(18):
+        tracker.observe(state(10, process=process))
+    assert tracker.memory().ended_processes == tuple(range(1, 17))
 
 
 def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tracker):

@@ -17,7 +17,7 @@ class Rig:
 
     def __init__(self, cell=CELL, **start):
         self.sim = Sim(cell, epoch=5)
-        self.servers = {name: RobotServer(cell.description, name) for name in cell.robots}
+        self.servers = {name: RobotServer(cell.description, name, process=1) for name in cell.robots}
         self.q = {name: robot.home.copy() for name, robot in cell.robots.items()} | start
         self.mail = dict.fromkeys(CELL.robots, (None, None))
         self.time_s = 0.0
@@ -41,7 +41,8 @@ class Rig:
 
     def restart_server(self, robot):
         """Its process dies, and another takes its place."""
-        self.servers[robot] = RobotServer(CELL.description, robot)
+        process = self.servers[robot].process + 1
+        self.servers[robot] = RobotServer(CELL.description, robot, process)
 
     def deliver(self, outputs):
         for output in outputs:

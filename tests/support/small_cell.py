@@ -101,6 +101,7 @@ def server_state(
     n = len(changes["q"]) if "q" in changes else {"fr": 6, "gr": 9}.get(robot, 6)
     fields: dict[str, Any] = {
         "robot": robot,
+        "process": 1,
         "cycle": cycle,
         "ipoc": 12 * cycle,
         "time_s": 0.012 * cycle,

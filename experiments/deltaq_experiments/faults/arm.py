@@ -30,7 +30,7 @@ class VirtualArm:
     Args:
         name: of the robot.
         krc: the emulated controller.
-        begin: makes the Robot Server's core and its driver, as the process does when it starts.
+        begin: makes the Robot Server's core and its driver, as a process of the given number does when it starts.
         publish: takes each state that the Robot Server publishes.
         krc_timeout_s: silence after which the Robot Server says so.
         seed: of the wire's random numbers.
@@ -46,7 +46,7 @@ class VirtualArm:
         self,
         name: str,
         krc: Krc,
-        begin: Callable[[], tuple[RobotServer, RsiDriver]],
+        begin: Callable[[int], tuple[RobotServer, RsiDriver]],
         publish: Callable[[ServerState], None],
         krc_timeout_s: float,
         seed: int,
@@ -56,7 +56,7 @@ class VirtualArm:
         self.panel = Panel(name, krc, self.to_pc, self.from_pc, CsvRecorder(krc.cycle_s, len(krc.sample.q)))
         self.clock_s = 0.0
         self._begin, self._publish, self._krc_timeout_s = begin, publish, krc_timeout_s
-        self._sent_s = 0.0
+        self._sent_s, self._processes = 0.0, 0
         self.restart(0.0)
 
     @property
@@ -67,7 +67,8 @@ class VirtualArm:
     def restart(self, now_s: float) -> None:
         """Start the Robot Server's process, anew."""
         self.life = Life.RUNNING
-        self._server, self._rsi = self._begin()
+        self._processes += 1
+        self._server, self._rsi = self._begin(self._processes)
         self._admission: Admission | None = None
         self._supervision: Supervision | None = None
         self._waiting: bytes | None = None

@@ -74,13 +74,13 @@ class LoadedCell:
             KrcSettings.load(),
         )
 
-    def server(self, robot: str) -> tuple[RobotServer, RsiDriver]:
-        """A Robot Server's core and its driver, as its process begins with them."""
+    def server(self, robot: str, process: int) -> tuple[RobotServer, RsiDriver]:
+        """A Robot Server's core and its driver, as a process of this number begins with them."""
         description = self.model.description
         driver = description.robots[robot].driver
         assert isinstance(driver, RsiDescription)  # `load` has seen to that
         codec = sensor_codec(description, robot, self._ethernet_xml(driver))
-        return RobotServer(description, robot), RsiDriver(codec, description.cycle_s)
+        return RobotServer(description, robot, process), RsiDriver(codec, description.cycle_s)
 
     def tool_pose(self, robot: str, q: tuple[float, ...]) -> ToolPose:
         """Pose of a robot's tool at `q` (n,) [rad or m]."""

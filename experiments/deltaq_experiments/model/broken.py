@@ -30,8 +30,8 @@ class _TakesLate(RobotServer):
 class LateIsTaken(System):
     """The Robot Server takes an admission whatever cycle it was for."""
 
-    def _new_server(self) -> RobotServer:
-        return _TakesLate(self._description, ROBOT)
+    def _new_server(self, process: int) -> RobotServer:
+        return _TakesLate(self._description, ROBOT, process)
 
 
 class _ResetsAtOnce(RobotServer):
@@ -50,8 +50,8 @@ class _AlwaysAtRest(Tracker):
 class ResetIgnoresRest(System):
     """The Robot Server obeys a reset while the robot still brakes, and the gate gives it."""
 
-    def _new_server(self) -> RobotServer:
-        return _ResetsAtOnce(self._description, ROBOT)
+    def _new_server(self, process: int) -> RobotServer:
+        return _ResetsAtOnce(self._description, ROBOT, process)
 
     def _new_sim(self) -> Sim:
         return self._sim_with(_AlwaysAtRest, Orders)
@@ -85,8 +85,8 @@ class _StepsTwice(RobotServer):
 class MissedReplyIsForgotten(System):
     """The Robot Server goes on though the KRC did not get its last reply."""
 
-    def _new_server(self) -> RobotServer:
-        return _StepsTwice(self._description, ROBOT)
+    def _new_server(self, process: int) -> RobotServer:
+        return _StepsTwice(self._description, ROBOT, process)
 
 
 class _NeverLosesTheGate(RobotServer):
@@ -98,8 +98,8 @@ class _NeverLosesTheGate(RobotServer):
 class SilentGateIsIgnored(System):
     """The Robot Server never takes the gate for lost."""
 
-    def _new_server(self) -> RobotServer:
-        return _NeverLosesTheGate(self._description, ROBOT)
+    def _new_server(self, process: int) -> RobotServer:
+        return _NeverLosesTheGate(self._description, ROBOT, process)
 
 
 class _ForgetsAdmissions(Tracker):

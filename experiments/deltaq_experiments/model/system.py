@@ -67,8 +67,8 @@ class System:
     def _new_sim(self) -> Sim:
         return one_joint_sim(self._description)
 
-    def _new_server(self) -> RobotServer:
-        return RobotServer(self._description, ROBOT)
+    def _new_server(self, process: int) -> RobotServer:
+        return RobotServer(self._description, ROBOT, process)
 
     def _sim_with(self, tracker_type: type[Tracker], orders_type: type[Orders]) -> Sim:
         """A SIM that follows its robot and orders it about with these."""
@@ -81,7 +81,7 @@ class System:
     def start(self, faults: int) -> World:
         """The first moment, with at most so many faults to come."""
         return World(
-            server=self._new_server(),
+            server=self._new_server(process=1),
             gate=self._blank,
             turn=Turn.TELEGRAM,
             faults_left=faults,
@@ -198,7 +198,7 @@ class System:
         assert world.server.state is not None  # a crash is not offered before the first state
         return replace(
             world,
-            server=self._new_server(),
+            server=self._new_server(world.server.process + 1),
             q=world.server.state.q_cmd[0],
             new_admission=False,
             new_supervision=False,

@@ -121,6 +121,7 @@ class _Key:
         self._sequence = _ranks(sequences, 1)
         resets = [0, gate.orders.resets, self._inner["_resets"], *(s.resets for s in states)]
         self._resets = _ranks([*resets, *(sent.message.resets for sent in world.supervisions)], 2)
+        self._process = _ranks([s.process for s in states], 1)
         self._time = _ranks([round(s.time_s) for s in states], 1)
         self._place = world.server.state.q_cmd[0] if world.server.state is not None else world.q
 
@@ -143,6 +144,7 @@ class _Key:
             self._state(gate.tracker.state),
             self._admission(gate.tracker.in_flight),
             tuple(self._q(setpoint[0]) for setpoint in gate.tracker.history),
+            tuple(self._process[one] for one in gate.tracker.ended_processes if one in self._process),
             gate.orders.standing_stop,
             self._resets[gate.orders.resets],
             None if silent is None else min(silent, _PAST_TIMEOUT),
@@ -165,6 +167,7 @@ class _Key:
         if state is None:
             return None
         return (
+            self._process[state.process],
             self._cycle[state.cycle],
             self._time[round(state.time_s)],
             self._q(state.q[0]),

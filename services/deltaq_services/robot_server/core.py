@@ -48,14 +48,20 @@ class Measurement:
 class RobotServer:
     """The state of one robot's server, advanced by one telegram at a time.
 
+    Args:
+        cell: the cell.
+        robot: the robot's name.
+        process: a number that no other process of this Robot Server has.
+
     Attributes:
         state: what is published after each cycle; None before the first telegram.
         outputs: digital outputs to be set, by name.
         counters: how often what happened.
     """
 
-    def __init__(self, cell: CellDescription, robot: str) -> None:
+    def __init__(self, cell: CellDescription, robot: str, process: int) -> None:
         self.robot = robot
+        self.process = process
         self.state: ServerState | None = None
         self.outputs: dict[str, bool] = dict.fromkeys(cell.robots[robot].outputs, False)
         self.counters: Counter[str] = Counter()
@@ -207,6 +213,7 @@ class RobotServer:
     def _publishable(self, measured: Measurement, time_s: float) -> ServerState:
         return ServerState(
             robot=self.robot,
+            process=self.process,
             cycle=self._cycle,
             ipoc=measured.ipoc,
             time_s=time_s,

@@ -6,6 +6,7 @@ One blocking loop in one Python thread: receive, answer at once, and publish aft
 from __future__ import annotations
 
 import math
+import secrets
 import select
 import socket
 import time
@@ -36,7 +37,7 @@ def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
         robot: the robot's name.
         ethernet_xml: the RSI configuration that the KRC has loaded; None for a kinematic robot.
     """
-    server = RobotServer(cell, robot)
+    server = RobotServer(cell, robot, process=secrets.randbits(62))
     ask_for_real_time(_REAL_TIME_PRIORITY)
     driver = cell.robots[robot].driver
     if isinstance(driver, RsiDescription):

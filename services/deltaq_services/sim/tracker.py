@@ -18,6 +18,9 @@ from deltaq_services.sim.tube import Branch, Windows, tube
 
 Array = NDArray[np.float64]
 
+_ENDED_PROCESSES = 16
+"""Processes of one Robot Server that are remembered: their states may be overtaken by those of their successor."""
+
 _ROUNDING = 2e-5
 """What a telegram's decimals may make of a measured joint that is on its path [rad or m]."""
 
@@ -41,21 +44,23 @@ class Tracker:
         self._lag = max(2, lag_cycles)
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
+        self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
 
     def observe(self, state: ServerState) -> bool:
         """Take a state in; returns False if no cycle of the robot has passed since the last."""
         self.restarted = False
-        if self.state is not None:
-            if state.cycle == self.state.cycle:
-                if state.time_s >= self.state.time_s:
-                    self.state = state  # the KRC is silent, but phase and reason may have changed
+        if state.process in self._ended:
+            return False
+        if self.state is not None and state.process != self.state.process:
+            self.restarted = True
+            self._ended.append(self.state.process)
+            self._history.clear()
+            self.in_flight = None
+        elif self.state is not None:
+            if state.cycle == self.state.cycle and state.time_s >= self.state.time_s:
+                self.state = state  # the KRC is silent, but phase and reason may have changed
+            if state.cycle <= self.state.cycle:
                 return False
-            if state.cycle < self.state.cycle:
-                if state.time_s <= self.state.time_s:
-                    return False
-                self.restarted = True
-                self._history.clear()
-                self.in_flight = None
         self.state = state
         if self.in_flight is not None:
             if (state.epoch, state.sequence) != (self.in_flight.epoch, self.in_flight.sequence):
@@ -67,13 +72,20 @@ class Tracker:
     def memory(self) -> TrackerMemory:
         """What `recall` needs to go on from here."""
         history = tuple(tuple(setpoint.tolist()) for setpoint in self._history)
-        return TrackerMemory(state=self.state, in_flight=self.in_flight, missed=self.missed, history=history)
+        return TrackerMemory(
+            state=self.state,
+            ended_processes=tuple(self._ended),
+            in_flight=self.in_flight,
+            missed=self.missed,
+            history=history,
+        )
 
     def recall(self, memory: TrackerMemory) -> None:
         """Go on from where another tracker of this robot was."""
         self.state, self.in_flight, self.missed = memory.state, memory.in_flight, memory.missed
         self._history.clear()
         self._history.extend(np.array(setpoint) for setpoint in memory.history)
+        self._ended = deque(memory.ended_processes, maxlen=_ENDED_PROCESSES)
 
     @property
     def q_cmd(self) -> Array:
