@@ -107,10 +107,16 @@ class Command(Message):
     """HLI to SIM, answered by a `CommandReply`.
 
     Stop robots or reset one, set digital outputs, judge an increment `dq` without moving, or allow a contact.
+
+    A stop is always obeyed. Anything else is taken once, in its order and time: by the gate of `epoch` only, if `id` is
+    greater than that of every command before, and none of the robots it concerns is further from `cycles`, the newest
+    that the HLI had seen of each, than an increment may be old.
     """
 
     id: Count
     kind: Literal["stop", "reset", "io", "dry_run", "contact"]
+    epoch: Count = 0
+    cycles: dict[Name, Count] = {}
     robot: Name | None = None
     reason: ReasonCode = ReasonCode.OPERATOR_STOP
     outputs: dict[str, bool] = {}
@@ -120,12 +126,17 @@ class Command(Message):
 
 
 class CommandReply(Message):
-    """SIM to HLI: whether the command was taken, and if not, why; of a dry run the verdict."""
+    """SIM to HLI: whether the command was taken, and if not, why; of a dry run the verdict.
+
+    `epoch` and `newest_id` are what the next command has to go by, told to who did not know.
+    """
 
     id: Count
     accepted: bool
     code: ReasonCode | None = None
     message: str = ""
+    epoch: Count | None = None
+    newest_id: Count | None = None
     verdict: Verdict | None = None
 
 
@@ -196,13 +207,14 @@ class RobotMemory(Message):
 class GateMemory(Message):
     """All that the gate's decisions depend on after `number` messages, so that a replay can begin there.
 
-    `sequence` is that of the last admission, `receipt` the head of the chain of refusals, and `fingerprint` tells
-    the gate's code and configuration.
+    `sequence` is that of the last admission, `command_id` the greatest of any command, `receipt` the head of the chain
+    of refusals, and `fingerprint` tells the gate's code and configuration.
     """
 
     epoch: Count
     number: Count
     sequence: Count
+    command_id: Count = 0
     receipt: str
     fingerprint: str
     contacts: tuple[Name, ...] = ()

@@ -24,6 +24,7 @@ class ReasonCode(StrEnum):
     BAD_SHAPE = "bad_shape"
     NOT_FINITE = "not_finite"
     STALE_CYCLE = "stale_cycle"
+    STALE_EPOCH = "stale_epoch"
     FUTURE_CYCLE = "future_cycle"
     REPLAYED_SEQUENCE = "replayed_sequence"
     SUPERSEDED = "superseded"
@@ -59,7 +60,8 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.MALFORMED: "the message does not have the fields of its type",
     ReasonCode.BAD_SHAPE: "dq does not have one element for each joint of the robot",
     ReasonCode.NOT_FINITE: "dq has an element that is not a finite number",
-    ReasonCode.STALE_CYCLE: "the increment answers a cycle that is too old",
+    ReasonCode.STALE_CYCLE: "it answers a cycle of the robot that is too old",
+    ReasonCode.STALE_EPOCH: "the command is for a gate that has ended",
     ReasonCode.FUTURE_CYCLE: "the increment answers a cycle that has not been",
     ReasonCode.REPLAYED_SEQUENCE: "the sequence number is not greater than the last one",
     ReasonCode.SUPERSEDED: "a newer increment of the same cycle took its place",

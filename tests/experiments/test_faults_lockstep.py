@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deltaq_experiments.faults.catalogue import CATALOGUE, Process, UnknownFaultError, fault_named
+from deltaq_emulator.faults import LinkFaults
+from deltaq_experiments.faults.catalogue import CATALOGUE, Link, Process, UnknownFaultError, fault_named
 from deltaq_experiments.faults.cell import VirtualCell
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.lockstep import run_fault
@@ -41,6 +42,7 @@ def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
         ("controller-frozen", "controller_lost", 1.1, "reset"),
         ("hli-dead", "hli_lost", 0.6, "restart of the hli, reset"),
         ("hli-frozen", "hli_lost", 0.6, "reset"),
+        ("hli-begins-in-the-past", "hli_lost", 0.6, "restart of the hli, reset"),
         ("hli-sim-cut", "hli_lost", 0.6, "reset"),
         ("sim-dead", "gate_lost", 0.6, "restart of the sim, reset"),
         ("sim-frozen", "gate_lost", 0.6, "reset"),
@@ -115,6 +117,30 @@ def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
     stack.stop()
     cycle(60)
     assert arm.state.phase == "held"  # nobody has reset it
+
+
+def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
+    stack = VirtualCell(lab, "fr")
+
+    def cycle(duration_s):
+        for _ in range(round(duration_s / 0.012)):
+            stack.cycle()
+
+    cycle(0.6)
+    stack.stop()
+    cycle(0.6)
+    stack.reset()  # the first command tells the HLI which gate this is
+    cycle(0.6)
+    assert stack.arms["fr"].state.phase in MAY_MOVE
+    stack.stop()
+    cycle(0.6)
+    assert stack.arms["fr"].state.phase == "held"
+    to_sim = stack.wires[Link.HLI_SIM, Process.SIM].link
+    to_sim.faults = LinkFaults(delay_s=0.3)  # the HLI is still heard, 0.3 s late
+    asked = stack.reset()
+    cycle(0.6)
+    assert [answer.code for answer in asked.told] == ["stale_cycle"]
+    assert stack.arms["fr"].state.phase == "held"
 
 
 def test_one_seed_is_one_run(lab):

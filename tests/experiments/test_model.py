@@ -81,7 +81,9 @@ def test_every_phase_is_reached():
 
 def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_server():
     told = {
-        "state": {"process", "_q_cmd", "_dq", "_plan", "_plan_dq", "_epoch", "_sequence", "_phase", "_reason", "_cycle"},
+        "state": {
+            "process", "_q_cmd", "_dq", "_plan", "_plan_dq", "_epoch", "_sequence", "_phase", "_reason", "_cycle",
+        },
         "key": {"_cycles_without_gate", "_cycles_missed", "_resets", "state"},
         "fixed or only counted": {
             "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles",

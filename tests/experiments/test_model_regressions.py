@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from gate_rig import bound
 
 from deltaq_experiments.model.one_joint import ROBOT, one_joint_cell, one_joint_sim
-from deltaq_protocol.guarded import Command, Request, Supervision
+from deltaq_protocol.guarded import Request, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.core import Measurement, RobotServer
@@ -49,7 +50,7 @@ class Pair:
         return outputs
 
     def command(self, kind):
-        return self.take(Command(id=1, kind=kind, robot=ROBOT))
+        return self.take(bound(self.sim, kind=kind, robot=ROBOT))
 
 
 @pytest.fixture

@@ -476,3 +476,66 @@ def test_a_contact_needs_a_name_of_the_cell_and_the_operators_token() -> None:
     assert (command.kind, command.contact, command.allowed) == ("contact", "gripper_on_valves", True)
     done = bench.core.on_command_reply(CommandReply(id=command.id, accepted=True))
     assert done == [ToSender(bench.client, Done(what="contact gripper_on_valves allowed"))]
+
+
+# --- commands bound to the gate -----------------------------------------------------------------------
+
+
+def out_of_turn(command: Command, code: str, epoch: int = 0, newest_id: int = 0) -> CommandReply:
+    reason = ReasonCode(code)
+    return CommandReply(id=command.id, accepted=False, code=reason, epoch=epoch, newest_id=newest_id)
+
+
+def reset(bench: Bench) -> Command:
+    request = ResetRequest(robot="fr")
+    command: Command = only(Command, bench.core.requests.on_reset(request, bench.client, bench.now))
+    return command
+
+
+def test_a_command_goes_by_the_newest_cycle_of_every_robot_that_was_heard() -> None:
+    bench = Bench()
+    assert reset(bench).cycles == {}
+    bench.state(7)
+    bench.state(5, "gr")
+    assert reset(bench).cycles == {"fr": 7, "gr": 5}
+
+
+def test_a_command_that_did_not_know_the_gate_s_epoch_is_sent_again_with_it() -> None:
+    bench = Bench()
+    first = reset(bench)
+    second = only(Command, bench.core.on_command_reply(out_of_turn(first, "stale_epoch", 77)))
+    assert (second.epoch, second.id, second.cycles) == (77, first.id + 1, first.cycles)
+    assert only(Done, bench.core.on_command_reply(CommandReply(id=second.id, accepted=True)))
+    assert reset(bench).epoch == 77
+
+
+def test_an_hli_whose_ids_begin_below_those_of_an_earlier_one_goes_on_from_there() -> None:
+    bench = Bench()
+    first, second = reset(bench), reset(bench)
+    again = [
+        only(Command, bench.core.on_command_reply(out_of_turn(one, "replayed_sequence", newest_id=9_000)))
+        for one in (first, second)
+    ]
+    assert [one.id for one in again] == [9_001, 9_002]
+
+
+def test_nothing_that_was_asked_before_a_stop_is_sent_again_after_it() -> None:
+    bench = Bench()
+    first = reset(bench)
+    bench.core.requests.on_stop(bench.client, bench.now)
+    told = only(Error, bench.core.on_command_reply(out_of_turn(first, "stale_epoch", 77)))
+    assert told.code is ReasonCode.STALE_EPOCH
+    assert reset(bench).epoch == 77
+
+
+def test_that_a_copy_of_a_command_was_refused_is_no_answer_to_it() -> None:
+    bench = Bench()
+    command = reset(bench)
+    assert bench.core.on_command_reply(out_of_turn(command, "replayed_sequence", newest_id=command.id)) == []
+    assert only(Done, bench.core.on_command_reply(CommandReply(id=command.id, accepted=True)))
+
+
+def test_a_command_that_was_too_late_is_told_and_not_sent_again() -> None:
+    bench = Bench()
+    told = only(Error, bench.core.on_command_reply(out_of_turn(reset(bench), "stale_cycle")))
+    assert told.code is ReasonCode.STALE_CYCLE

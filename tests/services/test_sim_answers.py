@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gate_rig import CELL, SMALL, Rig
+from gate_rig import CELL, SMALL, Rig, bound
 
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol import topics
@@ -67,7 +67,7 @@ def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
 
 
 def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
-    rig.sim.on_command(Command(id=3, kind="io", robot="gr", outputs={"gripper": True}))
+    rig.sim.on_command(bound(rig.sim, id=3, kind="io", robot="gr", outputs={"gripper": True}))
     state = next_state(rig, robot="gr", resets=4)
     expected = Supervision(robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True})
     for _ in range(2):
@@ -84,7 +84,7 @@ def test_a_stop_is_repeated_by_supervision_until_the_state_shows_it(rig):
 
 
 def test_a_repeated_state_can_show_that_a_reset_is_done(rig):
-    assert rig.sim.on_command(Command(id=17, kind="reset", robot="fr")) == []
+    assert rig.sim.on_command(bound(rig.sim, id=17, kind="reset", robot="fr")) == []
     done = rig.sim.on_state(rig.state)
     assert done[1:] == [Output(topics.COMMAND_REPLY, "", CommandReply(id=17, accepted=True))]
 
@@ -275,7 +275,7 @@ def test_a_command_to_a_robot_that_is_not_here_is_refused_and_not_counted(rig):
 def test_commands_are_counted_by_kind(rig):
     for _ in range(2):
         rig.sim.on_command(Command(id=8, kind="stop"))
-    rig.sim.on_command(Command(id=9, kind="io", robot="gr", outputs={"gripper": True}))
+    rig.sim.on_command(bound(rig.sim, id=9, kind="io", robot="gr", outputs={"gripper": True}))
     assert (rig.sim.counters["command_stop"], rig.sim.counters["command_io"]) == (2, 1)
 
 
@@ -297,7 +297,7 @@ def test_from_the_moment_of_a_stop_nothing_is_admitted(rig):
 
 def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
     rig.sim.on_command(Command(id=8, kind="stop"))
-    replies = [output.message for output in rig.sim.on_command(Command(id=9, kind="reset"))]
+    replies = [output.message for output in rig.sim.on_command(bound(rig.sim, id=9, kind="reset"))]
     assert [(reply.id, reply.accepted, reply.code) for reply in replies] == [
         (9, False, ReasonCode.NOT_AT_REST)
     ] * 2
@@ -322,7 +322,7 @@ def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):
     assert heir.memory() == memory
     assert heir.taken == memory.number
     state = next_state(rig)
-    for message in (state, ask(rig, seq=5), Command(id=3, kind="reset", robot="gr")):
+    for message in (state, ask(rig, seq=5), bound(rig.sim, id=3, kind="reset", robot="gr")):
         assert heir.take(message) == rig.sim.take(message)
     assert heir.memory() == rig.sim.memory()
 

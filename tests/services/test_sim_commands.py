@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from gate_rig import CELL, SMALL, Rig
+from gate_rig import CELL, SMALL, Rig, bound
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
-from deltaq_protocol.guarded import Command
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Sim
@@ -51,8 +50,9 @@ def test_a_dry_run_that_cannot_be_judged_says_why(rig):
 
 def told(sim, **fields):
     """The one reply to a command: whether it was taken, why not, and in words."""
-    (output,) = sim.on_command(Command(id=23, **fields))
-    assert (output.topic, output.robot, output.message.id) == (topics.COMMAND_REPLY, "", 23)
+    command = bound(sim, **fields)
+    (output,) = sim.on_command(command)
+    assert (output.topic, output.robot, output.message.id) == (topics.COMMAND_REPLY, "", command.id)
     return output.message.accepted, output.message.code, output.message.message
 
 
@@ -77,7 +77,7 @@ def test_a_dry_run_of_a_robot_s_first_cycle_is_judged(rig):
     sim = Sim(CELL, epoch=5)
     for server in rig.servers.values():
         sim.on_state(server.state.model_copy(update={"cycle": 1}))
-    (output,) = sim.on_command(Command(id=23, kind="dry_run", robot="fr", dq=SMALL))
+    (output,) = sim.on_command(bound(sim, kind="dry_run", robot="fr", dq=SMALL))
     assert (output.message.verdict.seq, output.message.verdict.cycle) == (0, 1)
 
 

@@ -212,12 +212,13 @@ def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
 
 
 def test_a_tracker_goes_on_from_what_another_remembers(tracker):
+    tracker.observe(state(1, process=0))
     for cycle in range(1, LAG + 1):
         tracker.in_flight = admission(7)
         tracker.observe(state(cycle, cycle / 10))
     tracker.in_flight = admission(8)
     memory = tracker.memory()
-    assert memory.missed == LAG
+    assert (memory.missed, memory.ended_processes) == (LAG - 1, (0,))
     assert memory.history == tuple((cycle / 10,) * 6 for cycle in range(1, LAG + 1))
     assert (memory.state, memory.in_flight) == (tracker.state, tracker.in_flight)
     heir = Tracker("fr", FR, LAG)

@@ -12,6 +12,13 @@ CELL = CellModel.load("lab")
 SMALL = (1e-5, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+def bound(sim, **fields):
+    """A command as the HLI binds it: to this gate, after all before, and to the robots' newest states."""
+    states = {name: robot.tracker.state for name, robot in sim.robots.items()}
+    cycles = {name: state.cycle for name, state in states.items() if state is not None}
+    return Command(**{"id": sim.memory().command_id + 1, "epoch": sim.epoch, "cycles": cycles} | fields)
+
+
 class Rig:
     """Two robots that are always where they were sent, their servers, and the gate."""
 
@@ -71,7 +78,7 @@ class Rig:
 
     def command(self, **fields):
         self.said = []
-        self.deliver(self.sim.on_command(Command(id=1, **fields)))
+        self.deliver(self.sim.on_command(bound(self.sim, **fields)))
         return self.reply()
 
     def reply(self):

@@ -276,7 +276,15 @@ class System:
         return self._take_states(self._command(world, kind), -1)
 
     def _command(self, world: World, kind: _Kind) -> World:
-        return self._gate_takes(world, Command(id=1, kind=kind, robot=ROBOT))
+        state = world.gate.robots[ROBOT].tracker.state
+        command = Command(
+            id=world.gate.command_id + 1,
+            kind=kind,
+            epoch=world.gate.epoch,
+            cycles={} if state is None else {ROBOT: state.cycle},
+            robot=ROBOT,
+        )
+        return self._gate_takes(world, command)
 
     # --- the gate ---------------------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
@@ -87,18 +88,18 @@ class Books:
         if not (moving or lease.used):
             return outputs
         self.counters["controllers_lost"] += 1
-        command = Command(
-            id=self.commands.next_id(),
-            kind="stop",
-            robot=lease.robot,
-            reason=ReasonCode.CONTROLLER_LOST,
-        )
+        command = self.new_command(kind="stop", robot=lease.robot, reason=ReasonCode.CONTROLLER_LOST)
         return outputs + self.command(command, None, Done(what="stop"), time_s)
 
     def drop_all(self, reason: Reason) -> list[Output]:
         """Refuse every increment that waits, of all robots."""
         dropped = [link.drop() for link in self.links.values()]
         return [output for asked in dropped if asked for output in self.refuse_asked(asked, reason)]
+
+    def new_command(self, **fields: Any) -> Command:
+        """A command with these fields, bound to the gate and to the robots' newest states."""
+        cycles = {name: link.state.cycle for name, link in self.links.items() if link.state is not None}
+        return self.commands.numbered(Command(id=0, cycles=cycles, **fields))
 
     def command(
         self, command: Command, sender: Sender | None, done: Done | IoReply | None, time_s: float

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_services.hli.outputs import Sender, ToSender
+from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not carried out."""
@@ -29,25 +30,42 @@ class _Awaited:
 class Commands:
     """The commands that are under way.
 
+    Of the gate's epoch and of the ids of an earlier process this one hears when the gate refuses a command for them.
+
     Args:
-        first_id: greater than any id used before, also by an earlier process.
+        first_id: greater than any id used before, as far as that can be known.
     """
 
     def __init__(self, first_id: int) -> None:
         self._id = first_id
+        self._epoch = 0
+        self._outdated_id = 0
+        self._stop_id = 0
         self._awaited: dict[int, _Awaited] = {}
 
-    def next_id(self) -> int:
-        """An id that no command has had."""
+    def numbered(self, command: Command) -> Command:
+        """A command for the gate that is known, with an id that none has had."""
         self._id += 1
-        return self._id
+        if command.kind == "stop":
+            self._stop_id = self._id
+        return command.model_copy(update={"id": self._id, "epoch": self._epoch})
 
     def sent(self, command: Command, sender: Sender | None, done: Message | None, time_s: float) -> None:
         """Await the answer to a command; `done`, if any, is what the sender is told when it was carried out."""
         self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
 
-    def answered(self, reply: CommandReply) -> list[ToSender]:
-        """Tell the sender of the command what became of it."""
+    def answered(self, reply: CommandReply) -> list[Output]:
+        """Tell the sender of the command what became of it, or send it again as the gate wants it."""
+        asked = self._awaited.get(reply.id)
+        if asked is not None and reply.epoch is not None and reply.newest_id is not None:
+            self._learn(reply.epoch, reply.newest_id)
+            unknowing = asked.command.epoch != reply.epoch or asked.command.id <= self._outdated_id
+            if (
+                unknowing and asked.command.id > self._stop_id
+            ):  # what was asked before a stop does not come after it
+                return self._sent_again(self._awaited.pop(reply.id))
+            if not unknowing and reply.code is ReasonCode.REPLAYED_SEQUENCE:
+                return []  # a copy of it; the answer to the first is still to come
         awaited = self._awaited.pop(reply.id, None)
         if awaited is None or awaited.sender is None:
             return []
@@ -59,6 +77,16 @@ class Commands:
         robot = f" of {awaited.command.robot}" if awaited.command.robot else ""
         text = f"{awaited.command.kind}{robot} refused: {reply.message or EXPLANATIONS[code]}"
         return [ToSender(awaited.sender, Error(code=code, message=text, hint=_HINTS.get(code, "")))]
+
+    def _learn(self, epoch: int, newest_id: int) -> None:
+        self._epoch = epoch
+        if newest_id > self._id:
+            self._outdated_id, self._id = self._id, newest_id
+
+    def _sent_again(self, awaited: _Awaited) -> list[Output]:
+        command = self.numbered(awaited.command)
+        self._awaited[command.id] = replace(awaited, command=command)
+        return [ToGuarded(topics.COMMAND, "", command)]
 
     def overdue(self, time_s: float) -> tuple[int, list[ToSender]]:
         """How many commands the gate left unanswered just now, and what their senders are told."""

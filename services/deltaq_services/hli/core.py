@@ -113,7 +113,7 @@ class HliCore:
 
     def on_command_reply(self, reply: CommandReply) -> list[Output]:
         """The gate has taken a command or refused it."""
-        return list(self._books.commands.answered(reply))
+        return self._books.commands.answered(reply)
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
         """A service is alive; the gate's sign of life brings its counters and the nearest pair."""

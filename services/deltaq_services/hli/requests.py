@@ -5,7 +5,6 @@ from __future__ import annotations
 import hmac
 from collections.abc import Iterable
 
-from deltaq_protocol.guarded import Command
 from deltaq_protocol.messages import (
     ContactRequest,
     Done,
@@ -75,7 +74,7 @@ class Requests:
         """Bring every robot to rest; anyone may."""
         self._books.counters["stops"] += 1
         outputs = self._books.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
-        command = Command(id=self._books.commands.next_id(), kind="stop", reason=ReasonCode.OPERATOR_STOP)
+        command = self._books.new_command(kind="stop", reason=ReasonCode.OPERATOR_STOP)
         return outputs + self._books.command(command, sender, Done(what="stop"), time_s)
 
     def on_reset(self, request: ResetRequest, sender: Sender, time_s: float) -> list[Output]:
@@ -86,7 +85,7 @@ class Requests:
             text = f"reset of {request.robot} needs the operator's token"
             return self._error(sender, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request")
         self._books.counters["resets"] += 1
-        command = Command(id=self._books.commands.next_id(), kind="reset", robot=request.robot)
+        command = self._books.new_command(kind="reset", robot=request.robot)
         return self._books.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
 
     def on_dry_run(self, request: DryRunRequest, sender: Sender, time_s: float) -> list[Output]:
@@ -98,9 +97,7 @@ class Requests:
             text = f"dq has {len(request.dq)} elements, {request.robot} has {link.joints} joints"
             return self._error(sender, ReasonCode.BAD_SHAPE, text, "give one element for each joint")
         self._books.counters["dry_runs"] += 1
-        command = Command(
-            id=self._books.commands.next_id(), kind="dry_run", robot=request.robot, dq=request.dq
-        )
+        command = self._books.new_command(kind="dry_run", robot=request.robot, dq=request.dq)
         return self._books.command(command, sender, None, time_s)
 
     def on_contact(self, request: ContactRequest, sender: Sender, time_s: float) -> list[Output]:
@@ -115,8 +112,7 @@ class Requests:
             text = f"contact {request.contact} needs the operator's token"
             return self._error(sender, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request")
         self._books.counters["contacts_switched"] += 1
-        command = Command(
-            id=self._books.commands.next_id(),
+        command = self._books.new_command(
             kind="contact",
             contact=request.contact,
             allowed=request.allowed,
@@ -147,7 +143,7 @@ class Requests:
         reply = IoReply(robot=robot, outputs=before | request.outputs, inputs=state.inputs if state else {})
         if not request.outputs:
             return [*outputs, ToSender(sender, reply)]
-        command = Command(id=self._books.commands.next_id(), kind="io", robot=robot, outputs=request.outputs)
+        command = self._books.new_command(kind="io", robot=robot, outputs=request.outputs)
         return outputs + self._books.command(command, sender, reply, time_s)
 
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:

@@ -30,6 +30,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, with_receipt
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.answers import Output, nearest_pair, reply, verdict_of
+from deltaq_services.sim.command_order import CommandOrder
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.fingerprint import fingerprint
 from deltaq_services.sim.gate import Decision, Gate
@@ -81,6 +82,7 @@ class Sim:
             self.contacts,
         )
         self._sequence = 0
+        self._command_order = CommandOrder()
 
     def take(self, message: Message) -> list[Output]:
         """Take in a state, a request or a command; their order determines everything that is decided."""
@@ -132,6 +134,12 @@ class Sim:
         robots = [robot for name, robot in self.robots.items() if command.robot in (None, name)]
         if not robots:
             return [reply(command.id, ReasonCode.UNKNOWN_ROBOT, f"no robot {command.robot!r} here")]
+        if command.kind != "stop":
+            refusal = self._command_order.refusal(command, self.epoch, robots)
+            if refusal is not None:
+                self.counters[f"command_{refusal.code}"] += 1
+                return [Output(topics.COMMAND_REPLY, "", refusal)]
+        self._command_order.passed(command)
         self.counters[f"command_{command.kind}"] += 1
         if command.kind == "dry_run":
             return [self._dry_run(command)]
@@ -185,6 +193,7 @@ class Sim:
             epoch=self.epoch,
             number=self.taken,
             sequence=self._sequence,
+            command_id=self._command_order.newest_id,
             receipt=self._receipt,
             fingerprint=self.fingerprint,
             contacts=self.contacts.allowed,
@@ -195,6 +204,7 @@ class Sim:
         """Go on from where another gate of this cell was, counters excepted."""
         self.epoch, self.taken = memory.epoch, memory.number
         self._sequence, self._receipt = memory.sequence, memory.receipt
+        self._command_order.newest_id = memory.command_id
         self.contacts.allow(memory.contacts)
         for name, robot in memory.robots.items():
             self.robots[name].recall(robot)

@@ -17,6 +17,7 @@ class GatedRobot:
     Attributes:
         name: of the robot.
         joints: how many it has.
+        max_age_cycles: an increment or a command that goes by an older state is stale.
         tracker: its motion.
         orders: stop, reset and outputs.
         inbox: the requests for it.
@@ -28,9 +29,10 @@ class GatedRobot:
     ) -> None:
         self.name = name
         self.joints = len(description.joints)
+        self.max_age_cycles = math.ceil(gate.max_request_age_s / cycle_s)
         self.tracker = Tracker(name, description, math.ceil(gate.servo_lag_s / cycle_s))
         self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
-        self.inbox = Inbox(self.joints, math.ceil(gate.max_request_age_s / cycle_s))
+        self.inbox = Inbox(self.joints, self.max_age_cycles)
         self.dry_run_cycle = -1
 
     def memory(self) -> RobotMemory:

@@ -85,7 +85,8 @@ class Tracker:
         self.state, self.in_flight, self.missed = memory.state, memory.in_flight, memory.missed
         self._history.clear()
         self._history.extend(np.array(setpoint) for setpoint in memory.history)
-        self._ended = deque(memory.ended_processes, maxlen=_ENDED_PROCESSES)
+        self._ended.clear()
+        self._ended.extend(memory.ended_processes)
 
     @property
     def q_cmd(self) -> Array:
