@@ -11,25 +11,32 @@
 | `{"op": "fault", "freeze_cycles": 20}`, `{"op": "fault", "ipoc_shift_ms": -24}` | of the controller |
 | `{"op": "fault"}` | no more faults |
 | `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
+| `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | be told once all this holds |
 
-The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`.
+The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`. It comes at once, but to what is awaited.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from deltaq_emulator.faults import FaultyLink, LinkFaults
-from deltaq_emulator.krc import Krc
+from deltaq_emulator.krc import REST_TOLERANCE, Krc
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.settings import Mode
+from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError
 
 MAX_REQUEST_BYTES = 4096
+MAX_AWAITED = 64
+"""Requests whose answer may be awaited at one time."""
 
 
 class _Request(BaseModel):
@@ -68,9 +75,27 @@ class _Record(_Request):
     path: str | None = None
 
 
+class _Await(_Request):
+    op: Literal["await"]
+    state: KrcState | None = None
+    at_rest: bool = False
+    cycles: Annotated[int, Field(ge=0, le=100_000)] = 0
+    within_s: Annotated[float, Field(gt=0, le=600)] = 10.0
+
+
+@dataclass(frozen=True)
+class _Awaiting:
+    """Who waits for what, from which cycle on and until which."""
+
+    request: _Await
+    answer: Callable[[bytes], None]
+    from_cycle: int
+    last_cycle: int
+
+
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[
-        _Simple | _SetMode | _SetDrives | _SetInput | _Fault | _Record,
+        _Simple | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
         Field(discriminator="op"),
     ]
 )
@@ -101,21 +126,34 @@ class Panel:
         self._links = {"to_pc": to_pc, "from_pc": from_pc}
         self._recorder = recorder
         self._shell_counts = shell_counts
+        self._awaiting: list[_Awaiting] = []
 
-    def handle(self, datagram: bytes) -> bytes:
-        """Do what a request says; whatever it is, there is an answer and no exception."""
+    def take(self, datagram: bytes, answer: Callable[[bytes], None]) -> None:
+        """Do what a request says; whatever it is, `answer` is called once and nothing raised.
+
+        What a request awaits may come later: then `cycle_passed` answers it.
+        """
         try:
             if len(datagram) > MAX_REQUEST_BYTES:
                 raise DeltaqError(f"a request has at most {MAX_REQUEST_BYTES} bytes, got {len(datagram)}")
-            self._do(_REQUESTS.validate_json(datagram))
-            answer = {"ok": True} | self.status()
+            request = _REQUESTS.validate_json(datagram)
+            if isinstance(request, _Await):
+                self._await(request, answer)
+                return
+            self._do(request)
+            answer(self._done())
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"]) or "request"
-            answer = {"ok": False, "error": f"{where}: {first['msg']}"}
+            answer(_refused(f"{where}: {first['msg']}"))
         except DeltaqError as error:
-            answer = {"ok": False, "error": str(error)}
-        return json.dumps(answer).encode()
+            answer(_refused(str(error)))
+
+    def cycle_passed(self) -> None:
+        """Answer those whose time has come."""
+        awaiting, self._awaiting = self._awaiting, []
+        for one in awaiting:
+            self._answer_or_keep(one)
 
     def status(self) -> dict[str, Any]:
         """What the pendant shows, and every counter."""
@@ -140,6 +178,36 @@ class Panel:
             "record": None if self._recorder.path is None else str(self._recorder.path),
             "record_error": self._recorder.error,
         }
+
+    def _await(self, request: _Await, answer: Callable[[bytes], None]) -> None:
+        if len(self._awaiting) >= MAX_AWAITED:
+            raise DeltaqError(f"{MAX_AWAITED} requests await their answer already")
+        cycle = self._krc.sample.cycle
+        within = math.ceil(request.within_s / self._krc.cycle_s)
+        self._answer_or_keep(_Awaiting(request, answer, cycle, cycle + within))
+
+    def _answer_or_keep(self, one: _Awaiting) -> None:
+        request, sample = one.request, self._krc.sample
+        off = float(np.abs(sample.q - sample.q_setpoint).max())
+        came = (
+            request.state in (None, self._krc.state)
+            and (not request.at_rest or off <= REST_TOLERANCE)
+            and sample.cycle >= one.from_cycle + request.cycles
+        )
+        if came:
+            one.answer(self._done())
+        elif sample.cycle >= one.last_cycle:
+            one.answer(
+                _refused(
+                    f"not within {request.within_s:g} s: {self._krc.state}, {off:.6f} rad or m off the setpoint, "
+                    f"{sample.cycle - one.from_cycle} cycles later"
+                )
+            )
+        else:
+            self._awaiting.append(one)
+
+    def _done(self) -> bytes:
+        return json.dumps({"ok": True} | self.status()).encode()
 
     def _do(self, request: Any) -> None:
         match request:
@@ -176,3 +244,7 @@ class Panel:
         for name, link in self._links.items():
             if fault.link in (name, "both"):
                 link.faults = LinkFaults(**of_link)
+
+
+def _refused(error: str) -> bytes:
+    return json.dumps({"ok": False, "error": error}).encode()

@@ -11,6 +11,7 @@ import select
 import socket
 import time
 from collections.abc import Callable
+from functools import partial
 
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import Krc
@@ -90,6 +91,7 @@ class Emulator:
                 self._to_pc.put(now, telegram)
                 self._send(now)
             self.recorder.row(self._krc.sample)
+            self._panel.cycle_passed()
             if first:
                 first = False
                 ready()
@@ -138,11 +140,19 @@ class Emulator:
         for _ in range(MAX_READ):
             try:
                 request, sender = self._panel_socket.recvfrom(MAX_DATAGRAM)
-                self._panel_socket.sendto(self._panel.handle(request), sender)
             except BlockingIOError:
                 return
             except OSError:
                 self.counts["send_errors"] += 1
+                continue
+            self._panel.take(request, partial(self._tell_operator, sender))
+
+    def _tell_operator(self, sender: Address, answer: bytes) -> None:
+        assert self._panel_socket is not None  # that is where the request came in
+        try:
+            self._panel_socket.sendto(answer, sender)
+        except OSError:
+            self.counts["send_errors"] += 1
 
 
 def _udp_socket() -> socket.socket:

@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ class Emulated:
             self.robot.outputs,
         )
         self._panel = socket.socket(type=socket.SOCK_DGRAM)
-        self._panel.settimeout(PATIENCE_S)
+        self._panel.settimeout(2 * PATIENCE_S)
         self.process: subprocess.Popen[str]
 
     def ask(self, **request: Any) -> dict[str, Any]:
@@ -51,12 +51,10 @@ class Emulated:
         answer: dict[str, Any] = json.loads(self._panel.recv(65535))
         return answer
 
-    def wait_for(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The first status that fulfils the condition."""
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition(status := self.ask(op="status")):
-            assert time.monotonic() < deadline, status
-            time.sleep(0.01)
+    def until(self, **awaited: Any) -> dict[str, Any]:
+        """The status in the cycle in which all of this holds."""
+        status = self.ask(op="await", within_s=PATIENCE_S, **awaited)
+        assert status["ok"], status
         return status
 
     def close(self) -> None:
@@ -125,7 +123,8 @@ def test_a_pc_moves_the_gantry_and_the_record_shows_it_while_it_grows(tmp_path: 
                 correction = np.zeros(9)
                 correction[0], correction[3] = moved, -moved
                 sock.sendto(emulated.codec.encode(telegram.ipoc, correction, {"gripper": True}), krc)
-        status = emulated.wait_for(lambda status: abs(status["q"][0] - start[0] - moved) < 1e-5)
+        status = emulated.until(at_rest=True, cycles=2)  # the last correction counts from the next cycle on
+        assert status["q"][0] == pytest.approx(start[0] + moved, abs=2e-5)
         assert status["outputs"] == {"gripper": True, "tool_changer": False}
         rows = record.read_text().splitlines()
         names = rows[0].split(",")
@@ -141,7 +140,7 @@ def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
         datagram, krc = sock.recvfrom(4096)
         sock.sendto(emulated.codec.encode(emulated.codec.decode(datagram).ipoc, np.zeros(6)), krc)
-        stopped = emulated.wait_for(lambda status: status["state"] == "stopped")
+        stopped = emulated.until(state="stopped")
         assert stopped["message"].startswith("KSS29002")
         refused = emulated.ask(op="restart")
         assert refused["ok"] is False
@@ -149,7 +148,7 @@ def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again
         last = stopped["ipoc"]
         assert emulated.ask(op="acknowledge")["state"] == "ready"
         assert emulated.ask(op="restart")["ok"]
-        emulated.wait_for(lambda status: status["state"] == "RSI running")
+        emulated.until(state="RSI running")
         ipoc = 0
         while ipoc <= last:
             ipoc = emulated.codec.decode(sock.recv(4096)).ipoc
@@ -159,10 +158,11 @@ def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> Non
     with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
         sock.recv(4096)
         assert emulated.ask(op="fault", link="to_pc", drop=1.0)["ok"]
-        dropped = emulated.wait_for(lambda status: status["faults"]["to_pc"]["counts"]["dropped"] >= 5)
-        assert dropped["state"] == "RSI running"
+        dropped = emulated.until(cycles=5, state="RSI running")
+        assert dropped["faults"]["to_pc"]["counts"]["dropped"] >= 5
         assert emulated.ask(op="fault", link="to_pc", corrupt=1.0)["ok"]
-        emulated.wait_for(lambda status: status["faults"]["to_pc"]["counts"]["corrupted"] >= 5)
+        corrupted = emulated.until(cycles=5)
+        assert corrupted["faults"]["to_pc"]["counts"]["corrupted"] >= 5
         assert emulated.ask(op="fault")["faults"]["to_pc"]["drop"] == 0.0
         assert emulated.ask(op="explode")["ok"] is False
 
@@ -219,7 +219,7 @@ def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_ow
         assert seen["start"] == pytest.approx(home, abs=1e-4)
         assert seen["end"] == pytest.approx(home | {"A1": home["A1"] + 5, "A3": home["A3"] - 3}, abs=1e-3)
         assert seen["pose"]["Z"] > 500.0
-        status = emulated.wait_for(lambda status: status["state"] == "stopped")
+        status = emulated.until(state="stopped")
         assert status["message"].startswith("KSS29002")
         assert status["text"].startswith("RSIPI")
         assert status["counters"]["accepted"] > 20

@@ -14,7 +14,7 @@ from deltaq_cell.description import ServoLag
 from deltaq_emulator.catalogue import TEXTS, Code, KrcMessage
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import START_CYCLES
-from deltaq_emulator.panel import Panel
+from deltaq_emulator.panel import MAX_AWAITED, Panel
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.settings import KrcSettings, Mode, SettingsError
@@ -25,8 +25,19 @@ def make_panel(bench: Bench) -> Panel:
     return Panel("fr", bench.krc, FaultyLink(1), FaultyLink(2), CsvRecorder(0.012, bench.n))
 
 
+def answers(panel: Panel, request_bytes: bytes) -> list[dict[str, Any]]:
+    """The answers to a request, those that come later too."""
+    told: list[dict[str, Any]] = []
+    panel.take(request_bytes, lambda answer: told.append(json.loads(answer)))
+    return told
+
+
+def later(panel: Panel, **request: Any) -> list[dict[str, Any]]:
+    return answers(panel, json.dumps({"op": "await"} | request).encode())
+
+
 def ask(panel: Panel, **request: Any) -> dict[str, Any]:
-    answer: dict[str, Any] = json.loads(panel.handle(json.dumps(request).encode()))
+    (answer,) = answers(panel, json.dumps(request).encode())
     return answer
 
 
@@ -204,6 +215,59 @@ def test_the_panel_sets_and_clears_faults() -> None:
     assert ask(panel, op="fault")["faults"]["from_pc"]["drop"] == 0.0
 
 
+def test_what_is_awaited_is_answered_in_the_cycle_in_which_it_comes() -> None:
+    bench = Bench(late_budget=8)
+    panel = make_panel(bench)
+    bench.cycle()  # a sensor that never replied is not missed
+    stopped, fifth = later(panel, state="stopped"), later(panel, cycles=5)
+    for cycles in range(1, 20):
+        bench.silent()
+        panel.cycle_passed()
+        assert len(fifth) == int(cycles >= 5)
+        assert len(stopped) == int(bench.krc.state is KrcState.STOPPED)
+    assert [answer["state"] for answer in (*fifth, *stopped)] == ["RSI running", "stopped"]
+
+
+def test_what_holds_already_is_answered_at_once() -> None:
+    (answer,) = later(make_panel(Bench()), state="RSI running", at_rest=True)
+    assert answer["ok"]
+
+
+def test_rest_is_awaited_until_the_drives_have_caught_up() -> None:
+    bench = Bench(servo_lag=ServoLag(dead_time_s=0.012, natural_frequency_rad_s=60.0))
+    panel = make_panel(bench)
+    bench.cycle(0.001)
+    bench.krc.tick()
+    arrived = later(panel, at_rest=True)
+    assert arrived == []
+    while not arrived:
+        bench.cycle(0.001)
+        panel.cycle_passed()
+    assert arrived[0]["q"] == pytest.approx([0.001] * 6, abs=2e-5)
+
+
+def test_what_does_not_come_in_time_is_told_with_what_is_instead() -> None:
+    bench = Bench()
+    panel = make_panel(bench)
+    never = later(panel, state="drives off", within_s=0.03)
+    for _ in range(3):
+        assert never == []
+        bench.cycle()
+        panel.cycle_passed()
+    (answer,) = never
+    assert not answer["ok"]
+    assert answer["error"].startswith("not within 0.03 s: RSI running, 0.0000")
+    assert answer["error"].endswith("3 cycles later")
+
+
+def test_more_waiting_than_there_is_room_for_is_refused() -> None:
+    panel = make_panel(Bench())
+    waiting = [later(panel, cycles=9) for _ in range(MAX_AWAITED)]
+    assert not any(waiting)
+    (answer,) = later(panel, cycles=9)
+    assert answer["error"] == "64 requests await their answer already"
+
+
 @pytest.mark.parametrize(
     ("request_bytes", "message"),
     [
@@ -212,6 +276,8 @@ def test_the_panel_sets_and_clears_faults() -> None:
         (b'{"op": "explode"}', "'status'"),
         (b'{"op": "mode", "mode": "T3"}', "mode: Input should be 'T1', 'T2' or 'AUT'"),
         (b'{"op": "acknowledge"}', "'acknowledge' is not possible while RSI running"),
+        (b'{"op": "await", "state": "asleep"}', "await.state: Input should be 'drives off'"),
+        (b'{"op": "await", "within_s": 0}', "await.within_s: Input should be greater than 0"),
         (b'{"op": "fault", "drop": 2}', "less than or equal to 1"),
         (b'{"op": "fault", "dropp": 1}', "Extra inputs are not permitted"),
         (b'{"op": "input", "name": "door", "value": true}', "no digital input 'door'; this robot has closed"),
@@ -222,14 +288,14 @@ def test_the_panel_sets_and_clears_faults() -> None:
 def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
     request_bytes: bytes, message: str
 ) -> None:
-    answer = json.loads(make_panel(Bench()).handle(request_bytes))
+    (answer,) = answers(make_panel(Bench()), request_bytes)
     assert answer["ok"] is False
     assert message in answer["error"]
 
 
 @given(st.binary(max_size=200))
 def test_whatever_is_sent_to_the_panel_is_answered(request_bytes: bytes) -> None:
-    answer = json.loads(make_panel(Bench()).handle(request_bytes))
+    (answer,) = answers(make_panel(Bench()), request_bytes)
     assert answer["ok"] or answer["error"]
 
 

@@ -18,7 +18,7 @@ from deltaq_experiments.faults.live_inject import Injector
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.lockstep import ATTEMPTS, FaultRunError
 from deltaq_experiments.faults.mover import CRUISE_RAD_S, SWING_RAD
-from deltaq_experiments.faults.panel import protest, told, way_back
+from deltaq_experiments.faults.panel import PanelError, protest, told, way_back
 from deltaq_experiments.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
@@ -146,7 +146,7 @@ class _Run:
     def _wait_for_room(self) -> None:
         """Until the robot cruises, and so far from where it turns that it will not turn while it is watched."""
         needed = CRUISE_RAD_S * (CRUISE_S + FAULT_S)
-        deadline = time.monotonic() + _START_S
+        deadline, fastest = time.monotonic() + _START_S, 0.0
         while time.monotonic() < deadline:
             before, after, cycles = self._two_looks()
             way = after[0] - self._home
@@ -154,7 +154,13 @@ class _Run:
             step = abs(after[0] - before[0]) / cycles
             if step > self._cruise * _CRUISES and left > needed:
                 return
-        raise FaultRunError(f"{self._robot} did not get to its cruising speed within {_START_S:g} s")
+            fastest = max(fastest, step)
+        phase, reason = self._phase()
+        raise FaultRunError(
+            f"{self._robot} did not get to its cruising speed with room to go on within {_START_S:g} s: it is {phase}"
+            f"{f' ({reason})' if reason else ''}, the fastest seen was {fastest / self._cruise:.0%} of that; is the "
+            "machine busy with other work?"
+        )
 
     # --- while the fault stands ---------------------------------------------------------------------------
 
@@ -197,7 +203,8 @@ class _Run:
                 for request in requests:
                     self._panel.ask(request)
                 steps.append(told(requests))
-                self._wait_for_program()
+                with suppress(PanelError):  # it stopped again; the next attempt sees that
+                    self._panel.ask({"op": "await", "state": KrcState.RSI_RUNNING, "within_s": BACK_S})
             if self._reset():
                 steps.append("reset")
         return recovery_text(steps) if self._moves() else NEVER
@@ -230,11 +237,6 @@ class _Run:
                 return True
         return False
 
-    def _wait_for_program(self) -> None:
-        deadline = time.monotonic() + BACK_S
-        while self._status()["state"] != KrcState.RSI_RUNNING and time.monotonic() < deadline:
-            time.sleep(_POLL_S)
-
     def _nearest(self, q: Array) -> tuple[float, float]:
         """Least distances over configurations (k, n) of the robot, the others where they stood last."""
         oracle = ClearanceOracle(self._cell)
@@ -256,8 +258,6 @@ class _Run:
 
     def _two_looks(self, apart: int = _CYCLES_SEEN) -> tuple[Array, Array, int]:
         """Two setpoints (n,) [rad or m] and the cycles between them."""
-        before = after = self._status()
-        while after["cycle"] - before["cycle"] < apart:
-            time.sleep(self._cycle_s)
-            after = self._status()
+        before = self._status()
+        after = self._panel.ask({"op": "await", "cycles": apart})
         return np.array(before["q_setpoint"]), np.array(after["q_setpoint"]), after["cycle"] - before["cycle"]

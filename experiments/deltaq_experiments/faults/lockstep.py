@@ -226,4 +226,6 @@ class _Run:
             self.cycle()
 
     def _ask_panel(self, request: Mapping[str, Any]) -> None:
-        checked(self.arm.panel.handle(json.dumps(request).encode()))
+        answers: list[bytes] = []
+        self.arm.panel.take(json.dumps(request).encode(), answers.append)
+        checked(answers[0])

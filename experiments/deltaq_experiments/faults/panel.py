@@ -13,7 +13,8 @@ from deltaq_emulator.states import KrcState
 from deltaq_experiments.faults.catalogue import UnknownFaultError
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
-_TIMEOUT_S = 2.0
+_TIMEOUT_S = 5.0
+"""Longer than anything is awaited."""
 _MAX_ANSWER_BYTES = 65_535
 
 _WAYS_BACK: dict[str, tuple[dict[str, Any], ...]] = {
