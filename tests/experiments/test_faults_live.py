@@ -12,6 +12,7 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.launcher import Launcher
 from deltaq_deploy.services import cell_services
 from deltaq_experiments.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
+from deltaq_experiments.faults.clocks import NoCompilerError
 from deltaq_experiments.faults.inject import inject
 from deltaq_experiments.faults.table import run_table
 from deltaq_protocol.errors import ServiceUnreachableError
@@ -31,6 +32,20 @@ def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tm
     assert dead.motion.travel_rad < 0.1  # without a brake, but with nothing to follow either
     assert dead.kept.unanswered_cycles > 100
     assert dead.recovery == "restart of the robot-server, KRC: acknowledge and restart, reset"
+
+
+def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path):
+    (row,) = run_table(
+        write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-back")], live=True
+    ).rows
+    assert row.good
+    assert (row.reason, row.recovery) == (None, "by itself")
+
+
+def test_clocks_cannot_be_set_without_a_compiler(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(NoCompilerError, match="leave out the faults of clocks"):
+        run_table(write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-drift")], live=True)
 
 
 @pytest.mark.nightly
@@ -60,7 +75,14 @@ def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():
 
 
 @pytest.mark.parametrize(
-    ("name", "live", "way"), [("sim-slow", True, "live"), ("hli-sim-broken", False, "virtual")]
+    ("name", "live", "way"),
+    [
+        ("sim-slow", True, "live"),
+        ("hli-clock-back", True, "live"),
+        ("hli-sim-broken", False, "virtual"),
+        ("wall-clock-back", False, "virtual"),
+        ("krc-server-cut", False, "virtual"),
+    ],
 )
 def test_a_fault_that_cannot_be_had_this_way_is_told(name, live, way):
     with pytest.raises(UnknownFaultError, match=f"can be had .*{way}"):

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from deltaq_emulator.faults import LinkFaults
-from deltaq_experiments.faults.catalogue import CATALOGUE, Link, Process, UnknownFaultError, fault_named
+from deltaq_experiments.faults.actions import Link, Process
+from deltaq_experiments.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
 from deltaq_experiments.faults.cell import VirtualCell
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.lockstep import run_fault

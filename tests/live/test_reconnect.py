@@ -8,7 +8,7 @@ import pytest
 from live_stack import live_stack
 from small_cell import endpoint
 
-from deltaq_experiments.faults.catalogue import Link
+from deltaq_experiments.faults.actions import Link
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.placed import Place, placed
 from deltaq_experiments.impairment.process import RelayProcess

@@ -10,8 +10,8 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from functools import partial
 
+from deltaq_experiments.faults.actions import Link, Process
 from deltaq_experiments.faults.arm import Life, VirtualArm
-from deltaq_experiments.faults.catalogue import Link, Process
 from deltaq_experiments.faults.controller import VirtualController
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.wires import MessageWire, next_arrival_s

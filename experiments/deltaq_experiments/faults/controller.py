@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deltaq_experiments.faults.catalogue import Misbehaviour
+from deltaq_experiments.faults.actions import Misbehaviour
 from deltaq_experiments.faults.mover import Mover
 from deltaq_protocol.codec import InvalidMessageError, from_map
 from deltaq_protocol.messages import (

@@ -8,7 +8,8 @@ from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.description import CellDescription
 from deltaq_deploy.running import connect
-from deltaq_experiments.faults.catalogue import CATALOGUE, AskPanel, Fault, UnknownFaultError
+from deltaq_experiments.faults.actions import AskPanel
+from deltaq_experiments.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
 from deltaq_experiments.faults.panel import PanelClient
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from deltaq_deploy.running import connect
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults.catalogue import BeginInThePast, Fault, Freeze, Kill, PressStop, Process
+from deltaq_experiments.faults.actions import BeginInThePast, Freeze, Kill, PressStop, Process
+from deltaq_experiments.faults.catalogue import Fault
 from deltaq_experiments.faults.live_cell import MovingCell, Needs, moving_cell, rows_of
 from deltaq_experiments.faults.live_inject import Injector
 from deltaq_experiments.faults.loaded import LoadedCell
@@ -154,6 +155,8 @@ class _Run:
             step = abs(after[0] - before[0]) / cycles
             if step > self._cruise * _CRUISES and left > needed:
                 return
+            if step == 0.0:
+                self._reset()  # a busy machine may have lost the KRC while the cell came up
             fastest = max(fastest, step)
         phase, reason = self._phase()
         raise FaultRunError(

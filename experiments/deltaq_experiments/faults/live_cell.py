@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from deltaq_deploy.launcher import Launcher
 from deltaq_deploy.services import Role, Service, cell_services, recorder
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults.catalogue import (
+from deltaq_experiments.faults.actions import (
     BeginInThePast,
-    Fault,
     FillDisk,
     Freeze,
     Kill,
@@ -25,6 +24,7 @@ from deltaq_experiments.faults.catalogue import (
     SetWallClock,
     StepClock,
 )
+from deltaq_experiments.faults.catalogue import Fault
 from deltaq_experiments.faults.clocks import SettableClocks
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.panel import PanelClient

@@ -11,10 +11,9 @@ import time
 
 from deltaq_deploy.running import connect
 from deltaq_deploy.services import Role
-from deltaq_experiments.faults.catalogue import (
+from deltaq_experiments.faults.actions import (
     AskPanel,
     BeginInThePast,
-    Fault,
     FillDisk,
     Freeze,
     Impair,
@@ -25,6 +24,7 @@ from deltaq_experiments.faults.catalogue import (
     SetWallClock,
     StepClock,
 )
+from deltaq_experiments.faults.catalogue import Fault
 from deltaq_experiments.faults.clocks import Clocks, SettableClocks
 from deltaq_experiments.faults.live_cell import MovingCell
 from deltaq_experiments.faults.loaded import LoadedCell

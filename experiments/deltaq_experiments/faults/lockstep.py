@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_emulator.states import KrcState
-from deltaq_experiments.faults.arm import Life
-from deltaq_experiments.faults.catalogue import (
+from deltaq_experiments.faults.actions import (
     AskPanel,
     BeginInThePast,
-    Fault,
     Freeze,
     Impair,
     Kill,
@@ -25,6 +23,8 @@ from deltaq_experiments.faults.catalogue import (
     Slow,
     StepClock,
 )
+from deltaq_experiments.faults.arm import Life
+from deltaq_experiments.faults.catalogue import Fault
 from deltaq_experiments.faults.cell import VirtualCell
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.mover import CRUISE_RAD_S

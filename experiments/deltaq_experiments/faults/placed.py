@@ -12,7 +12,8 @@ from pathlib import Path
 from deltaq_cell.description import CellDescription, RsiDriver
 from deltaq_deploy.services import Service
 from deltaq_emulator.faults import LinkFaults
-from deltaq_experiments.faults.catalogue import Fault, Impair, ImpairStream, Link
+from deltaq_experiments.faults.actions import Impair, ImpairStream, Link
+from deltaq_experiments.faults.catalogue import Fault
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.impairment.process import RelayProcess
 from deltaq_experiments.impairment.relay import Unit
