@@ -78,12 +78,13 @@ class Emulator:
 
     def run(self, stopping: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
         """Send and receive until `stopping()`; `ready` is called once, when the first cycle has begun."""
-        deadline = time.monotonic()
+        deadline, slipped_s = time.monotonic(), 0.0
         first = True
         while not stopping():
             now = time.monotonic()
             if now - deadline > self._krc.cycle_s:
-                self.counts["slipped"] += int((now - deadline) / self._krc.cycle_s)
+                slipped_s += now - deadline
+                self.counts["slipped"] = int(slipped_s / self._krc.cycle_s)
                 deadline = now
             telegram = self._krc.tick()
             self._sent_at = now
