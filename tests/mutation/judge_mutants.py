@@ -19,7 +19,7 @@ from mutmut.utils.format_utils import orig_function_and_class_names_from_key
 
 ROOT = Path(__file__).parents[2]
 STAGE = ROOT / "build" / "mutation"
-PACKAGES = {package.name: package.parent for package in ROOT.glob("*/deltaq_*")}
+PACKAGES = {package.name: package.parent for package in ROOT.glob("[!.]*/deltaq_*")}
 MUTMUT = Path(sys.executable).with_name("mutmut")
 KILLED = ("killed", "timeout")
 

@@ -211,6 +211,13 @@ def test_nothing_is_admitted_beside_a_robot_that_was_never_heard(rig):
     assert verdict.reasons[0].what == "gr"
 
 
+def test_what_is_asked_of_a_new_server_in_its_first_cycle_is_answered_at_once(rig):
+    rig.restart_server("fr")
+    rig.cycle()
+    assert rig.state.cycle == 1
+    assert rig.request().reasons[0].code is ReasonCode.STOPPED
+
+
 def test_a_robot_server_that_was_started_anew_is_held_until_a_reset(rig):
     rig.request()
     rig.cycle()
