@@ -1,12 +1,13 @@
 """Everything that one evaluation of the control law needs of a robot, from one pass through its joints.
 
 All Jacobians come from one (6, n) matrix: the joints' velocity fields at the world's origin, so that the
-linear Jacobian of any point o carried by the last joint is `linear - [o]x angular`.
+linear Jacobian of any point o carried by the last joint is `linear - [o]x angular`. What pinocchio keeps in place is
+looked at where it lies, by views that are taken once.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -27,40 +28,43 @@ class Kinematics:
     Attributes:
         rotation: (3, 3) axes of the frame in the world, after `update`.
         position: (3,) origin of the frame in the world [m].
-        linear: (3, n) velocity of the frame's body at the world's origin, per joint rate.
+        linear: (3, n) velocity of the frame's body at the world's origin, per joint rate; a view, as the next three
+            are, that the next `update` changes.
         angular: (3, n) angular velocity of the frame's body, per joint rate.
         twists: (6, n) both of them, linear over angular.
         columns: (6, n) the same for whatever each joint carries.
-        data: pinocchio's data, joint placements filled in.
+        model, data: pinocchio's, joint placements filled in.
         last: index of the outermost joint that moves the frame.
     """
 
     def __init__(self, robot: RobotModel, point: Literal["tool", "camera"]) -> None:
-        self.model = robot.model
-        self.data = self.model.createData()
-        frame = self.model.frames[self.model.getFrameId(f"deltaq_{point}")]
-        self._joint = int(frame.parentJoint)
-        self.last = self._joint - 1
-        self._offset_rotation: Array = np.array(frame.placement.rotation)
-        self._offset: Array = np.array(frame.placement.translation)
-        others = ~joints_that_move(robot, np.array([self._joint]))[0]
-        self._others = others if others.any() else None
+        self.model, self.data = robot.model, robot.model.createData()
+        self._frame = robot.frame_of(point)
+        joint = int(self.model.frames[self._frame].parentJoint)
+        self.last = joint - 1
+        self._placed = self.data.oMf[self._frame]
+        self.columns: Array = self.data.J
+        moves = joints_that_move(robot, np.array([joint]))[0]
+        self._others = None if moves.all() else ~moves
+        self.twists: Array = self.columns if self._others is None else np.zeros_like(self.columns)
+        self.linear: Array = self.twists[:3]
+        self.angular: Array = self.twists[3:]
+        self._placements = placement_views(self.data)
         self.update(robot.home)
 
     def update(self, q: Array) -> None:
         """Place the robot at configuration `q` (n,)."""
-        columns: Array = pin.computeJointJacobians(self.model, self.data, q)
-        carrier = self.data.oMi[self._joint]
-        turn = carrier.rotation
-        self.rotation: Array = turn @ self._offset_rotation
-        self.position: Array = turn @ self._offset + carrier.translation
-        self.columns = columns
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacement(self.model, self.data, self._frame)
+        self.rotation: Array = self._placed.rotation.copy()
+        self.position: Array = self._placed.translation.copy()
         if self._others is not None:
-            columns = columns.copy()
-            columns[:, self._others] = 0.0
-        self.twists: Array = columns
-        self.linear: Array = columns[:3]
-        self.angular: Array = columns[3:]
+            self.twists[:] = self.columns
+            self.twists[:, self._others] = 0.0
+
+    def placements(self) -> Array:
+        """(4 n, 3) where the joints are, as `Spheres.placed` takes them."""
+        return np.concatenate(self._placements)
 
     def jacobian(self) -> Array:
         """(6, n) Jacobian of the frame's origin, linear over angular, world axes."""
@@ -80,6 +84,16 @@ def joints_that_move(robot: RobotModel, carriers: NDArray[np.intp]) -> NDArray[n
             if joint > 0:
                 moves[row, joint - 1] = True
     return moves
+
+
+def placement_views(data: Any) -> list[Array]:
+    """Views of where pinocchio's `data` has the joints: of each its axes (3, 3), a row each, and its origin (1, 3).
+
+    One on top of the other they are a (4 n, 3) matrix that takes homogeneous coordinates in the joints' frames into
+    the world.
+    """
+    placed = list(data.oMi)[1:]
+    return [view for joint in placed for view in (joint.rotation.T, joint.translation[None])]
 
 
 def skew(v: Array) -> Array:

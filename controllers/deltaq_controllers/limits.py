@@ -80,13 +80,16 @@ class IncrementLimits:
         Returns:
             (n,) increment [rad or m].
         """
+        slowest, fastest = self.reach(dq_last)
+        wanted = np.minimum(np.maximum(dq, slowest), fastest)
+        excess = self._excess(q_cmd, wanted)
+        if excess.max() <= 0.0:
+            return wanted
         cycles = brake_cycles(dq_last, self.max_ddq)
         brake = dq_last * ((cycles - 1) / cycles)
         # a robot that stands outside may go on doing so, but no farther
         room = np.maximum(self._excess(q_cmd, brake), 0.0) + _ROUNDING
-        slowest, fastest = self.reach(dq_last)
-        wanted = np.minimum(np.maximum(dq, slowest), fastest)
-        if (self._excess(q_cmd, wanted) <= room).all():
+        if (excess <= room).all():
             return wanted
         reach = 2.0 / (brake_cycles(wanted, self.max_ddq) + 1)
         wanted = np.minimum(np.maximum(wanted, reach * (self.lower - q_cmd)), reach * (self.upper - q_cmd))

@@ -35,10 +35,11 @@ def limit_gradient(q: Array, lower: Array, upper: Array) -> Array:
     Returns:
         (n,) gradient [1/rad or 1/m].
     """
-    guard = LIMIT_GUARD * (upper - lower)
+    span = upper - lower
+    guard = LIMIT_GUARD * span
     above = np.maximum(q - lower, guard)
     below = np.maximum(upper - q, guard)
-    gradient: Array = (upper - lower) ** 2 * (above - below) / (above * below) ** 2
+    gradient: Array = (span / (above * below)) ** 2 * (above - below)
     return gradient
 
 
@@ -127,13 +128,15 @@ class WeightedGradient:
         if not self._one_sided:
             return rates
         released = (gradient * rates < 0.0) & (weighed < 1.0 - _MATTERS)
-        while True in released:
-            rates = _weighed(rows, np.where(released, 1.0, weighed), task, damping)
-            kept = released & (gradient * rates < 0.0)
-            if (kept == released).all():
+        count = np.count_nonzero(released)
+        while count:
+            rates = _weighed(rows, np.maximum(weighed, released), task, damping)
+            released &= gradient * rates < 0.0
+            kept = np.count_nonzero(released)
+            if kept == count:
                 break
-            released = kept
-            if not released.any():
+            count = kept
+            if not count:
                 rates = _weighed(rows, weighed, task, damping)
         return rates
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -13,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.kinematics import placement_views
 
 Array = NDArray[np.float64]
 
@@ -28,11 +28,13 @@ class Spheres:
         joints: (m,) index of the carrying joint, as pinocchio counts: 1 for the first.
         centres: (m, 3) centres in the frames of these joints [m].
         radii: (m,) radii [m].
+        n: number of joints of the robot.
     """
 
     joints: NDArray[np.intp]
     centres: Array
     radii: Array
+    n: int
 
     @classmethod
     def of(cls, robot: RobotModel) -> Self:
@@ -47,26 +49,23 @@ class Spheres:
                 joints.append(body.parentJoint)
                 centres.append(body.placement.act(centre))
                 radii.append(radius)
-        return cls(np.array(joints, dtype=np.intp), np.array(centres).reshape(-1, 3), np.array(radii))
+        return cls(
+            np.array(joints, dtype=np.intp), np.array(centres).reshape(-1, 3), np.array(radii), robot.n
+        )
 
     @cached_property
-    def _runs(self) -> list[tuple[int, slice, Array]]:
-        """Joint, place in the arrays and centres of each run of spheres that one joint carries."""
-        starts = [0, *(np.flatnonzero(np.diff(self.joints)) + 1).tolist(), len(self.joints)]
-        runs = [slice(start, end) for start, end in pairwise(starts) if end > start]
-        return [(int(self.joints[run.start]), run, self.centres[run]) for run in runs]
+    def _carried(self) -> Array:
+        """(m, 4 n) each centre in homogeneous coordinates, in the columns of the joint that carries it."""
+        carried = np.zeros((len(self.joints), self.n, 4))
+        rows = np.arange(len(self.joints))
+        carried[rows, self.joints - 1, :3] = self.centres
+        carried[rows, self.joints - 1, 3] = 1.0
+        return carried.reshape(len(self.joints), -1)
 
-    def placed(self, data: Any) -> Array:
-        """(m, 3) centres in the world [m], for the joint placements that pinocchio's `data` holds."""
-        placed = np.empty_like(self.centres)
-        for joint, run, centres in self._runs:
-            carrier = data.oMi[joint]
-            placed[run] = centres @ carrier.rotation.T + carrier.translation
-        return placed
-
-    def take(self, which: NDArray[np.intp]) -> Spheres:
-        """Only the spheres of these indices."""
-        return Spheres(self.joints[which], self.centres[which], self.radii[which])
+    def placed(self, placements: Array) -> Array:
+        """(m, 3) centres in the world [m], for the placements (4 n, 3) of the joints (`kinematics.placement_views`)."""
+        centres: Array = self._carried @ placements
+        return centres
 
 
 class PlacedSpheres:
@@ -82,12 +81,13 @@ class PlacedSpheres:
     def __init__(self, robot: RobotModel) -> None:
         self._spheres = Spheres.of(robot)
         self._model, self._data = robot.model, robot.model.createData()
+        self._placements = placement_views(self._data)
         self.radii = self._spheres.radii
 
     def at(self, q: Array) -> Array:
         """(m, 3) centres in the world at a configuration `q` (n,) [m]."""
         pin.forwardKinematics(self._model, self._data, q)
-        return self._spheres.placed(self._data)
+        return self._spheres.placed(np.concatenate(self._placements))
 
 
 def local_box(body: Any) -> tuple[Array, Array]:

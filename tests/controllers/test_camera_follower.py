@@ -107,7 +107,7 @@ def placed(robot: RobotModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centres and radii of a robot's bounding spheres."""
     kinematics, spheres = Kinematics(robot, "tool"), Spheres.of(robot)
     kinematics.update(q)
-    return spheres.placed(kinematics.data), spheres.radii
+    return spheres.placed(kinematics.placements()), spheres.radii
 
 
 def least_clearance(q: np.ndarray, q_leader: np.ndarray) -> float:

@@ -34,7 +34,7 @@ def test_the_field_is_the_gradient_of_khatibs_potential() -> None:
 
     def energy(q: np.ndarray) -> float:
         kinematics.update(q)
-        return potential_energy(spheres.placed(kinematics.data), spheres.radii, obstacles, sizes)
+        return potential_energy(spheres.placed(kinematics.placements()), spheres.radii, obstacles, sizes)
 
     downhill = [-(energy(q + d) - energy(q - d)) / 2e-6 for d in 1e-6 * np.eye(6)]
     kinematics.update(q)
@@ -45,7 +45,7 @@ def test_the_floor_pushes_from_the_foot_point_straight_up() -> None:
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)
     q = np.deg2rad([0.0, -10, 60, 0, 20, 0])
     kinematics.update(q)
-    lowest = float((spheres.placed(kinematics.data)[:, 2] - spheres.radii).min())
+    lowest = float((spheres.placed(kinematics.placements())[:, 2] - spheres.radii).min())
     floor = lowest - 0.1
     repulsion = Repulsion(FLOOR_ROBOT, POTENTIAL, CAP, floor_m=floor)
     assert repulsion.approach(kinematics, *NOTHING) == pytest.approx(0.1)
@@ -53,7 +53,7 @@ def test_the_floor_pushes_from_the_foot_point_straight_up() -> None:
 
     def energy(q: np.ndarray) -> float:
         kinematics.update(q)
-        d = spheres.placed(kinematics.data)[moving, 2] - spheres.radii[moving] - floor
+        d = spheres.placed(kinematics.placements())[moving, 2] - spheres.radii[moving] - floor
         return float(0.5 * POTENTIAL.gain * (np.maximum(1 / d - 1 / POTENTIAL.range_m, 0) ** 2).sum())
 
     downhill = [-(energy(q + d) - energy(q - d)) / 2e-6 for d in 1e-6 * np.eye(6)]
@@ -67,7 +67,7 @@ def test_a_link_that_only_turns_about_the_vertical_is_not_afraid_of_the_floor() 
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)
     kinematics.update(FLOOR_ROBOT.home)
     first_link = spheres.joints == 1
-    beneath = float((spheres.placed(kinematics.data)[:, 2] - spheres.radii)[first_link].min()) + 0.05
+    beneath = float((spheres.placed(kinematics.placements())[:, 2] - spheres.radii)[first_link].min()) + 0.05
     repulsion = Repulsion(FLOOR_ROBOT, POTENTIAL, CAP, floor_m=beneath)
     assert repulsion.approach(kinematics, *NOTHING) > 0.0
 
@@ -76,12 +76,12 @@ def test_inside_one_another_bodies_are_still_pushed_apart_and_no_harder() -> Non
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)
     repulsion = Repulsion(FLOOR_ROBOT, POTENTIAL, CAP, floor_m=None)
     kinematics.update(np.deg2rad([0.0, -90, 90, 0, 30, 0]))
-    outermost = spheres.placed(kinematics.data)[-1]
+    outermost = spheres.placed(kinematics.placements())[-1]
     obstacle = outermost[None] + np.array([[0.0, -0.02, 0.0]])
     assert repulsion.approach(kinematics, obstacle, np.array([0.1])) < 0
     field = repulsion.field(kinematics)
     kinematics.update(np.deg2rad([0.0, -90, 90, 0, 30, 0]) + 1e-4 * field / np.linalg.norm(field))
-    assert (spheres.placed(kinematics.data)[-1] - outermost)[1] > 0
+    assert (spheres.placed(kinematics.placements())[-1] - outermost)[1] > 0
     assert POTENTIAL.push(np.array(-1.0), np.array(0.1)) == POTENTIAL.push(np.array(0.03), np.array(0.1))
 
 
@@ -111,7 +111,7 @@ def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(_: in
     moved = q + random.choice([-1.0, 1.0], 6) * CAP
     kinematics.update(moved)
     field = repulsion.field(kinematics)
-    centres = spheres.placed(kinematics.data)
+    centres = spheres.placed(kinematics.placements())
     # every pair, with Jacobians by finite differences
     apart = centres[:, None] - obstacles[None]
     between = np.linalg.norm(apart, axis=2)
@@ -120,9 +120,9 @@ def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(_: in
     expected = []
     for d in 1e-6 * np.eye(6):
         kinematics.update(moved + d)
-        ahead = spheres.placed(kinematics.data)
+        ahead = spheres.placed(kinematics.placements())
         kinematics.update(moved - d)
-        expected.append(float((force * (ahead - spheres.placed(kinematics.data)) / 2e-6).sum()))
+        expected.append(float((force * (ahead - spheres.placed(kinematics.placements())) / 2e-6).sum()))
     np.testing.assert_allclose(field, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 

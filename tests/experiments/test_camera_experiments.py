@@ -156,7 +156,8 @@ def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
 
 
 def test_the_cost_of_a_step_is_told_as_a_distribution() -> None:
-    figures = step_bench.run("qp", 0.25, attacked=False, duration_s=0.5)
-    assert list(figures) == ["p50_us", "p90_us", "p99_us", "p99.9_us", "p100_us"]
-    assert list(figures.values()) == sorted(figures.values())
-    assert figures["p50_us"] > 10.0
+    quiet, once = step_bench.run("qp", 0.25, attacked=False, duration_s=0.5, passes=3)
+    assert list(quiet) == list(once) == ["p50_us", "p90_us", "p99_us", "p99.9_us", "p100_us"]
+    assert list(quiet.values()) == sorted(quiet.values())
+    assert quiet["p50_us"] > 10.0
+    assert all(quiet[percentile] <= once[percentile] for percentile in once)

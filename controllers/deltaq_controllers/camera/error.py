@@ -15,7 +15,7 @@ degrees (3) is 0/0 and every way round is as short; from within `ANTIPODE_RAD` o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,7 @@ MIN_DISTANCE_M = 1e-3
 """A focus nearer to the lens than this has no direction: it is taken as this far away, straight ahead [m]."""
 
 
-@dataclass(frozen=True)
-class Look:
+class Look(NamedTuple):
     """Where the focus lies as the camera sees it.
 
     Attributes:

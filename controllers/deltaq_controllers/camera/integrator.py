@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
+_STILL = 1e-300
+"""A joint that moves by less never reaches its cap [rad or m]."""
+
 
 def runge_kutta_step(field: Field, q: Array, rates: Array, step_s: float) -> Array:
     """Displacement over one classical Runge-Kutta step.
@@ -36,9 +39,8 @@ def runge_kutta_step(field: Field, q: Array, rates: Array, step_s: float) -> Arr
 
 def share_inside(start: Array, step: Array, cap: Array) -> float:
     """Largest s in [0, 1] with `|start + s step| <= cap` for every joint; `start` lies inside."""
-    room = np.where(step > 0.0, cap - start, cap + start)
-    size = np.abs(step)
-    return float(min(1.0, np.min(np.where(size > room, room / np.maximum(size, 1e-300), 1.0))))
+    room = cap - np.sign(step) * start
+    return min(1.0, float((room / np.maximum(np.abs(step), _STILL)).min()))
 
 
 def integrate(
@@ -68,7 +70,7 @@ def integrate(
     left_s = horizon_s
     for _ in range(max_steps):
         rates = field(q + moved)
-        fastest = float(np.max(np.abs(rates) / cap))
+        fastest = float((np.abs(rates) / cap).max())
         step_s = min(left_s, max_step_s)
         if step_s * fastest > max_share:
             step_s = max_share / fastest

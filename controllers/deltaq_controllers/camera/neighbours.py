@@ -5,17 +5,16 @@ the unit vector from the other body's nearest point b to the own body's nearest 
 
     d' = n . (J_a(a) - J_b(b)) q'
 
-where q' holds the rates of every robot. Pairs that bounding spheres keep apart are not measured, nor are pairs
-that were far apart when last measured.
+where q' holds the rates of every robot. A pair is measured only if it can be among the nearest: not while its bodies
+have travelled less than would bring them so near since they were last measured, nor while their bounding spheres
+are farther apart. A body travels no farther than its sphere's centre, and the sphere's radius times all that turned it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -23,13 +22,14 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import make_reproducible
 from deltaq_cell.joined import WORLD, joined
-from deltaq_controllers.spheres import local_box
+from deltaq_controllers.kinematics import placement_views
+from deltaq_controllers.spheres import Spheres, local_box
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-CLOSING_SPEED_M_S = 5.0
-"""No two bodies approach one another faster: a far pair is not measured again until it can be near [m/s]."""
+_UNKNOWN_M = -1e6
+"""What is known of the distance of a pair that was never measured [m]."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,6 @@ class Neighbours:
     Args:
         cell: the cell.
         robot: name of the robot.
-        cycle_s: time between two measurements of one motion [s]; 0 for configurations that have nothing to do with
-            each other, of which every pair is measured.
         most: how many pairs are told.
 
     Attributes:
@@ -65,43 +63,46 @@ class Neighbours:
         same: (p,) whether both bodies belong to the robot.
     """
 
-    def __init__(self, cell: CellModel, robot: str, cycle_s: float, most: int = 10) -> None:
+    def __init__(self, cell: CellModel, robot: str, most: int = 10) -> None:
         self._model, places = joined(cell)
         self._data = self._model.createData()
         self._most = most
         first, n = places[robot].first_q, cell.robots[robot].n
         self._own_joints = slice(first, first + n)
-        self._geometry, self._spheres = pin.GeometryModel(), pin.GeometryModel()
-        self._radii: list[float] = []
+        self._geometry = pin.GeometryModel()
         own: list[int] = []
         foreign: list[int] = []
         standing: list[int] = []
         for name, model in cell.robots.items():
             for body in model.geometry.geometryObjects:
-                index = self._add(places[name].moved(body))
+                index = self._geometry.addGeometryObject(places[name].moved(body))
                 (standing if body.parentJoint == WORLD else own if name == robot else foreign).append(index)
         for body in cell.structure:
-            standing.append(self._add(body))
+            standing.append(self._geometry.addGeometryObject(body))
         never = {frozenset(pair) for model in cell.robots.values() for pair in model.never_checked_pairs()}
         pairs = [(i, j) for i in own for j in (*foreign, *standing)]
         pairs += list(combinations(own, 2))
         names = [body.name for body in self._geometry.geometryObjects]
         checked = np.array([frozenset((names[i], names[j])) not in never for i, j in pairs])
-        self._bodies = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         self.names = tuple((names[i], names[j]) for i, j in pairs)
-        self._one, self._other = self._bodies.T.copy()
-        self.foreign = np.isin(self._bodies[:, 1], foreign)
-        self.same = np.isin(self._bodies[:, 1], own)
+        self._one, self._other = np.array(pairs, dtype=np.intp).reshape(-1, 2).T.copy()
+        self.foreign = np.isin(self._other, foreign)
+        self.same = np.isin(self._other, own)
         for i, j in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-        self._geometry_data, self._sphere_data = self._geometry.createData(), self._spheres.createData()
+        self._geometry_data = self._geometry.createData()
         make_reproducible(self._geometry_data)
-        radii = np.array(self._radii)
-        self._reach = radii[self._bodies].sum(axis=1)
-        self._moves = self._moves_of([body.parentJoint for body in self._geometry.geometryObjects])
-        self._cycle, self._step_m = 0, CLOSING_SPEED_M_S * cycle_s
-        self._due = np.where(checked, 0, np.iinfo(np.intp).max)
-        self._split_spheres()
+        self._results = list(self._geometry_data.distanceResults)
+        carriers = np.array([body.parentJoint for body in self._geometry.geometryObjects])
+        self._moves = self._moves_of(carriers.tolist())
+        self._columns: Array = self._data.J
+        self._surround(carriers)
+        revolute = np.concatenate([model.revolute for model in cell.robots.values()])
+        self._turned_by = self._moves[self._moving] * revolute
+        self._q = np.zeros(self._model.nq)
+        self._travel = np.zeros(len(carriers))
+        self._at_least = np.where(checked, _UNKNOWN_M, np.inf)
+        self._told: Index = np.zeros(0, dtype=np.intp)
 
     def near(self, q: Array, ranges: Array) -> Near:
         """What is near at a configuration.
@@ -110,77 +111,81 @@ class Neighbours:
             q: (m,) joints of all robots of the cell, in its order [rad or m].
             ranges: (p,) distance of each pair from which on it matters [m].
         """
-        pin.computeJointJacobians(self._model, self._data, q)
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
-        self._cycle += 1
-        candidates = self._candidates(ranges)
-        distances = np.empty(len(candidates))
-        results = self._geometry_data.distanceResults
-        for place, pair in enumerate(candidates.tolist()):
-            pin.computeDistance(self._geometry, self._geometry_data, pair)
-            distances[place] = results[pair].min_distance
-        self._let_sleep(candidates, distances, ranges)
-        chosen = np.flatnonzero(distances < ranges[candidates])
-        chosen = chosen[np.argsort((distances - ranges[candidates])[chosen], kind="stable")][: self._most]
-        pairs, distances = candidates[chosen], distances[chosen]
-        rows = self._rows(pairs, [results[pair] for pair in pairs.tolist()])
+        self._place(q)
+        # those told last time tell how near a pair has to be to be told now
+        told = self._told
+        distances = self._measure(told)
+        within = min(float((distances - ranges[told]).max()), 0.0) if len(told) == self._most else 0.0
+        others = self._candidates(ranges + within)
+        pairs, distances = np.concatenate([told, others]), np.concatenate([distances, self._measure(others)])
+        excess = distances - ranges[pairs]
+        nearest = np.lexsort((pairs, excess))[: self._most]
+        chosen = nearest[excess[nearest] < 0.0]
+        self._told = pairs[chosen]
+        rows = self._rows(self._told)
         own = rows[:, self._own_joints].copy()
         rows[:, self._own_joints] = 0.0
-        return Near(pairs, distances, own, rows)
+        return Near(self._told, distances[chosen], own, rows)
 
-    def _add(self, body: Any) -> int:
-        low, high = local_box(body)
-        centre, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-        placed = body.placement * pin.SE3(np.eye(3), centre)
-        self._spheres.addGeometryObject(
-            pin.GeometryObject(body.name, body.parentJoint, placed, coal.Sphere(radius))
+    def _surround(self, carriers: Index) -> None:
+        """Bounding spheres of the bodies; `_centres` and `_radii` of all, `_spheres` to place the `_moving` ones."""
+        centres, radii = [], []
+        for body in self._geometry.geometryObjects:
+            low, high = local_box(body)
+            centres.append(body.placement.act(0.5 * (low + high)))
+            radii.append(0.5 * float(np.linalg.norm(high - low)))
+        self._centres, self._radii = np.array(centres), np.array(radii)
+        self._moving = np.flatnonzero(carriers != WORLD)
+        self._spheres = Spheres(
+            carriers[self._moving], self._centres[self._moving], self._radii[self._moving], self._model.nq
         )
-        self._radii.append(radius)
-        return int(self._geometry.addGeometryObject(body))
+        self._placements = placement_views(self._data)
 
-    def _split_spheres(self) -> None:
-        """Spheres that stand still need no placing: keep only the moving ones where they are placed."""
-        moving = pin.GeometryModel()
-        self._centres = np.zeros((len(self._radii), 3))
-        self._moving: list[int] = []
-        for index, sphere in enumerate(self._spheres.geometryObjects):
-            if sphere.parentJoint == WORLD:
-                self._centres[index] = sphere.placement.translation
-            else:
-                moving.addGeometryObject(sphere)
-                self._moving.append(index)
-        self._spheres, self._sphere_data = moving, moving.createData()
+    def _place(self, q: Array) -> None:
+        """Place the robots, and note how far their bodies can have travelled."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
+        centres = self._spheres.placed(np.concatenate(self._placements))
+        moved = centres - self._centres[self._moving]
+        turned = self._turned_by @ np.abs(q - self._q)
+        self._travel[self._moving] += np.sqrt((moved * moved).sum(axis=1)) + self._spheres.radii * turned
+        self._centres[self._moving], self._q = centres, q
 
     def _candidates(self, ranges: Array) -> Index:
-        """Pairs that are due and that their bounding spheres do not keep apart."""
-        pin.updateGeometryPlacements(self._model, self._data, self._spheres, self._sphere_data)
-        self._centres[self._moving] = [placed.translation for placed in self._sphere_data.oMg]
-        due = np.flatnonzero(self._due <= self._cycle)
-        apart = self._centres[self._one[due]] - self._centres[self._other[due]]
-        gaps = np.sqrt((apart * apart).sum(axis=1)) - self._reach[due]
-        far = gaps > ranges[due]
-        self._let_sleep(due[far], gaps[far], ranges)
-        near: Index = due[~far]
+        """Pairs other than those told that can be within (p,) ranges."""
+        travelled = self._travel[self._one] + self._travel[self._other]
+        possible = self._at_least - travelled < ranges
+        possible[self._told] = False
+        pairs = np.flatnonzero(possible)
+        one, other = self._one[pairs], self._other[pairs]
+        apart = self._centres[one] - self._centres[other]
+        gaps = np.sqrt((apart * apart).sum(axis=1)) - self._radii[one] - self._radii[other]
+        self._at_least[pairs] = np.maximum(self._at_least[pairs], gaps + travelled[pairs])
+        near: Index = pairs[gaps < ranges[pairs]]
         return near
 
-    def _let_sleep(self, pairs: Index, distances: Array, ranges: Array) -> None:
-        if self._step_m > 0.0:
-            cycles = np.maximum((distances - ranges[pairs]) / self._step_m, 1.0).astype(np.intp)
-            self._due[pairs] = self._cycle + cycles
+    def _measure(self, pairs: Index) -> Array:
+        """(k,) distances of pairs [m]."""
+        distances = np.empty(len(pairs))
+        for place, pair in enumerate(pairs.tolist()):
+            pin.computeDistance(self._geometry, self._geometry_data, pair)
+            distances[place] = self._results[pair].min_distance
+        self._at_least[pairs] = distances + self._travel[self._one[pairs]] + self._travel[self._other[pairs]]
+        return distances
 
-    def _rows(self, pairs: Index, results: list[Any]) -> Array:
-        """(k, m) change of each distance per increment of each joint."""
-        if not results:
+    def _rows(self, pairs: Index) -> Array:
+        """(k, m) change of each distance, as it was measured, per increment of each joint."""
+        if not pairs.size:
             return np.zeros((0, self._model.nv))
-        # coal's normal points from the first body to the second; a force at a point is a wrench at the origin
-        own, theirs = np.empty((len(results), 6)), np.empty((len(results), 6))
-        for row, result in enumerate(results):
-            x, y, z = (-result.normal).tolist()
-            own[row] = _wrench(x, y, z, *result.getNearestPoint1().tolist())
-            theirs[row] = _wrench(x, y, z, *result.getNearestPoint2().tolist())
-        first, second = self._bodies[pairs].T
-        twists = self._data.J
-        rows: Array = (own @ twists) * self._moves[first] - (theirs @ twists) * self._moves[second]
+        own, theirs = [], []
+        for pair in pairs.tolist():
+            result = self._results[pair]
+            # coal's normal points from the first body to the second; a force at a point is a wrench at the origin
+            x, y, z = result.normal.tolist()
+            own.append(_wrench(-x, -y, -z, *result.getNearestPoint1().tolist()))
+            theirs.append(_wrench(-x, -y, -z, *result.getNearestPoint2().tolist()))
+        first, second = self._moves[self._one[pairs]], self._moves[self._other[pairs]]
+        rows: Array = (np.array(own) @ self._columns) * first - (np.array(theirs) @ self._columns) * second
         return rows
 
     def _moves_of(self, carriers: list[int]) -> Array:

@@ -17,7 +17,6 @@ more than leaves room to brake with the acceleration that the joints have in tha
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,14 +93,14 @@ class QpFollower:
         self._camera = Kinematics(robot, "camera")
         self._leader = Kinematics(scene.leader, "tool")
         self._others = OtherRobots(scene)
-        self._neighbours = Neighbours(scene.cell, scene.robot_name, cycle_s, MOST_PAIRS)
+        self._neighbours = Neighbours(scene.cell, scene.robot_name, MOST_PAIRS)
         self._margins = self._margin_of_pairs()
         foreign, gains = self._neighbours.foreign, self.gains
         self._ranges = self._margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
         self._shares = np.where(foreign, gains.others_share, gains.barrier_share)
         self._program = QuadraticProgram(self.limits.max_ddq, gains.rest_weight, [gains.barrier_price] * 2)
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
-        self._repulsion = Repulsion(robot, potential, self.limits.max_dq, floor_m=0.0)
+        self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
 
     def increment(self, view: View) -> Array:
@@ -118,7 +117,7 @@ class QpFollower:
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
         rows, wanted, weights = self._tasks(q, focus, velocity, evade=True in foreign)
-        slowest, fastest = self._bounds(q, dq_last)
+        slowest, fastest = self._bounds(q, dq_last, cycles)
         barriers, least = self._barriers(near, travel, 0.5 * (cycles + 2))
         kinds = np.where(foreign, 0, 1)
         solution = self._program.solve(rows, wanted, weights, slowest, fastest, barriers, least, kinds)
@@ -138,17 +137,12 @@ class QpFollower:
 
     def clearance(self, q: Array, q_leader: Array) -> float:
         """Least distance from other robots [m]; `evades_below_m` if they are farther away."""
-        neighbours = self._afterwards
+        neighbours = self._neighbours
         near = neighbours.near(
             self._others.joined(q, {self._scene.leader_name: q_leader}),
             np.where(neighbours.foreign, self.evades_below_m, -np.inf),
         )
         return float(near.distance.min(initial=self.evades_below_m))
-
-    @cached_property
-    def _afterwards(self) -> Neighbours:
-        """For configurations out of a recording, in any order."""
-        return Neighbours(self._scene.cell, self._scene.robot_name, 0.0, MOST_PAIRS)
 
     def _focus_ahead(self) -> tuple[Array, Array]:
         """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
@@ -234,10 +228,9 @@ class QpFollower:
         busy = np.linalg.solve(square, direction) @ scaled
         return 1.0 / max(float(busy.max()), -float(busy.min()), 1e-9)
 
-    def _bounds(self, q: Array, dq_last: Array) -> tuple[Array, Array]:
-        """Least and greatest increment (n,) of speed, acceleration and room to brake."""
+    def _bounds(self, q: Array, dq_last: Array, cycles: int) -> tuple[Array, Array]:
+        """Least and greatest increment (n,) of speed, acceleration and room to brake; `dq_last` takes `cycles`."""
         slowest, fastest = self.limits.reach(dq_last)
-        cycles = brake_cycles(dq_last, self.limits.max_ddq)
         # the brake after the increment is at most a cycle longer than the one before it
         room = 2.0 / (cycles + 2)
         brake = dq_last * ((cycles - 1) / cycles)

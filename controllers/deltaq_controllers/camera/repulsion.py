@@ -46,30 +46,35 @@ class Potential:
             between_centres: |o - b|, which only the print makes use of [m].
         """
         d = np.maximum(clearance, self.min_m)
-        size: Array = self.gain * np.maximum(1.0 / d - 1.0 / self.range_m, 0.0) / d**2
+        size: Array = self.gain * np.maximum(1.0 / d - 1.0 / self.range_m, 0.0) / (d * d)
         return size * between_centres / d if self.as_printed else size
 
 
 class Repulsion:
     """Repulsion of one robot's bounding spheres from given spheres and from the floor.
 
-    `approach` once per increment finds the pairs that can come into range during it; `field` then looks at
+    `approach` once per increment finds the spheres that can come into range during it; `field` then looks at
     those only.
 
     Args:
         robot: the robot that is pushed.
         potential: size of the pushes.
-        max_dq: (n,) largest increment [rad or m].
+        max_dq: (n,) farthest that the joints go from `approach` to `field` [rad or m].
         floor_m: height of the floor, None for none [m].
     """
 
     def __init__(self, robot: RobotModel, potential: Potential, max_dq: Array, floor_m: float | None) -> None:
         self._spheres = Spheres.of(robot)
         self._potential = potential
-        self._floor_m = floor_m
-        self._moves = joints_that_move(robot, self._spheres.joints)
-        self._travel = _TRAVEL_MARGIN * self._moves * _reach(robot, self._spheres) @ max_dq
-        self._can_sink = _changes_height(robot, self._spheres)
+        self._floor_m = 0.0 if floor_m is None else floor_m
+        moves = joints_that_move(robot, self._spheres.joints)
+        self._moves = moves.astype(np.float64)
+        travel = _TRAVEL_MARGIN * moves * _reach(robot, self._spheres) @ max_dq
+        self._within = potential.range_m + travel
+        sinks = (
+            np.zeros(len(moves), dtype=np.bool_) if floor_m is None else _changes_height(robot, self._spheres)
+        )
+        self._floor_reach = np.where(sinks, self._spheres.radii, -np.inf)
         self._nearby: _Nearby | None = None
 
     def approach(self, kinematics: Kinematics, obstacles: Array, radii: Array) -> float:
@@ -83,68 +88,59 @@ class Repulsion:
         Returns:
             Least clearance [m]; infinite if there is neither a floor nor an obstacle.
         """
-        centres, own = self._spheres.placed(kinematics.data), self._spheres.radii
-        least, within = np.inf, self._potential.range_m + self._travel
-        low: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
-        if self._floor_m is not None:
-            above = np.where(self._can_sink, centres[:, 2] - own - self._floor_m, np.inf)
-            least = min(least, float(above.min(initial=np.inf)))
-            low = np.flatnonzero(above < within)
-        free = _between(centres, obstacles) - own[:, None] - radii
-        least = min(least, float(free.min(initial=np.inf)))
-        pairs = np.nonzero(free < within[:, None])
-        used = np.concatenate([low, pairs[0]])
+        centres, own = self._spheres.placed(kinematics.placements()), self._spheres.radii
+        clearance = _distances(centres, obstacles)
+        clearance -= own[:, None]
+        clearance -= radii
+        above = centres[:, 2] - self._floor_m - self._floor_reach
+        near = np.flatnonzero((clearance < self._within[:, None]).any(axis=0))
         self._nearby = None
-        if len(used):
-            floor = 0.0 if self._floor_m is None else self._floor_m
-            foot = centres[low] * np.array([1.0, 1.0, 0.0]) + np.array([0.0, 0.0, floor])
-            self._nearby = _Nearby(
-                self._spheres.take(used),
-                self._moves[used].T.astype(np.float64),
-                np.concatenate([foot, obstacles[pairs[1]]]),
-                own[used] + np.concatenate([np.zeros(len(low)), radii[pairs[1]]]),
-                len(low),
-            )
-        return least
+        if near.size or (above < self._within).any():
+            reach = np.column_stack([own[:, None] + radii[near], self._floor_reach])
+            self._nearby = _Nearby(obstacles[near], reach)
+        return min(float(clearance.min(initial=np.inf)), float(above.min()))
 
     def field(self, kinematics: Kinematics) -> Array:
         """F_rep (n,) at the configuration of `kinematics` [rad/s or m/s]."""
         near = self._nearby
         if near is None:
-            return np.zeros(self._moves.shape[1])
-        centres = near.spheres.placed(kinematics.data)
-        apart = centres - near.obstacles
-        apart[: near.floor_count, :2] = 0.0
-        between = np.sqrt((apart * apart).sum(axis=1))
+            return np.zeros(kinematics.columns.shape[1])
+        centres = self._spheres.placed(kinematics.placements())
+        apart = self._apart(centres, near.obstacles)
+        between = np.sqrt((apart * apart).sum(axis=0))
         push = self._potential.push(between - near.reach, between)
-        force = apart * (push / np.maximum(between, 1e-9))[:, None]
+        force = np.einsum("imk,mk->im", apart, push / np.maximum(between, 1e-9))
         # J_o^T f = linear^T f + angular^T (o x f), summed over the spheres that each joint moves
-        wrench = np.empty((len(force), 6))
-        wrench[:, :3] = force
+        wrench = np.empty((6, len(centres)))
+        wrench[:3] = fx, fy, fz = force
         x, y, z = centres.T
-        fx, fy, fz = force.T
-        wrench[:, 3], wrench[:, 4], wrench[:, 5] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
-        field: Array = (kinematics.columns * (near.moves @ wrench).T).sum(axis=0)
+        wrench[3], wrench[4], wrench[5] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+        field: Array = (kinematics.columns * (wrench @ self._moves)).sum(axis=0)
         return field
+
+    def _apart(self, centres: Array, obstacles: Array) -> Array:
+        """(3, m, k + 1) o - b of the spheres' centres (m, 3) and obstacles (k, 3), foot points on the floor last [m]."""
+        apart = np.zeros((3, len(centres), len(obstacles) + 1))
+        np.subtract(centres.T[:, :, None], obstacles.T[:, None], out=apart[:, :, :-1])
+        apart[2, :, -1] = centres[:, 2] - self._floor_m
+        return apart
 
 
 @dataclass(frozen=True)
 class _Nearby:
-    """Pairs in reach of one increment: the first `floor_count` with the floor, the others with obstacles."""
+    """Obstacles in reach of one increment, (k, 3), and how far from them and the floor is contact, (m, k + 1) [m]."""
 
-    spheres: Spheres
-    moves: Array
     obstacles: Array
     reach: Array
-    floor_count: int
 
 
-def _between(points: Array, others: Array) -> Array:
-    """(m, k) distances of points (m, 3) and (k, 3), by the law of cosines [m]."""
-    squares = (
-        (points * points).sum(axis=1)[:, None] + (others * others).sum(axis=1) - 2.0 * (points @ others.T)
-    )
-    distances: Array = np.sqrt(np.maximum(squares, 0.0))
+def _distances(points: Array, others: Array) -> Array:
+    """(m, k) distances of points (m, 3) and (k, 3), by the law of cosines in place: they are many [m]."""
+    distances = points @ (-2.0 * others.T)
+    distances += np.einsum("ij,ij->i", points, points)[:, None]
+    distances += np.einsum("ij,ij->i", others, others)
+    np.maximum(distances, 0.0, out=distances)
+    np.sqrt(distances, out=distances)
     return distances
 
 
@@ -171,6 +167,6 @@ def _changes_height(robot: RobotModel, spheres: Spheres) -> NDArray[np.bool_]:
     heights = []
     for _ in range(5):
         kinematics.update(generator.uniform(robot.lower, robot.upper))
-        heights.append(spheres.placed(kinematics.data)[:, 2])
+        heights.append(spheres.placed(kinematics.placements())[:, 2])
     changes: NDArray[np.bool_] = np.ptp(np.array(heights), axis=0) > 1e-9
     return changes
