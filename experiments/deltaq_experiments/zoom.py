@@ -37,6 +37,7 @@ class Plateau(BaseModel):
         desired_m: the distance.
         error_m: root mean square error over the last third of its time.
         largest_error_m: largest error of that time.
+        largest_angle_deg: largest view angle error of that time.
         reached: whether `error_m` is within a centimetre.
         why_not: what stood in the way; None if it was reached.
     """
@@ -47,6 +48,7 @@ class Plateau(BaseModel):
     desired_m: float
     error_m: float
     largest_error_m: float
+    largest_angle_deg: float
     reached: bool
     why_not: str | None
 
@@ -127,6 +129,7 @@ def plateau(views: Views, clock: Array, from_s: float, to_s: float) -> Plateau:
         desired_m=float(views.desired_m[end][-1]),
         error_m=rms,
         largest_error_m=float(np.abs(error).max()),
+        largest_angle_deg=float(views.angle_deg[end].max()),
         reached=reached,
         why_not=None if reached else _why(views.near_limit[end], views.evading[end], on_average),
     )

@@ -87,3 +87,31 @@ def test_joints_with_room_make_up_for_those_that_cannot_follow() -> None:
     assert np.linalg.norm(jacobian @ (clipped - wanted)) > 1e-4
     np.testing.assert_allclose(jacobian @ kept, jacobian @ wanted, atol=1e-5)
     np.testing.assert_array_equal(law.keep_looking(clipped, q, -bound, bound), clipped)
+
+
+@pytest.mark.parametrize("away", [True, False])
+def test_a_joint_leaves_its_bound_only_before_the_focus_is_lost(away: bool) -> None:
+    robot = lab().robots["fr"]
+    law = CameraLaw(robot, CYCLE_S, CYCLE_S * robot.max_velocity, FollowerGains(), CORRECTED, floor_m=None)
+    kinematics = Kinematics(robot, "camera")
+    q = np.deg2rad([0.0, -100, 90, 10, 40, 0])
+    kinematics.update(q)
+    # the focus five degrees above the view axis, or below it; A5 cannot but nod, and A3 could make up for it
+    nod = kinematics.angular[:, 4] @ np.cross(kinematics.rotation[:, 2], kinematics.rotation[:, 0])
+    side = math.copysign(math.sin(math.radians(5.0)), nod if away else -nod)
+    focus = kinematics.position + kinematics.rotation[:, 2] - side * kinematics.rotation[:, 0]
+    law.aim(q, focus, 0.0, 1.2, *NOTHING)
+    view = look(kinematics.rotation, kinematics.position, focus)
+    jacobian = -view.P @ (kinematics.linear - np.cross(focus, kinematics.angular.T).T)
+    dq, slowest, fastest = np.zeros(6), np.zeros(6), np.zeros(6)
+    slowest[4] = fastest[4] = 0.002
+    assert (view.direction @ jacobian[:, 4] > 0.0) == away
+    needed = float(-jacobian[:, 4] @ jacobian[:, 2])
+    slowest[2], fastest[2] = sorted((math.copysign(1e-5, needed), math.copysign(0.02, needed)))
+    kept = law.keep_looking(dq, q, slowest, fastest)
+    turned = view.direction @ jacobian @ kept
+    clipped = view.direction @ jacobian @ np.clip(dq, slowest, fastest)
+    if away:
+        assert turned < 0.1 * clipped
+    else:
+        assert turned == clipped

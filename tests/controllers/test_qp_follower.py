@@ -78,6 +78,17 @@ def test_from_exactly_behind_it_gets_round_within_limits() -> None:
     assert seen[-1, 0] < 0.1
 
 
+def test_a_joint_that_comes_to_its_limit_on_the_way_stops_alone() -> None:
+    # A3 ends at its limit while A1 is fast and takes long to brake: the rest of the arm has to go on
+    start = np.deg2rad([-121.7, -52.6, -82.3, 280.8, 72.4, 58.4])
+    seen, violations = look_at(follower(), start, 1.0)
+    angle = seen[:, 0]
+    assert angle[0] > 140.0
+    assert violations == 0
+    assert (np.diff(angle) < 0.01).all()
+    assert angle[round(0.6 / CYCLE_S)] < 1.0
+
+
 @pytest.mark.parametrize("offset_m", [(0.06, 0.0, 0.17), (0.0, -0.1, 0.2)])
 def test_a_camera_off_the_last_axis_ends_level_and_aimed(offset_m: tuple[float, float, float]) -> None:
     camera = Camera(pose=Pose(position_m=offset_m, rpy_deg=(0, 0, 180)), vertical_view_deg=45)

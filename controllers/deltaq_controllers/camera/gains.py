@@ -56,7 +56,8 @@ class Variants:
 
     Attributes:
         angle_law: view angle decays linearly; else as (9) prints it, like its sine.
-        bounded_rates: errors are reduced no faster than the robot can brake; else as fast as it can move.
+        bounded_rates: errors are reduced no faster than the robot can brake, and its braking does not turn the view
+            away; else they are reduced as fast as it can move.
         one_sided_weights: joints that leave a limit are not weighed; else (10) as printed.
         gradient_repulsion: the gradient of the potential; else (12) as printed.
         extrapolated_focus: the focus is carried ahead by the latency; else held where it was measured.

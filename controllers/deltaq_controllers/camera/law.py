@@ -124,7 +124,8 @@ class CameraLaw:
         """Increment within bounds that moves the view as `dq` does, if there is one.
 
         Joints that cannot follow `dq` would spoil the view direction, which is the main task; the joints that
-        have room left make up for it, and the sub-tasks pay.
+        have room left make up for it, and the sub-tasks pay. Before the view turns away from the focus, joints that
+        are braked as `dq` asks are braked less, or more, for it.
 
         Args:
             dq: (n,) wanted increment [rad or m].
@@ -139,10 +140,14 @@ class CameraLaw:
         view, jacobian, _ = self._look()
         damping = (self._gains.damping * view.stretch) ** 2
         for _ in range(len(dq)):
+            missing = jacobian @ (dq - reached)
             free = (reached > slowest) & (reached < fastest)
+            if self._variants.bounded_rates and view.direction @ jacobian @ reached > 0.0:
+                # the focus would be lost: joints that stand at a bound leave it too, if that is of help
+                helpful = missing @ jacobian
+                free |= np.where(reached > slowest, helpful < 0.0, helpful > 0.0)
             if not free.any():
                 break
-            missing = jacobian @ (dq - reached)
             wanted = reached + damped_rates(
                 jacobian, free.astype(np.float64), missing, np.zeros_like(dq), damping
             )

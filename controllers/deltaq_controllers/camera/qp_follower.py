@@ -43,6 +43,9 @@ from deltaq_protocol.brake import brake_cycles
 
 Array = NDArray[np.float64]
 
+_BRAKING = 0.98
+"""Share of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""
+
 MOST_PAIRS = 10
 """Pairs of bodies that one programme takes into account, the nearest first."""
 
@@ -231,12 +234,13 @@ class QpFollower:
     def _bounds(self, q: Array, dq_last: Array, cycles: int) -> tuple[Array, Array]:
         """Least and greatest increment (n,) of speed, acceleration and room to brake; `dq_last` takes `cycles`."""
         slowest, fastest = self.limits.reach(dq_last)
-        # the brake after the increment is at most a cycle longer than the one before it
-        room = 2.0 / (cycles + 2)
-        brake = dq_last * ((cycles - 1) / cycles)
-        slowest = np.minimum(np.maximum(slowest, room * (self.limits.lower - q)), np.maximum(brake, slowest))
-        fastest = np.maximum(np.minimum(fastest, room * (self.limits.upper - q)), np.minimum(brake, fastest))
-        return np.minimum(slowest, brake), np.maximum(fastest, brake)
+        # the brake after the increment is at most a cycle longer than the one before it; two cycles more, and a joint
+        # can slow down by itself before its limit while others speed up: too late, and the whole arm has to brake
+        room = 2.0 / (cycles + 4)
+        hardest = _BRAKING * self.limits.max_ddq
+        least = np.minimum(np.maximum(slowest, room * (self.limits.lower - q)), dq_last + hardest)
+        most = np.maximum(np.minimum(fastest, room * (self.limits.upper - q)), dq_last - hardest)
+        return least, most
 
     def _barriers(self, near: Near, travel: Array, reach: float) -> tuple[Array, Array]:
         """Rows (k, n) and least changes (k,) that keep the distances in range, judged where the brake ends [m].

@@ -119,7 +119,7 @@ class Repulsion:
         return field
 
     def _apart(self, centres: Array, obstacles: Array) -> Array:
-        """(3, m, k + 1) o - b of the spheres' centres (m, 3) and obstacles (k, 3), foot points on the floor last [m]."""
+        """(3, m, k + 1) o - b of the spheres (m, 3) and obstacles (k, 3), and last of their foot points [m]."""
         apart = np.zeros((3, len(centres), len(obstacles) + 1))
         np.subtract(centres.T[:, :, None], obstacles.T[:, None], out=apart[:, :, :-1])
         apart[2, :, -1] = centres[:, 2] - self._floor_m
