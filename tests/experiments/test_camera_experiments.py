@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deltaq_experiments import approach, collision, step_bench, tracking, zoom
-from deltaq_experiments.claims import CLAIMS, page
+from deltaq_experiments.claims import CLAIMS, Claim, page
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Line, Marks, Panel
@@ -127,19 +127,41 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
     assert "deltaq experiment tracking --controller paper" in text
 
 
+def _takes_minutes(claim: Claim) -> bool:
+    return claim.experiment == "collision" and claim.options.leader_speed_m_s > 0.25
+
+
+PAPER_ZOOM = next(claim for claim in CLAIMS if claim.experiment == "zoom" and claim.options == Options())
+"""What the paper's own law does not keep here; the test after the next holds it to what it does."""
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "claim",
-    [claim for claim in CLAIMS if claim.experiment != "collision" or claim.options.leader_speed_m_s <= 0.25],
+    [claim for claim in CLAIMS if claim is not PAPER_ZOOM and not _takes_minutes(claim)],
     ids=lambda claim: claim.command,
 )
-def test_what_is_claimed_is_kept(claim) -> None:  # type: ignore[no-untyped-def] # pytest's
-    if claim.options.controller == "paper" and claim.experiment == "zoom":
-        pytest.skip("the paper's own law does not keep all of it here; the page says what it does")
+def test_what_is_claimed_is_kept(claim: Claim) -> None:
     module = {"approach": approach, "tracking": tracking, "zoom": zoom, "collision": collision}
     outcome = module[claim.experiment].run(claim.options)
     assert claim.holds(outcome.report.model_dump(mode="json"))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
+def test_the_papers_own_law_zooms_as_well_as_its_latency_and_its_bodies_let_it() -> None:
+    report = zoom.run(PAPER_ZOOM.options).report
+    assert isinstance(report, zoom.ZoomReport)
+    *in_reach, out_of_reach = report.plateaus
+    # the focus is held where it was measured: speed times latency, and the way through the drives
+    assert max(plateau.error_m for plateau in in_reach) <= 0.25 * 0.06
+    assert max(plateau.largest_angle_deg for plateau in in_reach) <= 1.0
+    assert out_of_reach.why_not == "a joint is near its limit"
+    # it folds until the gate holds it, and the leader goes on meanwhile
+    assert report.angle_deg.max <= 20.0
+    assert report.clearance_m.self_min >= 0.02
+    assert sum(report.limits.model_dump().values()) == 0
 
 
 def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:

@@ -112,8 +112,8 @@ class Repulsion:
         force = np.einsum("imk,mk->im", apart, push / np.maximum(between, 1e-9))
         # J_o^T f = linear^T f + angular^T (o x f), summed over the spheres that each joint moves
         wrench = np.empty((6, len(centres)))
-        wrench[:3] = fx, fy, fz = force
-        x, y, z = centres.T
+        (x, y, z), (fx, fy, fz) = centres.T, force
+        wrench[:3] = force
         wrench[3], wrench[4], wrench[5] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
         field: Array = (kinematics.columns * (wrench @ self._moves)).sum(axis=0)
         return field
