@@ -38,6 +38,14 @@ def test_a_second_dry_run_of_a_cycle_is_refused_and_one_in_the_next_is_not(rig):
     assert rig.command(kind="dry_run", robot="fr", dq=SMALL).accepted
 
 
+def test_the_cycle_of_a_dry_run_is_remembered_for_a_replay(rig):
+    rig.command(kind="dry_run", robot="fr", dq=SMALL)
+    other = Sim(CELL, epoch=1)
+    other.recall(rig.sim.memory())
+    (output,) = other.on_command(bound(other, kind="dry_run", robot="fr", dq=SMALL))
+    assert output.message.code is ReasonCode.SUPERSEDED
+
+
 def test_a_dry_run_that_cannot_be_judged_says_why(rig):
     assert rig.command(kind="dry_run", robot="fr", dq=(0.0,) * 7).code is ReasonCode.BAD_SHAPE
     assert rig.command(kind="dry_run", robot="fr").code is ReasonCode.BAD_SHAPE
