@@ -18,7 +18,8 @@ READY = "ready:"
 KEPT_LINES = 200
 
 NICENESS = -10
-"""Services run ahead of ordinary programs where the system allows it: a cycle does not wait."""
+"""Services run ahead of ordinary programs where the system allows it: a cycle does not wait.
+Those between a controller and the motors ask for real-time priority themselves, however they are started."""
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,28 @@ def test_every_service_of_a_running_cell_is_healthy(cell: RunningCell) -> None:
         assert json.loads(done.stdout)["healthy"] is True
 
 
+def test_who_is_nearer_to_the_motors_goes_first_where_the_system_allows_it(cell: RunningCell) -> None:
+    priorities: dict[str, set[int]] = {}
+    for pid in cell.children():
+        command = Path(f"/proc/{pid}/cmdline").read_text()
+        module = next(word for word in command.split("\0") if "deltaq_" in word)
+        carrying = [pid, *threads_named(pid, "rx-"), *threads_named(pid, "tx-")]
+        priorities.setdefault(module, set()).update(os.sched_getparam(t).sched_priority for t in carrying)
+    told = [priorities[f"deltaq_services.{name}"] for name in ("robot_server", "sim", "hli")]
+    if any("no real-time priority" in line for line in cell.lines):
+        assert told == [{0}, {0}, {0}]
+    else:
+        assert [len(each) for each in told] == [1, 1, 1]
+        assert max(told[0]) > max(told[1]) > max(told[2]) > 0
+    assert priorities["deltaq_emulator"] == {0}
+
+
+def threads_named(pid: int, start: str) -> list[int]:
+    """Threads of a process by the beginning of their name; zenoh's that carry messages are rx-... and tx-..."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(task.name) for task in tasks if (task / "comm").read_text().startswith(start)]
+
+
 def test_status_shows_people_the_phase_of_each_robot(cell: RunningCell) -> None:
     done = cell.deltaq("status")
     assert done.returncode == 0

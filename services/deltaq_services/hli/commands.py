@@ -60,9 +60,8 @@ class Commands:
         if asked is not None and reply.epoch is not None and reply.newest_id is not None:
             self._learn(reply.epoch, reply.newest_id)
             unknowing = asked.command.epoch != reply.epoch or asked.command.id <= self._outdated_id
-            if (
-                unknowing and asked.command.id > self._stop_id
-            ):  # what was asked before a stop does not come after it
+            # what was asked before a stop must not come after it
+            if unknowing and asked.command.id > self._stop_id:
                 return self._sent_again(self._awaited.pop(reply.id))
             if not unknowing and reply.code is ReasonCode.REPLAYED_SEQUENCE:
                 return []  # a copy of it; the answer to the first is still to come

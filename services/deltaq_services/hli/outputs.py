@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from deltaq_protocol.messages import Message
 from deltaq_protocol.topics import Topic
 
 
-class Sender:
+class Sender(ABC):
     """Where an answer goes; the fronts derive from it, the core only hands it back.
 
     Attributes:
@@ -17,9 +18,9 @@ class Sender:
 
     lasting = False
 
+    @abstractmethod
     def deliver(self, message: Message) -> None:
         """Send an answer; only the shell calls this."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
