@@ -39,9 +39,9 @@ class Figures:
     confirmed: int
 
     @property
-    def confirmed_share(self) -> float:
-        """Share of the decisions asked about in which the oracle would have refused too."""
-        return self.confirmed / self.asked if self.asked else float("nan")
+    def confirmed_share(self) -> float | None:
+        """Share of the decisions asked about in which the oracle would have refused too; None if it was not asked."""
+        return self.confirmed / self.asked if self.asked else None
 
 
 class Auditor:
@@ -138,6 +138,9 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=10, help="ask about one decision in so many")
     parser.add_argument("--samples", type=int, default=60, help="samples of each tube (default: %(default)s)")
     options = parser.parse_args()
+    for name in ("cycles", "every", "samples"):
+        if (count := getattr(options, name)) < 1:
+            parser.error(f"--{name} {count}: at least 1")
     figures = run(options.cell, options.seed, options.cycles, options.every, options.samples)
     print(json.dumps(vars(figures) | {"confirmed_share": figures.confirmed_share}))
 

@@ -106,8 +106,12 @@ def main() -> int:
     parser.add_argument("--controller", nargs="+", default=["paper", "qp"], help="default: paper qp")
     parser.add_argument("--speed-m-s", type=float, default=0.25, help="of the leader (default: %(default)s)")
     parser.add_argument("--duration-s", type=float, default=20.0, help="of each run (default: %(default)s)")
-    parser.add_argument("--passes", type=int, default=5, help="answers to each view (default: %(default)s)")
+    parser.add_argument(
+        "--passes", type=int, default=5, help="answers to each view, at least 1 (default: %(default)s)"
+    )
     options = parser.parse_args()
+    if options.passes < 1:
+        parser.error(f"--passes {options.passes}: at least 1")
     for name in options.controller:
         for attacked in (False, True):
             quiet, once = run(name, options.speed_m_s, attacked, options.duration_s, options.passes)
