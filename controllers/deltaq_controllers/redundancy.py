@@ -11,9 +11,12 @@ Bjerkeng et al., III-B and III-C. What differs from the print, see the errata:
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from deltaq_controllers.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -24,6 +27,7 @@ _MATTERS = 1e-2
 """A weight that exceeds 1 by less is not worth a second solution."""
 
 
+@compiled
 def limit_gradient(q: Array, lower: Array, upper: Array) -> Array:
     """H of (11): positive in the upper half of each range, infinite at the limits but for a guard.
 
@@ -43,6 +47,7 @@ def limit_gradient(q: Array, lower: Array, upper: Array) -> Array:
     return gradient
 
 
+@compiled
 def damped_rates(jacobian: Array, inverse_weights: Array, task: Array, field: Array, damping: float) -> Array:
     """The law (9) for given weights.
 
@@ -58,27 +63,26 @@ def damped_rates(jacobian: Array, inverse_weights: Array, task: Array, field: Ar
     Returns:
         (n,) joint rates.
     """
-    return _weighed(np.vstack([jacobian, field]), inverse_weights, task, damping)
-
-
-def _weighed(rows: Array, inverse_weights: Array, task: Array, damping: float) -> Array:
-    """The same with the Jacobian's rows and the field as one (3, n): one product has all that the law needs."""
-    weighted = rows * inverse_weights
-    (a, b, d0), (_, c, d1), _ = (weighted @ rows.T).tolist()
+    a = b = c = d0 = d1 = 0.0
+    for i in range(len(field)):
+        weighted0, weighted1 = inverse_weights[i] * jacobian[0, i], inverse_weights[i] * jacobian[1, i]
+        a += weighted0 * jacobian[0, i]
+        b += weighted0 * jacobian[1, i]
+        c += weighted1 * jacobian[1, i]
+        d0 += weighted0 * field[i]
+        d1 += weighted1 * field[i]
     a, c = a + damping, c + damping
-    t0, t1 = task.tolist()
-    r0, r1 = t0 - d0, t1 - d1
+    r0, r1 = task[0] - d0, task[1] - d1
     determinant = a * c - b * b
-    rates: Array = (
-        np.array([(c * r0 - b * r1) / determinant, (a * r1 - b * r0) / determinant, 1.0]) @ weighted
-    )
+    x0, x1 = (c * r0 - b * r1) / determinant, (a * r1 - b * r0) / determinant
+    rates: Array = inverse_weights * (x0 * jacobian[0] + x1 * jacobian[1] + field)
     return rates
 
 
-class WeightedGradient:
+class WeightedGradient(NamedTuple):
     """The law (9) with limits of the joints.
 
-    Args:
+    Attributes:
         lower: (n,) lower limits [rad or m].
         upper: (n,) upper limits [rad or m].
         limit_scale: `s_w` of the weights [rad or m].
@@ -87,60 +91,62 @@ class WeightedGradient:
         one_sided: False weighs joints that leave a limit too, as (10) is printed.
     """
 
-    def __init__(
-        self, lower: Array, upper: Array, limit_scale: float, damping: float, one_sided: bool = True
-    ) -> None:
-        self._lower, self._upper = lower, upper
-        self._limit_scale = limit_scale
-        self._damping = damping
-        self._one_sided = one_sided
+    lower: Array
+    upper: Array
+    limit_scale: float
+    damping: float
+    one_sided: bool = True
 
-    def inverse_weights(self, q: Array, rates: Array | None = None) -> Array:
-        """(n,) diagonal of W^-1; 1 for joints that `rates` (n,) moves away from their nearer limit."""
-        gradient = limit_gradient(q, self._lower, self._upper)
-        inverse: Array = 1.0 / (1.0 + (self._limit_scale * gradient) ** 2)
-        if rates is not None:
-            inverse[gradient * rates < 0.0] = 1.0
-        return inverse
 
-    def rates(self, q: Array, jacobian: Array, task: Array, field: Array, stretch: float = 1.0) -> Array:
-        """Joint rates of (9), every joint that approaches a limit weighed.
+@compiled
+def inverse_weights(weights: WeightedGradient, q: Array, rates: Array) -> Array:
+    """(n,) diagonal of W^-1; 1 for joints that `rates` (n,) moves away from their nearer limit."""
+    gradient = limit_gradient(q, weights.lower, weights.upper)
+    weighed = 1.0 / (1.0 + (weights.limit_scale * gradient) ** 2)
+    return np.where(gradient * rates < 0.0, 1.0, weighed)
 
-        The weights depend on the rates and the rates on the weights. Joints that leave their limit with
-        all weights on are released; those that then turn round are taken back, until none does.
 
-        Args:
-            q: (n,) configuration [rad or m].
-            jacobian: (2, n) task Jacobian.
-            task: (2,) wanted task rate [1/s].
-            field: (n,) sub-task field [rad/s or m/s].
-            stretch: singular values of the task by the view angle, to give the damping its unit.
+@compiled
+def weighted_rates(
+    weights: WeightedGradient, q: Array, jacobian: Array, task: Array, field: Array, stretch: float
+) -> Array:
+    """Joint rates of (9), every joint that approaches a limit weighed.
 
-        Returns:
-            (n,) joint rates [rad/s or m/s].
-        """
-        damping = (self._damping * stretch) ** 2
-        gradient = limit_gradient(q, self._lower, self._upper)
-        weighed = 1.0 / (1.0 + (self._limit_scale * gradient) ** 2)
-        rows = np.empty((3, len(q)))
-        rows[:2], rows[2] = jacobian, field
-        rates = _weighed(rows, weighed, task, damping)
-        if not self._one_sided:
-            return rates
-        released = (gradient * rates < 0.0) & (weighed < 1.0 - _MATTERS)
-        count = np.count_nonzero(released)
-        while count:
-            rates = _weighed(rows, np.maximum(weighed, released), task, damping)
-            released &= gradient * rates < 0.0
-            kept = np.count_nonzero(released)
-            if kept == count:
-                break
-            count = kept
-            if not count:
-                rates = _weighed(rows, weighed, task, damping)
+    The weights depend on the rates and the rates on the weights. Joints that leave their limit with
+    all weights on are released; those that then turn round are taken back, until none does.
+
+    Args:
+        weights: the joints' weights.
+        q: (n,) configuration [rad or m].
+        jacobian: (2, n) task Jacobian.
+        task: (2,) wanted task rate [1/s].
+        field: (n,) sub-task field [rad/s or m/s].
+        stretch: singular values of the task by the view angle, to give the damping its unit.
+
+    Returns:
+        (n,) joint rates [rad/s or m/s].
+    """
+    damping = (weights.damping * stretch) ** 2
+    gradient = limit_gradient(q, weights.lower, weights.upper)
+    weighed = 1.0 / (1.0 + (weights.limit_scale * gradient) ** 2)
+    rates = damped_rates(jacobian, weighed, task, field, damping)
+    if not weights.one_sided:
         return rates
+    released = (gradient * rates < 0.0) & (weighed < 1.0 - _MATTERS)
+    count = released.sum()
+    while count:
+        rates = damped_rates(jacobian, np.where(released, 1.0, weighed), task, field, damping)
+        released &= gradient * rates < 0.0
+        kept = released.sum()
+        if kept == count:
+            break
+        count = kept
+        if not count:
+            rates = damped_rates(jacobian, weighed, task, field, damping)
+    return rates
 
 
+@compiled
 def emergency_rates(weights: WeightedGradient, q: Array, repulsion: Array) -> Array:
     """The pure obstacle avoidance (13), with one-sided weights so that limits do not hold an evasion back.
 
@@ -152,7 +158,7 @@ def emergency_rates(weights: WeightedGradient, q: Array, repulsion: Array) -> Ar
     Returns:
         (n,) joint rates [rad/s or m/s].
     """
-    return weights.inverse_weights(q, repulsion) * repulsion
+    return inverse_weights(weights, q, repulsion) * repulsion
 
 
 class Emergency:

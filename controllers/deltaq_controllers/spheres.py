@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.compiled import compiled
 from deltaq_controllers.kinematics import placement_views
 
 Array = NDArray[np.float64]
@@ -20,21 +19,18 @@ SPHERES_PER_WIDTH = 1.0
 """Spheres along the length of a body, per width of it; more hug it closer and cost more."""
 
 
-@dataclass(frozen=True)
-class Spheres:
+class Spheres(NamedTuple):
     """Spheres that move with the joints of a robot.
 
     Attributes:
         joints: (m,) index of the carrying joint, as pinocchio counts: 1 for the first.
         centres: (m, 3) centres in the frames of these joints [m].
         radii: (m,) radii [m].
-        n: number of joints of the robot.
     """
 
     joints: NDArray[np.intp]
     centres: Array
     radii: Array
-    n: int
 
     @classmethod
     def of(cls, robot: RobotModel) -> Self:
@@ -49,23 +45,24 @@ class Spheres:
                 joints.append(body.parentJoint)
                 centres.append(body.placement.act(centre))
                 radii.append(radius)
-        return cls(
-            np.array(joints, dtype=np.intp), np.array(centres).reshape(-1, 3), np.array(radii), robot.n
-        )
-
-    @cached_property
-    def _carried(self) -> Array:
-        """(m, 4 n) each centre in homogeneous coordinates, in the columns of the joint that carries it."""
-        carried = np.zeros((len(self.joints), self.n, 4))
-        rows = np.arange(len(self.joints))
-        carried[rows, self.joints - 1, :3] = self.centres
-        carried[rows, self.joints - 1, 3] = 1.0
-        return carried.reshape(len(self.joints), -1)
+        return cls(np.array(joints, dtype=np.intp), np.array(centres).reshape(-1, 3), np.array(radii))
 
     def placed(self, placements: Array) -> Array:
         """(m, 3) centres in the world [m], for the placements (4 n, 3) of the joints (`kinematics.placement_views`)."""
-        centres: Array = self._carried @ placements
-        return centres
+        return placed(self, placements)
+
+
+@compiled
+def placed(spheres: Spheres, placements: Array) -> Array:
+    """`Spheres.placed`."""
+    in_world = np.empty_like(spheres.centres)
+    for i in range(len(in_world)):
+        first = 4 * (spheres.joints[i] - 1)
+        for axis in range(3):
+            in_world[i, axis] = placements[first + 3, axis]
+            for row in range(3):
+                in_world[i, axis] += spheres.centres[i, row] * placements[first + row, axis]
+    return in_world
 
 
 class PlacedSpheres:

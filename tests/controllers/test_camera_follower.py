@@ -88,7 +88,8 @@ def test_at_rest_the_robot_rests_whatever_the_delay_of_actuation(
 
 def test_started_from_the_measured_configuration_as_printed_it_would_never_come_to_rest() -> None:
     assert at_rest(1, AS_PRINTED, from_measured=True) < 1e-3
-    assert at_rest(2, AS_PRINTED, from_measured=True) > 3.0
+    assert at_rest(2, AS_PRINTED, from_measured=True) > 1.0
+    assert at_rest(3, AS_PRINTED, from_measured=True) > 3.0
 
 
 def test_with_lagging_drives_the_robot_comes_to_rest_too() -> None:

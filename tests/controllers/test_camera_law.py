@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,7 +44,7 @@ def test_the_view_angle_decays_at_k_p_whatever_the_sub_tasks_do(camera: Camera |
 
 @pytest.mark.parametrize("_", range(8))
 def test_as_printed_psi_is_reduced_and_the_angle_like_its_sine(_: int) -> None:
-    assert decay(None, replace(AS_PRINTED, gradient_repulsion=True))[1] == pytest.approx(1.0, rel=1e-3)
+    assert decay(None, AS_PRINTED._replace(gradient_repulsion=True))[1] == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("degrees", [1.0, 20.0, 170.0])

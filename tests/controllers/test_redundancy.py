@@ -12,18 +12,21 @@ from deltaq_controllers.redundancy import (
     WeightedGradient,
     damped_rates,
     emergency_rates,
+    inverse_weights,
     limit_gradient,
+    weighted_rates,
 )
 
 random = np.random.default_rng(5)
 LOWER, UPPER = np.deg2rad([-185.0, -155, -130, -350, -130, -350]), np.deg2rad([185.0, 35, 154, 350, 130, 350])
 MIDDLE = 0.5 * (LOWER + UPPER)
+AT_REST = np.zeros(6)
 
 
 def inverse_weight(limit_scale: float) -> float:
     """W^-1 of A2, half way between the middle and the upper end of its range."""
     q = MIDDLE + 0.25 * (UPPER - LOWER)
-    return float(WeightedGradient(LOWER, UPPER, limit_scale, 0.0).inverse_weights(q)[1])
+    return float(inverse_weights(WeightedGradient(LOWER, UPPER, limit_scale, 0.0), q, AT_REST)[1])
 
 
 def test_the_scale_of_the_weights_makes_the_unit_of_angle_explicit() -> None:
@@ -39,7 +42,7 @@ def test_the_gradient_of_11_is_as_printed() -> None:
 
 @pytest.mark.parametrize("q", [LOWER, UPPER, LOWER - 0.1, UPPER + 0.1])
 def test_at_a_limit_and_past_it_weights_are_finite_and_hold_the_joint(q: np.ndarray) -> None:
-    inverse = WeightedGradient(LOWER, UPPER, DEGREES, 0.0).inverse_weights(q)
+    inverse = inverse_weights(WeightedGradient(LOWER, UPPER, DEGREES, 0.0), q, AT_REST)
     assert np.isfinite(inverse).all()
     assert (inverse < 1e-2).all()
 
@@ -67,7 +70,7 @@ def test_the_solution_without_sub_tasks_costs_least() -> None:
 def test_a_task_that_the_joints_cannot_do_gives_finite_rates() -> None:
     jacobian = np.vstack([random.normal(size=6), np.zeros(6)])
     weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)
-    assert np.abs(weights.rates(MIDDLE, jacobian, np.ones(2), np.zeros(6))).max() < 100
+    assert np.abs(weighted_rates(weights, MIDDLE, jacobian, np.ones(2), np.zeros(6), 1.0)).max() < 100
 
 
 def test_a_joint_at_its_limit_is_held_back_on_its_way_in_and_free_on_its_way_out() -> None:
@@ -75,13 +78,13 @@ def test_a_joint_at_its_limit_is_held_back_on_its_way_in_and_free_on_its_way_out
     q[1] = UPPER[1] - math.radians(1.0)
     jacobian = np.array([[0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
     weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.0)
-    way_in = weights.rates(q, jacobian, np.array([1.0, 0.0]), np.zeros(6))
-    way_out = weights.rates(q, jacobian, np.array([-1.0, 0.0]), np.zeros(6))
+    way_in = weighted_rates(weights, q, jacobian, np.array([1.0, 0.0]), np.zeros(6), 1.0)
+    way_out = weighted_rates(weights, q, jacobian, np.array([-1.0, 0.0]), np.zeros(6), 1.0)
     assert way_in[1] < 0.01
     np.testing.assert_allclose(way_in[1] + way_in[2], 1.0)
     assert way_out[1] == pytest.approx(-0.5, abs=0.01)
     printed = WeightedGradient(LOWER, UPPER, DEGREES, 0.0, one_sided=False)
-    assert printed.rates(q, jacobian, np.array([-1.0, 0.0]), np.zeros(6))[1] > -0.01
+    assert weighted_rates(printed, q, jacobian, np.array([-1.0, 0.0]), np.zeros(6), 1.0)[1] > -0.01
 
 
 @given(
@@ -95,8 +98,8 @@ def test_no_joint_that_approaches_its_limit_is_ever_free(
 ) -> None:
     q = LOWER + share * (UPPER - LOWER)
     weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)
-    rates = weights.rates(q, jacobian, task, field)
-    weighed = weights.inverse_weights(q)
+    rates = weighted_rates(weights, q, jacobian, task, field, 1.0)
+    weighed = inverse_weights(weights, q, AT_REST)
     # whichever joints were released, the solution is the law's for weights that release none on its way in
     gradient = limit_gradient(q, LOWER, UPPER)
     free = (gradient * rates < 0) & (weighed < 0.99)

@@ -20,6 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_controllers.compiled import compiled
+from deltaq_controllers.vectors import components, cross, distance
+
 Array = NDArray[np.float64]
 
 ANTIPODE_RAD = 1e-3
@@ -53,6 +56,7 @@ class Look(NamedTuple):
     undecided: bool
 
 
+@compiled
 def look(rotation: Array, position: Array, focus: Array, way_round: Array | None = None) -> Look:
     """The error (3) and its derivative P.
 
@@ -63,48 +67,35 @@ def look(rotation: Array, position: Array, focus: Array, way_round: Array | None
         way_round: (2,) unit vector in the picture, the way round to take from 180 degrees, or its
             opposite, whichever the focus is nearer to; to the side if not given.
     """
-    # three numbers at a time, plain floats are several times quicker than arrays
-    (a1, a2, a3), (b1, b2, b3), (c1, c2, c3) = rotation.tolist()
-    x1, x2, x3 = position.tolist()
-    p1, p2, p3 = focus.tolist()
-    u1, u2, u3 = p1 - x1, p2 - x2, p3 - x3
-    distance = math.sqrt(u1 * u1 + u2 * u2 + u3 * u3)
-    if distance > MIN_DISTANCE_M:
-        u1, u2, u3 = u1 / distance, u2 / distance, u3 / distance
+    away = distance(position, focus)
+    if away > MIN_DISTANCE_M:
+        u = (focus - position) / away
     else:
-        u1, u2, u3, distance = a3, b3, c3, MIN_DISTANCE_M
-    y1 = a1 * u1 + b1 * u2 + c1 * u3
-    y2 = a2 * u1 + b2 * u2 + c2 * u3
-    y3 = a3 * u1 + b3 * u2 + c3 * u3
-    sine = math.hypot(y1, y2)
-    angle = math.atan2(sine, y3)
+        u, away = rotation[:, 2].copy(), MIN_DISTANCE_M
+    y = components(rotation, u)
+    sine = math.hypot(y[0], y[1])
+    angle = math.atan2(sine, y[2])
+    e = y[:2] / sine if sine > 1e-12 else np.array([0.0, 1.0])
     undecided = math.pi - angle < ANTIPODE_RAD
     if undecided:
         angle = math.pi - ANTIPODE_RAD
-        way1, way2 = (0.0, 1.0) if way_round is None else way_round.tolist()
-        sine = math.copysign(math.sin(angle), y1 * way1 + y2 * way2)
-        y1, y2, y3 = sine * way1, sine * way2, math.cos(angle)
-        u1, u2, u3 = (rotation @ np.array([y1, y2, y3])).tolist()
-        sine = abs(sine)
+        way = np.array([0.0, 1.0]) if way_round is None else way_round
+        e = math.copysign(1.0, y[0] * way[0] + y[1] * way[1]) * way
+        across = e[0] * rotation[:, 0] + e[1] * rotation[:, 1]
+        u = math.sin(angle) * across + math.cos(angle) * rotation[:, 2]
     # 1 + y3 loses all its digits near the antipode; tan(angle / 2) does not
     size = math.tan(0.5 * angle)
-    e1, e2 = (y1 / sine, y2 / sine) if sine > 1e-12 else (0.0, 1.0)
-    psi1, psi2 = size * e1, size * e2
+    psi = size * e
     stretch = 0.5 * (1.0 + size * size)
     # S R^T (I - u u^T) = stretch (B - psi u^T) with B = [I2, -psi] R^T, since B u = psi
-    scale = stretch / distance
-    v1, v2, v3 = a3 + u1, b3 + u2, c3 + u3
-    P = np.array(
-        [
-            [scale * (a1 - psi1 * v1), scale * (b1 - psi1 * v2), scale * (c1 - psi1 * v3)],
-            [scale * (a2 - psi2 * v1), scale * (b2 - psi2 * v2), scale * (c2 - psi2 * v3)],
-        ]
-    )
-    u, psi, direction = np.array([u1, u2, u3]), np.array([psi1, psi2]), np.array([e1, e2])
-    return Look(psi, angle, direction, distance, u, P, stretch, undecided)
+    P = np.empty((2, 3))
+    for row in range(2):
+        P[row] = (stretch / away) * (rotation[:, row] - psi[row] * (rotation[:, 2] + u))
+    return Look(psi, angle, e, away, u, P, stretch, undecided)
 
 
-def easiest_way_round(rotation: Array, jacobian_at_focus: Array) -> Array:
+@compiled
+def easiest_way_round(rotation: Array, focus: Array, twists: Array) -> Array:
     """The direction in the picture in which the joints move the focus most easily.
 
     From 180 degrees every way round is as short, but not every one need be open: a focus behind the camera on
@@ -112,16 +103,33 @@ def easiest_way_round(rotation: Array, jacobian_at_focus: Array) -> Array:
 
     Args:
         rotation: (3, 3) camera axes in the world.
-        jacobian_at_focus: (3, n) linear Jacobian of the camera's body at the focus.
+        focus: (3,) point that the camera's body moves there [m].
+        twists: (6, n) velocities of the camera's body at the world's origin, linear over angular.
 
     Returns:
         (2,) unit vector.
     """
-    in_picture = rotation[:, :2].T @ jacobian_at_focus
-    way: Array = np.linalg.eigh(in_picture @ in_picture.T)[1][:, 1]
-    return way
+    a = b = c = 0.0
+    for joint in range(twists.shape[1]):
+        moved = components(rotation, twists[:3, joint] + cross(twists[3:, joint], focus))
+        a += moved[0] * moved[0]
+        b += moved[0] * moved[1]
+        c += moved[1] * moved[1]
+    # the major axis of [[a, b], [b, c]]
+    turned = 0.5 * math.atan2(2.0 * b, a - c)
+    return np.array([math.cos(turned), math.sin(turned)])
 
 
+@compiled
+def look_on(rotation: Array, position: Array, focus: Array, twists: Array) -> Look:
+    """`look`, from 180 degrees by the easiest way round; all arguments as there and in `easiest_way_round`."""
+    view = look(rotation, position, focus)
+    if view.undecided:
+        return look(rotation, position, focus, easiest_way_round(rotation, focus, twists))
+    return view
+
+
+@compiled
 def view_jacobians(view: Look, position: Array, focus: Array, twists: Array) -> tuple[Array, Array]:
     """The task Jacobian of (4), and how the lens approaches the focus.
 
@@ -136,22 +144,20 @@ def view_jacobians(view: Look, position: Array, focus: Array, twists: Array) -> 
     Returns:
         (2, n) derivative of psi with respect to q, and (n,) speed of the lens towards the focus per joint rate [m].
     """
-    (a1, a2, a3), (b1, b2, b3) = view.P.tolist()
-    p1, p2, p3 = focus.tolist()
-    u1, u2, u3 = view.u.tolist()
-    x1, x2, x3 = position.tolist()
-    wrenches = np.array(
-        [
-            [-a1, -a2, -a3, p3 * a2 - p2 * a3, p1 * a3 - p3 * a1, p2 * a1 - p1 * a2],
-            [-b1, -b2, -b3, p3 * b2 - p2 * b3, p1 * b3 - p3 * b1, p2 * b1 - p1 * b2],
-            [u1, u2, u3, x2 * u3 - x3 * u2, x3 * u1 - x1 * u3, x1 * u2 - x2 * u1],
-        ]
-    )
-    rows: Array = wrenches @ twists
+    forces = np.empty((3, 3))
+    forces[:2], forces[2] = -view.P, view.u
+    rows = np.zeros((3, twists.shape[1]))
+    for row in range(3):
+        # (4) moves the body's point at the focus, the approach its lens
+        wrench = np.concatenate((forces[row], cross(focus if row < 2 else position, forces[row])))
+        for joint in range(twists.shape[1]):
+            for axis in range(6):
+                rows[row, joint] += wrench[axis] * twists[axis, joint]
     return rows[:2], rows[2]
 
 
+@compiled
 def view_angle(rotation: Array, position: Array, focus: Array) -> float:
     """Angle between view axis and focus [rad]; what Figs. 8 and 9 plot, with `p - x` (errata)."""
-    y1, y2, y3 = (rotation.T @ (focus - position)).tolist()
-    return math.atan2(math.hypot(y1, y2), y3)
+    y = components(rotation, focus - position)
+    return math.atan2(math.hypot(y[0], y[1]), y[2])

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from deltaq_controllers.redundancy import DEGREES
 
 
-@dataclass(frozen=True)
-class FollowerGains:
+class FollowerGains(NamedTuple):
     """Gains of the follower. Rates are per second of the virtual horizon.
 
     Attributes:
@@ -50,8 +49,7 @@ class FollowerGains:
     spin_rad_s2: float = 30.0
 
 
-@dataclass(frozen=True)
-class Variants:
+class Variants(NamedTuple):
     """Where the paper's print and its correction differ and both are worth running; see the errata.
 
     Attributes:
@@ -85,9 +83,9 @@ BY_NAME = {
     "paper": PAPER,
     "predictive": CORRECTED,
     "printed": AS_PRINTED,
-    "printed-decay": replace(PAPER, angle_law=False, bounded_rates=False),
-    "printed-weights": replace(PAPER, one_sided_weights=False),
-    "printed-repulsion": replace(PAPER, gradient_repulsion=False),
+    "printed-decay": PAPER._replace(angle_law=False, bounded_rates=False),
+    "printed-weights": PAPER._replace(one_sided_weights=False),
+    "printed-repulsion": PAPER._replace(gradient_repulsion=False),
 }
 """`paper` is the paper's law with its errata mended; `predictive` carries the focus ahead as well, which the paper
 leaves to future work (VII-B). `printed` undoes every correction, the others one each: the decay of (9), the weights

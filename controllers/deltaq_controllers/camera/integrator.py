@@ -14,6 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_controllers.compiled import compiled
+
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
@@ -33,10 +35,22 @@ def runge_kutta_step(field: Field, q: Array, rates: Array, step_s: float) -> Arr
     k2 = field(q + (0.5 * step_s) * rates)
     k3 = field(q + (0.5 * step_s) * k2)
     k4 = field(q + step_s * k3)
-    displacement: Array = (step_s / 6.0) * (rates + 2.0 * (k2 + k3) + k4)
-    return displacement
+    return _weighted_mean(rates, k2, k3, k4, step_s)
 
 
+@compiled
+def _weighted_mean(k1: Array, k2: Array, k3: Array, k4: Array, step_s: float) -> Array:
+    """Displacement by the four stages of a step."""
+    return (step_s / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+@compiled
+def largest_share(rates: Array, cap: Array) -> float:
+    """The largest rate of a joint by its cap [1/s]."""
+    return float((np.abs(rates) / cap).max())
+
+
+@compiled
 def share_inside(start: Array, step: Array, cap: Array) -> float:
     """Largest s in [0, 1] with `|start + s step| <= cap` for every joint; `start` lies inside."""
     room = cap - np.sign(step) * start
@@ -70,7 +84,7 @@ def integrate(
     left_s = horizon_s
     for _ in range(max_steps):
         rates = field(q + moved)
-        fastest = float((np.abs(rates) / cap).max())
+        fastest = largest_share(rates, cap)
         step_s = min(left_s, max_step_s)
         if step_s * fastest > max_share:
             step_s = max_share / fastest

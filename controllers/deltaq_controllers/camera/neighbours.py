@@ -137,7 +137,7 @@ class Neighbours:
         self._centres, self._radii = np.array(centres), np.array(radii)
         self._moving = np.flatnonzero(carriers != WORLD)
         self._spheres = Spheres(
-            carriers[self._moving], self._centres[self._moving], self._radii[self._moving], self._model.nq
+            carriers[self._moving], self._centres[self._moving], self._radii[self._moving]
         )
         self._placements = placement_views(self._data)
 

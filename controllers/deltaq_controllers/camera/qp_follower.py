@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.camera.error import (
     Look,
-    easiest_way_round,
-    look,
+    look_on,
     view_angle,
     view_jacobians,
 )
@@ -38,7 +37,7 @@ from deltaq_controllers.camera.subtasks import roll_effects, turn_to_level
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.redundancy import WeightedGradient
+from deltaq_controllers.redundancy import WeightedGradient, inverse_weights
 from deltaq_protocol.brake import brake_cycles
 
 Array = NDArray[np.float64]
@@ -161,10 +160,7 @@ class QpFollower:
         """Rows (t, n), wanted changes (t,) and weights (t,) of angle, distance, roll and evasion."""
         camera, gains, cycle_s = self._camera, self.gains, self._cycle_s
         camera.update(q)
-        view = look(camera.rotation, camera.position, focus)
-        if view.undecided:
-            way = easiest_way_round(camera.rotation, camera.at_point(focus))
-            view = look(camera.rotation, camera.position, focus, way)
+        view = look_on(camera.rotation, camera.position, focus, camera.twists)
         jacobian, approach = view_jacobians(view, camera.position, focus, camera.twists)
         roll = roll_effects(camera.rotation, camera.angular)
         evasion = self._evasion(q) if evade else np.zeros_like(q)
@@ -265,7 +261,7 @@ class QpFollower:
         ahead_s = self._scene.latency_s + self.gains.reaction_s
         self._repulsion.approach(self._camera, *self._others.spheres_ahead(ahead_s))
         force = self._repulsion.field(self._camera)
-        return self._limit_weights.inverse_weights(q, force) * force
+        return inverse_weights(self._limit_weights, q, force) * force
 
     def _reserve(self, closing: Array) -> Array:
         """(k,) what is kept free for others to brake in, by their speed of approach (k,) in m/s [m]."""

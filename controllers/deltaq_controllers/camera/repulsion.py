@@ -7,14 +7,17 @@ The floor is a plane, so b is the foot point.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.compiled import compiled
 from deltaq_controllers.kinematics import Kinematics, joints_that_move
-from deltaq_controllers.spheres import Spheres
+from deltaq_controllers.spheres import Spheres, placed
+from deltaq_controllers.vectors import distance
 
 Array = NDArray[np.float64]
 
@@ -22,8 +25,7 @@ _TRAVEL_MARGIN = 1.5
 """Intermediate points of a Runge-Kutta step may lie a little outside the increment cap."""
 
 
-@dataclass(frozen=True)
-class Potential:
+class Potential(NamedTuple):
     """Size of a push by clearance.
 
     Attributes:
@@ -38,16 +40,21 @@ class Potential:
     min_m: float
     as_printed: bool = False
 
-    def push(self, clearance: Array, between_centres: Array) -> Array:
-        """Size of each push.
 
-        Args:
-            clearance: d, negative inside one another [m].
-            between_centres: |o - b|, which only the print makes use of [m].
-        """
-        d = np.maximum(clearance, self.min_m)
-        size: Array = self.gain * np.maximum(1.0 / d - 1.0 / self.range_m, 0.0) / (d * d)
-        return size * between_centres / d if self.as_printed else size
+@compiled
+def push(potential: Potential, clearance: float, between_centres: float) -> float:
+    """Size of one push.
+
+    Args:
+        potential: its size by clearance.
+        clearance: d, negative inside one another [m].
+        between_centres: |o - b|, which only the print makes use of [m].
+    """
+    if clearance >= potential.range_m:
+        return 0.0
+    d = max(clearance, potential.min_m)
+    size = potential.gain * (1.0 / d - 1.0 / potential.range_m) / (d * d)
+    return size * between_centres / d if potential.as_printed else size
 
 
 class Repulsion:
@@ -66,16 +73,17 @@ class Repulsion:
     def __init__(self, robot: RobotModel, potential: Potential, max_dq: Array, floor_m: float | None) -> None:
         self._spheres = Spheres.of(robot)
         self._potential = potential
-        self._floor_m = 0.0 if floor_m is None else floor_m
-        moves = joints_that_move(robot, self._spheres.joints)
-        self._moves = moves.astype(np.float64)
-        travel = _TRAVEL_MARGIN * moves * _reach(robot, self._spheres) @ max_dq
+        self._moves = joints_that_move(robot, self._spheres.joints)
+        travel = _TRAVEL_MARGIN * self._moves * _reach(robot, self._spheres) @ max_dq
         self._within = potential.range_m + travel
         sinks = (
-            np.zeros(len(moves), dtype=np.bool_) if floor_m is None else _changes_height(robot, self._spheres)
+            np.zeros(len(travel), dtype=np.bool_)
+            if floor_m is None
+            else _changes_height(robot, self._spheres)
         )
-        self._floor_reach = np.where(sinks, self._spheres.radii, -np.inf)
-        self._nearby: _Nearby | None = None
+        reach = np.where(sinks, self._spheres.radii, -np.inf)
+        self._floor = Floor(0.0 if floor_m is None else floor_m, reach)
+        self._near: Obstacles | None = None
 
     def approach(self, kinematics: Kinematics, obstacles: Array, radii: Array) -> float:
         """Note what is near at the configuration of `kinematics`.
@@ -88,60 +96,82 @@ class Repulsion:
         Returns:
             Least clearance [m]; infinite if there is neither a floor nor an obstacle.
         """
-        centres, own = self._spheres.placed(kinematics.placements()), self._spheres.radii
-        clearance = _distances(centres, obstacles)
-        clearance -= own[:, None]
-        clearance -= radii
-        above = centres[:, 2] - self._floor_m - self._floor_reach
-        near = np.flatnonzero((clearance < self._within[:, None]).any(axis=0))
-        self._nearby = None
-        if near.size or (above < self._within).any():
-            reach = np.column_stack([own[:, None] + radii[near], self._floor_reach])
-            self._nearby = _Nearby(obstacles[near], reach)
-        return min(float(clearance.min(initial=np.inf)), float(above.min()))
+        least, near, any_near = _approach(
+            self._spheres, kinematics.placements(), self._within, Obstacles(obstacles, radii), self._floor
+        )
+        self._near = Obstacles(obstacles[near], radii[near]) if any_near else None
+        return least
 
     def field(self, kinematics: Kinematics) -> Array:
         """F_rep (n,) at the configuration of `kinematics` [rad/s or m/s]."""
-        near = self._nearby
+        columns, near = kinematics.columns, self._near
         if near is None:
-            return np.zeros(kinematics.columns.shape[1])
-        centres = self._spheres.placed(kinematics.placements())
-        apart = self._apart(centres, near.obstacles)
-        between = np.sqrt((apart * apart).sum(axis=0))
-        push = self._potential.push(between - near.reach, between)
-        force = np.einsum("imk,mk->im", apart, push / np.maximum(between, 1e-9))
-        # J_o^T f = linear^T f + angular^T (o x f), summed over the spheres that each joint moves
-        wrench = np.empty((6, len(centres)))
-        (x, y, z), (fx, fy, fz) = centres.T, force
-        wrench[:3] = force
-        wrench[3], wrench[4], wrench[5] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
-        field: Array = (kinematics.columns * (wrench @ self._moves)).sum(axis=0)
-        return field
-
-    def _apart(self, centres: Array, obstacles: Array) -> Array:
-        """(3, m, k + 1) o - b of the spheres (m, 3) and obstacles (k, 3), and last of their foot points [m]."""
-        apart = np.zeros((3, len(centres), len(obstacles) + 1))
-        np.subtract(centres.T[:, :, None], obstacles.T[:, None], out=apart[:, :, :-1])
-        apart[2, :, -1] = centres[:, 2] - self._floor_m
-        return apart
+            return np.zeros(columns.shape[1])
+        return _field(
+            columns, self._moves, self._spheres, kinematics.placements(), self._potential, near, self._floor
+        )
 
 
-@dataclass(frozen=True)
-class _Nearby:
-    """Obstacles in reach of one increment, (k, 3), and how far from them and the floor is contact, (m, k + 1) [m]."""
+class Obstacles(NamedTuple):
+    """Spheres to keep clear of: centres (k, 3) in the world and radii (k,) [m]."""
 
-    obstacles: Array
+    centres: Array
+    radii: Array
+
+
+class Floor(NamedTuple):
+    """Its height, and how near to it the centre of a sphere touches it, (m,); -inf for those that never do [m]."""
+
+    height: float
     reach: Array
 
 
-def _distances(points: Array, others: Array) -> Array:
-    """(m, k) distances of points (m, 3) and (k, 3), by the law of cosines in place: they are many [m]."""
-    distances = points @ (-2.0 * others.T)
-    distances += np.einsum("ij,ij->i", points, points)[:, None]
-    distances += np.einsum("ij,ij->i", others, others)
-    np.maximum(distances, 0.0, out=distances)
-    np.sqrt(distances, out=distances)
-    return distances
+@compiled
+def _approach(
+    spheres: Spheres, placements: Array, within: Array, obstacles: Obstacles, floor: Floor
+) -> tuple[float, NDArray[np.bool_], bool]:
+    """Least clearance [m], (k,) which obstacles come `within` (m,) of a sphere, and whether any, or the floor, does."""
+    centres = placed(spheres, placements)
+    near: NDArray[np.bool_] = np.zeros(len(obstacles.radii), dtype=np.bool_)
+    least = np.inf
+    for k in range(len(near)):
+        for i in range(len(centres)):
+            clearance = distance(centres[i], obstacles.centres[k]) - spheres.radii[i] - obstacles.radii[k]
+            least = min(least, clearance)
+            near[k] |= clearance < within[i]
+    above = centres[:, 2] - floor.height - floor.reach
+    return min(least, above.min()), near, bool(near.any() or (above < within).any())
+
+
+@compiled
+def _field(
+    columns: Array,
+    moves: NDArray[np.bool_],
+    spheres: Spheres,
+    placements: Array,
+    potential: Potential,
+    obstacles: Obstacles,
+    floor: Floor,
+) -> Array:
+    """(n,) sum of J_o^T f over spheres, where `moves` (m, n) tells which joints, with `columns` (6, n), move which."""
+    centres, radii = placed(spheres, placements), spheres.radii
+    field, wrench = np.zeros(columns.shape[1]), np.zeros(6)
+    for i in range(len(centres)):
+        x, y, z = centres[i, 0], centres[i, 1], centres[i, 2]
+        fx = fy = 0.0
+        fz = push(potential, z - floor.height - floor.reach[i], z - floor.height)
+        for k in range(len(obstacles.radii)):
+            dx, dy, dz = x - obstacles.centres[k, 0], y - obstacles.centres[k, 1], z - obstacles.centres[k, 2]
+            between = math.sqrt(dx * dx + dy * dy + dz * dz)
+            size = push(potential, between - radii[i] - obstacles.radii[k], between) / max(between, 1e-9)
+            fx, fy, fz = fx + size * dx, fy + size * dy, fz + size * dz
+        wrench[0], wrench[1], wrench[2] = fx, fy, fz
+        wrench[3], wrench[4], wrench[5] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+        for joint in range(len(field)):
+            if moves[i, joint]:
+                for axis in range(6):
+                    field[joint] += columns[axis, joint] * wrench[axis]
+    return field
 
 
 def _reach(robot: RobotModel, spheres: Spheres) -> Array:

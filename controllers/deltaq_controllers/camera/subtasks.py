@@ -11,12 +11,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_controllers.compiled import compiled
+
 Array = NDArray[np.float64]
 
 LEVEL_RATIO = 0.1
 """Sine of the angle between view axis and vertical below which there is no roll worth correcting."""
 
 
+@compiled
 def view_distance_field(gain: float, approach: Array, error: float) -> Array:
     """F_d of (14): towards the focus while the camera is too far from it.
 
@@ -31,11 +34,13 @@ def view_distance_field(gain: float, approach: Array, error: float) -> Array:
     return (gain * error) * approach
 
 
+@compiled
 def roll(rotation: Array) -> float:
     """Camera roll [rad]: `atan2(R32, R31)`, zero when e1 points as far up as the view axis lets it."""
     return math.atan2(rotation[2, 1], rotation[2, 0])
 
 
+@compiled
 def roll_effect(rotation: Array, axis: Array) -> float:
     """How fast a joint turns the roll angle: d roll / d q of (15).
 
@@ -47,24 +52,24 @@ def roll_effect(rotation: Array, axis: Array) -> float:
         The derivative; zero for a camera that looks straight up or down, where there is no roll.
     """
     # turning about w moves e_i . z by w . (e_i x z), and roll = atan2(e2 . z, e1 . z)
-    (e1x, e2x, _), (e1y, e2y, _), (e1z, e2z, _) = rotation.tolist()
-    level = e1z * e1z + e2z * e2z
+    e1, e2 = rotation[:, 0], rotation[:, 1]
+    level = e1[2] * e1[2] + e2[2] * e2[2]
     if level < LEVEL_RATIO**2:
         return 0.0
-    wx, wy, _ = axis.tolist()
-    return float((e1z * (wx * e2y - wy * e2x) - e2z * (wx * e1y - wy * e1x)) / level)
+    across1, across2 = axis[0] * e1[1] - axis[1] * e1[0], axis[0] * e2[1] - axis[1] * e2[0]
+    return float((e1[2] * across2 - e2[2] * across1) / level)
 
 
+@compiled
 def roll_effects(rotation: Array, axes: Array) -> Array:
     """`roll_effect` of every joint: (n,) derivatives from (3, 3) camera axes and (3, n) joint axes."""
-    (e1x, e2x, _), (e1y, e2y, _), (e1z, e2z, _) = rotation.tolist()
-    level = e1z * e1z + e2z * e2z
-    if level < LEVEL_RATIO**2:
-        return np.zeros(axes.shape[1])
-    effects: Array = ((e1z * e2y - e2z * e1y) * axes[0] + (e2z * e1x - e1z * e2x) * axes[1]) / level
+    effects = np.empty(axes.shape[1])
+    for joint in range(axes.shape[1]):
+        effects[joint] = roll_effect(rotation, axes[:, joint])
     return effects
 
 
+@compiled
 def turn_to_level(rotation: Array, axis: Array, q: float, lower: float, upper: float) -> float:
     """How far the roll joint has to turn for a level picture, by the way that its limits leave open.
 
@@ -82,10 +87,13 @@ def turn_to_level(rotation: Array, axis: Array, q: float, lower: float, upper: f
     effect = roll_effect(rotation, axis)
     if abs(effect) < LEVEL_RATIO:
         return 0.0
-    turn = -roll(rotation) / effect
-    around = 2.0 * math.pi / abs(effect)
-    ways = sorted((turn, turn - around, turn + around), key=abs)
-    return next((way for way in ways if lower < q + way < upper), ways[0])
+    shortest = -roll(rotation) / effect
+    around = math.copysign(2.0 * math.pi / abs(effect), shortest)
+    # the next longer ways are the other way round, and once more about
+    for way in (shortest, shortest - around, shortest + around):
+        if lower < q + way < upper:
+            return way
+    return shortest
 
 
 def turns_about_view_axis(rotation: Array, position: Array, axis: Array, moment: Array) -> bool:

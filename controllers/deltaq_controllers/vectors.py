@@ -1,0 +1,31 @@
+"""Vectors of three numbers, for compiled functions: there numpy's own cost more than the arithmetic."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.compiled import compiled
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def cross(a: Array, b: Array) -> Array:
+    """(3,) a x b."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@compiled
+def distance(a: Array, b: Array) -> float:
+    """|a - b| of points (3,) [m]."""
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@compiled
+def components(rotation: Array, v: Array) -> Array:
+    """(3,) `rotation^T v`: a vector of the world in a frame whose axes are the columns of `rotation` (3, 3)."""
+    parts: Array = v[0] * rotation[0] + v[1] * rotation[1] + v[2] * rotation[2]
+    return parts

@@ -1,0 +1,85 @@
+"""Machine code must say what the Python says, and be found again where it was left."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deltaq_controllers.compiled import folder_of
+
+LAW = """
+import numpy as np
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.follower import CameraFollower
+
+cell = CellModel.load("lab")
+robot, leader = cell.robots["fr"], cell.robots["gr"]
+random = np.random.default_rng(2)
+follower = CameraFollower(robot, leader, 0.012)
+for _ in range(6):
+    q = random.uniform(robot.lower, robot.upper)
+    near = robot.camera_pose(q)[:3, 3] + random.normal(scale=0.3, size=3)
+    dq = follower.increment(q, 0.3 * random.choice([-1, 1], 6) * follower.limits.max_dq, near, leader.home, 1.0, 0.0)
+    print(*(value.hex() for value in dq.tolist()))
+"""
+
+
+def run(program: str, **environment: str) -> str:
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, **environment},
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    ).stdout
+
+
+def increments(text: str) -> np.ndarray:
+    return np.array([[float.fromhex(value) for value in line.split()] for line in text.splitlines()])
+
+
+def test_the_machine_code_of_a_law_gives_what_its_python_does() -> None:
+    compiled, python = increments(run(LAW)), increments(run(LAW, NUMBA_DISABLE_JIT="1"))
+    assert np.abs(compiled).max() > 1e-4
+    np.testing.assert_allclose(compiled, python, rtol=1e-9, atol=1e-13)
+
+
+ONE = "\n@compiled\ndef one() -> float: return 1.0\n"
+
+
+def test_machine_code_is_kept_beside_the_code_and_under_the_sources_of_all_of_it(tmp_path: Path) -> None:
+    package, nowhere = tmp_path / "package", tmp_path / "cache"
+    package.mkdir()
+    (package / "law.py").write_text(ONE)
+    first = folder_of(package, nowhere)
+    assert Path(first).parent == package / "__pycache__"
+    (package / "plain.py").write_text("unrelated = 1\n")
+    assert folder_of(package, nowhere) == first
+    (package / "called.py").write_text(ONE)
+    assert folder_of(package, nowhere) != first
+    assert not nowhere.exists()
+
+
+def test_where_the_code_cannot_be_written_to_what_was_installed_is_copied_to_the_users_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package, cache = tmp_path / "package", tmp_path / "cache"
+    package.mkdir()
+    (package / "law.py").write_text(ONE)
+    installed = Path(folder_of(package, cache))
+    (installed / "law.nbi").write_text("machine code")
+    # root may write to every folder
+    monkeypatch.setattr(os, "access", lambda folder, _mode: package not in Path(folder).parents)
+    kept = Path(folder_of(package, cache))
+    assert kept == cache / "deltaq" / installed.name
+    assert (kept / "law.nbi").read_text() == "machine code"
+
+
+def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "__pycache__").write_text("not a folder")
+    (tmp_path / "cache").write_text("nor this")
+    assert folder_of(tmp_path, tmp_path / "cache") == ""
