@@ -56,6 +56,14 @@ class Look(NamedTuple):
     undecided: bool
 
 
+class CameraPose(NamedTuple):
+    """Where the camera is, and how the joints move it: `Kinematics.rotation`, `position` and `twists`."""
+
+    rotation: Array
+    position: Array
+    twists: Array
+
+
 @compiled
 def look(rotation: Array, position: Array, focus: Array, way_round: Array | None = None) -> Look:
     """The error (3) and its derivative P.

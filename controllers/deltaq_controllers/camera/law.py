@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera.error import CameraPose
 from deltaq_controllers.camera.gains import FollowerGains, Variants
 from deltaq_controllers.camera.law_equations import (
-    CameraPose,
     Decay,
     Goal,
-    RollJoint,
     kept_looking,
     rates,
     with_bounded_zoom,
 )
 from deltaq_controllers.camera.repulsion import Potential, Repulsion
-from deltaq_controllers.camera.subtasks import turns_about_view_axis
+from deltaq_controllers.camera.subtasks import RollJoint, turns_about_view_axis
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.redundancy import WeightedGradient, emergency_rates
 

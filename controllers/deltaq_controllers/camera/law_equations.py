@@ -11,21 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.camera.error import Look, look_on, view_jacobians
+from deltaq_controllers.camera.error import CameraPose, Look, look_on, view_jacobians
 from deltaq_controllers.camera.gains import FollowerGains
-from deltaq_controllers.camera.subtasks import turn_to_level, view_distance_field
+from deltaq_controllers.camera.subtasks import RollJoint, turn_to_level, view_distance_field
 from deltaq_controllers.compiled import compiled
 from deltaq_controllers.redundancy import WeightedGradient, damped_rates, weighted_rates
 
 Array = NDArray[np.float64]
-
-
-class CameraPose(NamedTuple):
-    """Where the camera is, and how the joints move it: `Kinematics.rotation`, `position` and `twists`."""
-
-    rotation: Array
-    position: Array
-    twists: Array
 
 
 class Goal(NamedTuple):
@@ -61,15 +53,6 @@ class Decay(NamedTuple):
     angle_law: bool
     bounded_rates: bool
     share_of_horizon: float
-
-
-class RollJoint(NamedTuple):
-    """The joint that levels the picture: its number and limits [rad], and whether it moves nothing but the roll."""
-
-    number: int
-    lower: float
-    upper: float
-    is_free: bool
 
 
 @compiled

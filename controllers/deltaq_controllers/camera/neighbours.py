@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import make_reproducible
 from deltaq_cell.joined import WORLD, joined
+from deltaq_controllers.compiled import compiled
 from deltaq_controllers.kinematics import placement_views
-from deltaq_controllers.spheres import Spheres, local_box
+from deltaq_controllers.spheres import Spheres, local_box, placed
+from deltaq_controllers.vectors import cross, distance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -145,24 +147,23 @@ class Neighbours:
         """Place the robots, and note how far their bodies can have travelled."""
         pin.computeJointJacobians(self._model, self._data, q)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
-        centres = self._spheres.placed(np.concatenate(self._placements))
-        moved = centres - self._centres[self._moving]
-        turned = self._turned_by @ np.abs(q - self._q)
-        self._travel[self._moving] += np.sqrt((moved * moved).sum(axis=1)) + self._spheres.radii * turned
-        self._centres[self._moving], self._q = centres, q
+        placements = np.concatenate(self._placements)
+        turned = np.abs(q - self._q)
+        _travel(self._spheres, placements, self._moving, self._turned_by, turned, self._centres, self._travel)
+        self._q = q
 
     def _candidates(self, ranges: Array) -> Index:
         """Pairs other than those told that can be within (p,) ranges."""
-        travelled = self._travel[self._one] + self._travel[self._other]
-        possible = self._at_least - travelled < ranges
-        possible[self._told] = False
-        pairs = np.flatnonzero(possible)
-        one, other = self._one[pairs], self._other[pairs]
-        apart = self._centres[one] - self._centres[other]
-        gaps = np.sqrt((apart * apart).sum(axis=1)) - self._radii[one] - self._radii[other]
-        self._at_least[pairs] = np.maximum(self._at_least[pairs], gaps + travelled[pairs])
-        near: Index = pairs[gaps < ranges[pairs]]
-        return near
+        return _candidates(
+            self._one,
+            self._other,
+            self._told,
+            ranges,
+            self._travel,
+            self._centres,
+            self._radii,
+            self._at_least,
+        )
 
     def _measure(self, pairs: Index) -> Array:
         """(k,) distances of pairs [m]."""
@@ -177,16 +178,15 @@ class Neighbours:
         """(k, m) change of each distance, as it was measured, per increment of each joint."""
         if not pairs.size:
             return np.zeros((0, self._model.nv))
-        own, theirs = [], []
-        for pair in pairs.tolist():
+        contacts = np.empty((len(pairs), 3, 3))
+        for contact, pair in zip(contacts, pairs.tolist(), strict=True):
             result = self._results[pair]
-            # coal's normal points from the first body to the second; a force at a point is a wrench at the origin
-            x, y, z = result.normal.tolist()
-            own.append(_wrench(-x, -y, -z, *result.getNearestPoint1().tolist()))
-            theirs.append(_wrench(-x, -y, -z, *result.getNearestPoint2().tolist()))
-        first, second = self._moves[self._one[pairs]], self._moves[self._other[pairs]]
-        rows: Array = (np.array(own) @ self._columns) * first - (np.array(theirs) @ self._columns) * second
-        return rows
+            contact[0], contact[1], contact[2] = (
+                result.normal,
+                result.getNearestPoint1(),
+                result.getNearestPoint2(),
+            )
+        return _rows(contacts, self._columns, self._moves[self._one[pairs]], self._moves[self._other[pairs]])
 
     def _moves_of(self, carriers: list[int]) -> Array:
         """(bodies, m) 1 where a joint moves a body."""
@@ -198,6 +198,70 @@ class Neighbours:
         return moves
 
 
-def _wrench(x: float, y: float, z: float, px: float, py: float, pz: float) -> tuple[float, ...]:
-    """A force (x, y, z) at a point (px, py, pz), with its moment about the origin."""
-    return x, y, z, py * z - pz * y, pz * x - px * z, px * y - py * x
+@compiled
+def _travel(
+    spheres: Spheres,
+    placements: Array,
+    moving: Index,
+    turned_by: Array,
+    turned: Array,
+    centres: Array,
+    travel: Array,
+) -> None:
+    """Move the `centres` of the `moving` bodies, and add to their `travel` how far they can have gone [m].
+
+    Each goes no farther than its centre, and its radius times what all the joints turned that it is `turned_by`.
+    """
+    now = placed(spheres, placements)
+    for i in range(len(moving)):
+        body = moving[i]
+        travel[body] += distance(now[i], centres[body]) + spheres.radii[i] * (turned_by[i] * turned).sum()
+        centres[body] = now[i]
+
+
+@compiled
+def _candidates(
+    one: Index,
+    other: Index,
+    told: Index,
+    ranges: Array,
+    travel: Array,
+    centres: Array,
+    radii: Array,
+    at_least: Array,
+) -> Index:
+    """Pairs but those told that can be within (p,) ranges; what their spheres tell is noted in `at_least`."""
+    possible = at_least - travel[one] - travel[other] < ranges
+    possible[told] = False
+    near = np.zeros(len(ranges), dtype=np.bool_)
+    for pair in np.flatnonzero(possible):
+        i, j = one[pair], other[pair]
+        gap = distance(centres[i], centres[j]) - radii[i] - radii[j]
+        at_least[pair] = max(at_least[pair], gap + travel[i] + travel[j])
+        near[pair] = gap < ranges[pair]
+    return np.flatnonzero(near)
+
+
+@compiled
+def _rows(contacts: Array, columns: Array, first: Array, second: Array) -> Array:
+    """Change of distances (k, m) by the joints.
+
+    Args:
+        contacts: (k, 3, 3) of each pair coal's normal, from the first body to the second, and the nearest points.
+        columns: (6, m) velocities of what the joints carry, at the world's origin.
+        first: (k, m) 1 where a joint moves the first body.
+        second: (k, m) 1 where a joint moves the second.
+    """
+    rows = np.zeros((len(contacts), columns.shape[1]))
+    for k in range(len(contacts)):
+        away = -contacts[k, 0]
+        # a force at a point is a wrench at the origin
+        moment1, moment2 = cross(contacts[k, 1], away), cross(contacts[k, 2], away)
+        for joint in range(columns.shape[1]):
+            alike = first[k, joint] - second[k, joint]
+            for axis in range(3):
+                moment = first[k, joint] * moment1[axis] - second[k, joint] * moment2[axis]
+                rows[k, joint] += (
+                    alike * away[axis] * columns[axis, joint] + moment * columns[3 + axis, joint]
+                )
+    return rows

@@ -16,25 +16,19 @@ more than leaves room to brake with the acceleration that the joints have in tha
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.camera.error import (
-    Look,
-    look_on,
-    view_angle,
-    view_jacobians,
-)
+from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.neighbours import Near, Neighbours
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_others import OtherRobots
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
+from deltaq_controllers.camera.qp_tasks import Aim, Tasks, view_tasks
 from deltaq_controllers.camera.repulsion import Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.subtasks import roll_effects, turn_to_level
-from deltaq_controllers.interface import ControllerError, LastIncrement, View
+from deltaq_controllers.camera.subtasks import RollJoint
+from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights
@@ -93,6 +87,8 @@ class QpFollower:
         self._scene, self._cycle_s = scene, cycle_s
         self._last = LastIncrement(self.limits.max_ddq)
         self._camera = Kinematics(robot, "camera")
+        last = self._camera.last
+        self._roll_joint = RollJoint(last, self.limits.lower[last], self.limits.upper[last], is_free=False)
         self._leader = Kinematics(scene.leader, "tool")
         self._others = OtherRobots(scene)
         self._neighbours = Neighbours(scene.cell, scene.robot_name, MOST_PAIRS)
@@ -104,6 +100,19 @@ class QpFollower:
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Have everything compiled: the first cycle, and the first attack, have no time for it."""
+        robots, own = self._scene.cell.robots, self._scene.robot_name
+        at_home = {name: RobotView(0, 0.0, robot.home, robot.home) for name, robot in robots.items()}
+        self._others.update(at_home)
+        q = robots[own].home
+        near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, np.inf))
+        tasks = self._tasks(q, *self._focus_ahead(), evade=True)
+        barriers, least = self._barriers(near, np.zeros_like(q), 1.0)
+        self._program.solve(tasks, *self.limits.reach(np.zeros_like(q)), barriers, least, near.pairs * 0)
+        self._others = OtherRobots(self._scene)
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
@@ -118,11 +127,11 @@ class QpFollower:
         others = self._others.ahead(self._scene.latency_s)
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
-        rows, wanted, weights = self._tasks(q, focus, velocity, evade=True in foreign)
+        tasks = self._tasks(q, focus, velocity, evade=True in foreign)
         slowest, fastest = self._bounds(q, dq_last, cycles)
         barriers, least = self._barriers(near, travel, 0.5 * (cycles + 2))
         kinds = np.where(foreign, 0, 1)
-        solution = self._program.solve(rows, wanted, weights, slowest, fastest, barriers, least, kinds)
+        solution = self._program.solve(tasks, slowest, fastest, barriers, least, kinds)
         if solution is None:
             self.unsolved += 1
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
@@ -154,78 +163,22 @@ class QpFollower:
         # the increment asked for now arrives after the latency; what it starts from, a cycle earlier
         self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
         focus = self._leader.position
-        return focus, self._leader.jacobian()[:3] @ tracker.velocity
+        return focus, self._leader.at_point(focus) @ tracker.velocity
 
-    def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> tuple[Array, Array, Array]:
-        """Rows (t, n), wanted changes (t,) and weights (t,) of angle, distance, roll and evasion."""
-        camera, gains, cycle_s = self._camera, self.gains, self._cycle_s
+    def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
+        """What the increment is for, at configuration `q` (n,)."""
+        camera = self._camera
         camera.update(q)
-        view = look_on(camera.rotation, camera.position, focus, camera.twists)
-        jacobian, approach = view_jacobians(view, camera.position, focus, camera.twists)
-        roll = roll_effects(camera.rotation, camera.angular)
-        evasion = self._evasion(q) if evade else np.zeros_like(q)
-        push = math.sqrt(float(evasion @ evasion))
-        rows = np.empty((5, len(q)))
-        rows[:2], rows[2] = jacobian / view.stretch, -approach
-        rows[3], rows[4] = roll, evasion / max(push, 1e-9)
-        turn = self._angle_step(view, rows[:2])
-        drift = (view.P @ velocity) * (cycle_s / view.stretch)
-        wanted = np.array(
-            [
-                *(-turn * view.direction - drift),
-                self._distance_step(view, rows[:3]) - cycle_s * float(view.u @ velocity),
-                self._roll_step(q, roll),
-                cycle_s * push,
-            ]
+        return view_tasks(
+            CameraPose(camera.rotation, camera.position, camera.twists),
+            q,
+            Aim(focus, velocity, self.desired_distance_m),
+            self._evasion(q) if evade else np.zeros_like(q),
+            self.gains,
+            self._roll_joint,
+            self.limits.max_ddq,
+            self._cycle_s,
         )
-        weights = np.array(
-            [gains.angle_weight] * 2 + [gains.distance_weight, gains.roll_weight, gains.evasion_weight]
-        )
-        return rows, wanted, weights
-
-    def _angle_step(self, view: Look, rows: Array) -> float:
-        """How far to turn towards the focus in this cycle [rad]."""
-        deceleration = self._available(rows, view.direction)
-        return self._step(view.angle, self.gains.angle_share, deceleration)
-
-    def _distance_step(self, view: Look, rows: Array) -> float:
-        """Wanted change of the view distance in this cycle [m]."""
-        error = view.distance - self.desired_distance_m
-        # with the view direction kept
-        deceleration = min(
-            self._available(rows, np.array([0.0, 0.0, 1.0])), self.gains.zoom_m_s2 * self._cycle_s**2
-        )
-        return -math.copysign(self._step(abs(error), self.gains.distance_share, deceleration), error)
-
-    def _roll_step(self, q: Array, effects: Array) -> float:
-        """Wanted change of the roll in this cycle [rad]."""
-        last = self._camera.last
-        turn = turn_to_level(
-            self._camera.rotation,
-            self._camera.angular[:, last],
-            float(q[last]),
-            float(self.limits.lower[last]),
-            float(self.limits.upper[last]),
-        )
-        wanted = turn * float(effects[last])
-        step = self._step(abs(wanted), self.gains.roll_share, self.gains.spin_rad_s2 * self._cycle_s**2)
-        return math.copysign(step, wanted)
-
-    def _step(self, error: float, share: float, deceleration: float) -> float:
-        """A share of an error, but no more than can be braked within what is left of it."""
-        return min(share * error, math.sqrt(2.0 * self.gains.brake_share * deceleration * error))
-
-    def _available(self, rows: Array, direction: Array) -> float:
-        """Largest change per cycle and cycle along `direction` that the joints' acceleration allows.
-
-        It is what the joints give that share the work by their acceleration limits, least squares.
-        """
-        scaled = rows * self.limits.max_ddq
-        square = scaled @ scaled.T
-        # a direction that no joint moves has no acceleration, and no infinity either
-        square.ravel()[:: len(rows) + 1] += 1e-12
-        busy = np.linalg.solve(square, direction) @ scaled
-        return 1.0 / max(float(busy.max()), -float(busy.min()), 1e-9)
 
     def _bounds(self, q: Array, dq_last: Array, cycles: int) -> tuple[Array, Array]:
         """Least and greatest increment (n,) of speed, acceleration and room to brake; `dq_last` takes `cycles`."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from deltaq_controllers.redundancy import DEGREES
 
 
-@dataclass(frozen=True)
-class QpGains:
+class QpGains(NamedTuple):
     """Gains of the programme, most urgent first.
 
     Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come

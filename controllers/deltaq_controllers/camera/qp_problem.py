@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from quadprog import solve_qp
 
+from deltaq_controllers.camera.qp_tasks import Tasks
+from deltaq_controllers.compiled import compiled
+
 Array = NDArray[np.float64]
 
 _MILLI = 1e3
@@ -38,10 +41,9 @@ class QuadraticProgram:
 
     def __init__(self, scale: Array, rest_weight: float, prices: Sequence[float]) -> None:
         n, m = len(scale), len(prices)
-        self._scale, self._n, self._kinds = scale, n, np.eye(m)
+        self._scale, self._rest_weight = scale, rest_weight
         self._hessian = np.zeros((n + m, n + m))
         self._linear = np.zeros(n + m)
-        self._rest = rest_weight * np.eye(n)
         price = np.array(prices) * _SLACK_SCALE
         # the slacks' own squares keep the programme strictly convex
         self._hessian[n:, n:] = np.diag(1e-6 * price)
@@ -50,9 +52,7 @@ class QuadraticProgram:
 
     def solve(
         self,
-        rows: Array,
-        wanted: Array,
-        weights: Array,
+        tasks: Tasks,
         slowest: Array,
         fastest: Array,
         barriers: Array,
@@ -62,9 +62,7 @@ class QuadraticProgram:
         """The best increment, and the slacks that it needs.
 
         Args:
-            rows: (t, n) change of each task per increment.
-            wanted: (t,) change asked for [rad or m].
-            weights: (t,) cost of a squared mrad or mm.
+            tasks: what it is for.
             slowest: (n,) least increment [rad or m].
             fastest: (n,) greatest increment [rad or m].
             barriers: (k, n) change of each distance per increment.
@@ -74,19 +72,9 @@ class QuadraticProgram:
         Returns:
             (n,) increment within its bounds and (m,) slacks [m]; None if the solver found none.
         """
-        n, m, k = self._n, len(self._kinds), len(least)
-        scaled = rows * self._scale
-        heavy = (weights * _MILLI**2)[:, None] * scaled
-        self._hessian[:n, :n] = 2.0 * (scaled.T @ heavy + self._rest)
-        self._linear[:n] = 2.0 * (wanted @ heavy)
-        # a column for each bound of the increments and of the slacks, then for each barrier
-        columns = np.empty((n + m, 2 * n + m + k))
-        columns[:, : 2 * n + m] = self._bounds
-        columns[:n, 2 * n + m :] = (barriers * (self._scale / _SLACK_SCALE)).T
-        columns[n:, 2 * n + m :] = self._kinds[:, kinds]
-        low = np.concatenate(
-            [slowest / self._scale, np.zeros(m), -fastest / self._scale, least / _SLACK_SCALE]
-        )
+        n = len(self._scale)
+        _cost(tasks, self._scale, self._rest_weight, self._hessian, self._linear)
+        columns, low = _constraints(self._bounds, self._scale, slowest, fastest, barriers, least, kinds)
         try:
             solution = solve_qp(self._hessian, self._linear, columns, low)[0]
         except ValueError:  # rounding made it inconsistent
@@ -95,3 +83,47 @@ class QuadraticProgram:
             return None
         dq = np.minimum(np.maximum(self._scale * solution[:n], slowest), fastest)
         return dq, np.maximum(_SLACK_SCALE * solution[n:], 0.0)
+
+
+@compiled
+def _cost(tasks: Tasks, scale: Array, rest_weight: float, hessian: Array, linear: Array) -> None:
+    """Write the tasks' cost into `hessian` (n + m, n + m) and `linear` (n + m,), which know the slacks' already."""
+    for i in range(len(scale)):
+        linear[i] = 0.0
+        for j in range(len(scale)):
+            hessian[i, j] = 2.0 * rest_weight if i == j else 0.0
+    for task in range(len(tasks.weights)):
+        scaled = tasks.rows[task] * scale
+        heavy = (2.0 * tasks.weights[task] * _MILLI**2) * scaled
+        for i in range(len(scale)):
+            linear[i] += heavy[i] * tasks.wanted[task]
+            for j in range(len(scale)):
+                hessian[i, j] += heavy[i] * scaled[j]
+
+
+@compiled
+def _constraints(
+    bounds: Array,
+    scale: Array,
+    slowest: Array,
+    fastest: Array,
+    barriers: Array,
+    least: Array,
+    kinds: NDArray[np.intp],
+) -> tuple[Array, Array]:
+    """A column and a lower bound for each bound of the increments and of the slacks, then for each barrier.
+
+    Returns:
+        (n + m, 2 n + m + k) columns, of which `bounds` has all but the last k, and (2 n + m + k,) what they must reach.
+    """
+    n, (_, given) = len(scale), bounds.shape
+    m = given - 2 * n
+    columns, low = np.zeros((n + m, given + len(least))), np.zeros(given + len(least))
+    columns[:, :given] = bounds
+    for i in range(n):
+        low[i], low[n + m + i] = slowest[i] / scale[i], -fastest[i] / scale[i]
+    for k in range(len(least)):
+        columns[:n, given + k] = barriers[k] * scale / _SLACK_SCALE
+        columns[n + kinds[k], given + k] = 1.0
+        low[given + k] = least[k] / _SLACK_SCALE
+    return columns, low

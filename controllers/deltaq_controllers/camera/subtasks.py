@@ -7,6 +7,7 @@ turns about -e3, as KUKA's does; here the joint's own effect on the roll decides
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,15 @@ Array = NDArray[np.float64]
 
 LEVEL_RATIO = 0.1
 """Sine of the angle between view axis and vertical below which there is no roll worth correcting."""
+
+
+class RollJoint(NamedTuple):
+    """The joint that levels the picture: its number and limits [rad], and whether it moves nothing but the roll."""
+
+    number: int
+    lower: float
+    upper: float
+    is_free: bool
 
 
 @compiled
