@@ -15,7 +15,7 @@ from deltaq_controllers.live import PATIENCE_CYCLES, view_of
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
-from deltaq_controllers.operator_input import OperatorInput
+from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.tally import Tally
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError

@@ -24,7 +24,7 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.switch import Teleoperator
-from deltaq_controllers.operator_input_option import GoToOption
+from deltaq_controllers.operator_input.option import GoToOption
 from deltaq_controllers.tally import Tally
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_deploy.running import connect, known_robot

@@ -13,9 +13,9 @@ from driving import CYCLE_S, model
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import Frame, ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
-from deltaq_controllers.operator_input import Script
-from deltaq_controllers.operator_input_gamepad import Gamepad
-from deltaq_controllers.operator_input_keyboard import HOLD_S, Keyboard
+from deltaq_controllers.operator_input.gamepad import Gamepad
+from deltaq_controllers.operator_input.keyboard import HOLD_S, Keyboard
+from deltaq_controllers.operator_input.script import Script
 
 
 def teleoperator(robot: str = "gr", mode: ModeName = ModeName.JOINT) -> Teleoperator:

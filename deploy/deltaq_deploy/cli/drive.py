@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.switch import Teleoperator
-    from deltaq_controllers.operator_input import OperatorInput
+    from deltaq_controllers.operator_input.interface import OperatorInput
     from deltaq_protocol.client import Cell
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
@@ -150,9 +150,9 @@ class _Choice:
 
         from deltaq_controllers.interface import ControllerError
         from deltaq_controllers.modes.motion import ModeName
-        from deltaq_controllers.operator_input import Script
-        from deltaq_controllers.operator_input_gamepad import Gamepad
-        from deltaq_controllers.operator_input_keyboard import HELP, Keyboard
+        from deltaq_controllers.operator_input.gamepad import Gamepad
+        from deltaq_controllers.operator_input.keyboard import HELP, Keyboard
+        from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)

@@ -12,7 +12,7 @@ from deltaq_controllers.modes.motion import ModeName
 if TYPE_CHECKING:
     from deltaq_controllers.advisor.advisor import Option
     from deltaq_controllers.modes.switch import Teleoperator
-    from deltaq_controllers.operator_input import OperatorInput
+    from deltaq_controllers.operator_input.interface import OperatorInput
 
 EVERY_CYCLES = 10
 WIDTH = 150

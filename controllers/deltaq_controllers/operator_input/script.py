@@ -1,12 +1,11 @@
-"""What an operator wishes, cycle by cycle: the interface behind keyboard, gamepad and script, and the script."""
+"""An operator whose wishes are written down: a YAML file of steps."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from ruamel.yaml import YAML
@@ -16,21 +15,6 @@ from ruamel.yaml.error import YAMLError
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
-
-
-class OperatorInput(Protocol):
-    """Where an operator's wishes come from; a context manager, since some hold a device."""
-
-    def read(self, time_s: float) -> Wish | None:
-        """The wish at a time of the robot's clock [s]; empty while nobody touches anything, None when it is over."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
 
 _UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
 
