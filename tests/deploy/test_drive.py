@@ -118,11 +118,11 @@ def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: P
     assert legs["advisor"]["farthest_mm"] < 0.1
     assert legs["advisor"]["farthest_deg"] < 0.01
     # how far each goes depends on how busy the machine is; `tests/controllers/test_modes.py` holds the amounts
-    assert 1 < legs["coupled"]["moved_mm"] < 50
+    assert 0.1 < legs["coupled"]["moved_mm"] < 50
     assert legs["self-motion"]["farthest_mm"] < 0.1
     assert legs["self-motion"]["farthest_deg"] < 0.01
-    assert legs["decoupled"]["moved_mm"] > 1
-    assert 1 < legs["joint"]["turned_deg"] < 20
+    assert legs["decoupled"]["moved_mm"] > 0.1
+    assert 0.1 < legs["joint"]["turned_deg"] < 20
     assert summary["gate"]["admitted"] > 0.5 * summary["cycles"]
     wait_for_phase(cell, "ready")
 
