@@ -42,7 +42,8 @@ class Kinematics:
         self._frame = robot.frame_of(point)
         joint = int(self.model.frames[self._frame].parentJoint)
         self.last = joint - 1
-        self._placed = self.data.oMf[self._frame]
+        placed = self.data.oMf[self._frame]
+        self._rotation, self._position = placed.rotation, placed.translation
         self.columns: Array = self.data.J
         moves = joints_that_move(robot, np.array([joint]))[0]
         self._others = None if moves.all() else ~moves
@@ -56,8 +57,8 @@ class Kinematics:
         """Place the robot at configuration `q` (n,)."""
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacement(self.model, self.data, self._frame)
-        self.rotation: Array = self._placed.rotation.copy()
-        self.position: Array = self._placed.translation.copy()
+        self.rotation: Array = self._rotation.copy()
+        self.position: Array = self._position.copy()
         if self._others is not None:
             self.twists[:] = self.columns
             self.twists[:, self._others] = 0.0

@@ -6,8 +6,7 @@ The gate follows an admitted increment by a brake along a straight line in joint
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +26,7 @@ _BISECTIONS = 10
 """A thousandth of the way from the brake to what is wanted is near enough."""
 
 
-@dataclass(frozen=True)
-class IncrementLimits:
+class IncrementLimits(NamedTuple):
     """Limits of one robot's increments.
 
     Attributes:

@@ -53,6 +53,8 @@ class Claim:
             words += ["--target", options.target]
         if options.seed != Options.seed:
             words += ["--seed", f"{options.seed}"]
+        if options.settle_s != Options.settle_s:
+            words += ["--settle-s", f"{options.settle_s:g}"]
         return " ".join(words)
 
 
@@ -119,6 +121,22 @@ def _no_contact(report: dict[str, Any]) -> bool:
 
 BARRIER_LESS_1_CM = 0.09
 """The programme keeps other robots 10 cm away, twice the gate's stop distance."""
+
+FIRST_ATTACK_S = 1.0
+"""By then the camera looks where it shall, and the first attack has just begun [s]."""
+
+
+def _attack(claim: str, picture: str = "", **options: Any) -> Claim:
+    """An attack on `qp` that it evades, the view kept."""
+    return Claim(
+        "collision",
+        Options(controller="qp", settle_s=FIRST_ATTACK_S, **options),
+        claim,
+        _kept_clear(BARRIER_LESS_1_CM),
+        _collision,
+        picture,
+    )
+
 
 CLAIMS = (
     Claim(
@@ -188,53 +206,23 @@ CLAIMS = (
     ),
     Claim(
         "collision",
-        Options(),
+        Options(settle_s=FIRST_ATTACK_S),
         "Fig. 11: no contact; the distance gives way, the angle does not",
         _no_contact,
         _collision,
         "fig-11-paper",
     ),
-    Claim(
-        "collision",
-        Options(controller="qp"),
-        "no contact, 9 cm kept, 1°",
-        _kept_clear(BARRIER_LESS_1_CM),
-        _collision,
-        "fig-11-qp",
-    ),
+    _attack("no contact, 9 cm kept, 1°", picture="fig-11-qp"),
+    _attack("the same", seed=1),
+    *(_attack("the same at the wrist", target="wrist", seed=seed) for seed in (0, 1)),
+    *(_attack("the same at the lens, 0.5 m/s", leader_speed_m_s=0.5, seed=seed) for seed in (0, 2)),
     *(
-        Claim(
-            "collision",
-            Options(controller="qp", seed=seed),
-            "the same",
-            _kept_clear(BARRIER_LESS_1_CM),
-            _collision,
-        )
-        for seed in (1,)
-    ),
-    *(
-        Claim(
-            "collision",
-            Options(controller="qp", target="wrist", seed=seed),
-            "the same at the wrist",
-            _kept_clear(BARRIER_LESS_1_CM),
-            _collision,
-        )
-        for seed in (0, 1)
-    ),
-    *(
-        Claim(
-            "collision",
-            Options(controller="qp", leader_speed_m_s=0.75, seed=seed),
-            "the same at the lens, 0.75 m/s",
-            _kept_clear(BARRIER_LESS_1_CM),
-            _collision,
-        )
-        for seed in (0, 1)
+        _attack("the same at the lens, 0.75 m/s", leader_speed_m_s=0.75, seed=seed)
+        for seed in (0, 1, 4, 6, 9)
     ),
     Claim(
         "collision",
-        Options(controller="qp", leader_speed_m_s=0.75, target="elbow"),
+        Options(controller="qp", leader_speed_m_s=0.75, target="elbow", settle_s=FIRST_ATTACK_S),
         "cornered: the gate stops the leader, never a contact",
         _no_contact,
         _collision,
@@ -248,7 +236,8 @@ def page(rows: list[tuple[Claim, dict[str, Any]]]) -> str:
         "# The paper's figures, and ours",
         "",
         "Written by `make figures`, `python -m deltaq_experiments.claims`. One run a row, virtual time, 12 ms cycle,",
-        "60 ms latency, leader at 0.25 m/s and seed 0 unless said otherwise, largest values after the first 5 s.",
+        "60 ms latency, leader at 0.25 m/s and seed 0 unless said otherwise, largest values after `--settle-s`, 5 s if",
+        "it is not there.",
         "[The camera follower](camera-follower.md) explains what the controllers do.",
         "",
         "| run | claimed | came out | holds |",

@@ -60,6 +60,19 @@ def test_a_robot_that_jumps_leaves_nothing_near_unmeasured() -> None:
         )
 
 
+def test_bodies_that_matter_from_afar_do_not_crowd_out_those_at_hand() -> None:
+    few, all_of = Neighbours(lab(), "fr", most=4), Neighbours(lab(), "fr", most=1000)
+    ranges = np.where(few.foreign, 3.0, 0.3)
+    kinds: set[bool] = set()
+    for seed in range(8):
+        q = configurations(seed)
+        ours, every = few.near(q, ranges), all_of.near(q, ranges)
+        shares = np.sort(every.distance / ranges[every.pairs])
+        np.testing.assert_allclose(ours.distance / ranges[ours.pairs], shares[:4])
+        kinds |= set(few.foreign[ours.pairs].tolist())
+    assert kinds == {True, False}
+
+
 def test_neighbouring_links_are_no_pair() -> None:
     neighbours = Neighbours(lab(), "fr", most=40)
     near = neighbours.near(configurations(1), np.full(len(neighbours.names), 0.5))

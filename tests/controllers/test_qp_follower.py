@@ -11,8 +11,10 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera, Pose
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.qp_follower import QpFollower
+from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
 
 Array = NDArray[np.float64]
@@ -38,30 +40,49 @@ def look_at(controller: QpFollower, q: Array, duration_s: float) -> tuple[Array,
     return np.array(seen) * [180.0 / np.pi, 1.0], violations
 
 
-def follow(speed_m_s: float, duration_s: float, delay_cycles: int = 2) -> tuple[Array, int]:
-    """The same while the leader moves about, and the follower's drives lag."""
-    cell, controller = lab(), follower()
-    leader = ScriptedLeader(cell.robots["gr"], CYCLE_S, speed_m_s, 0)
+def follow(
+    controller: QpFollower,
+    leader: ScriptedLeader | AttackingLeader,
+    duration_s: float,
+    delay_cycles: int = 2,
+) -> tuple[Array, int]:
+    """(k, 3) the same and the clearance [m] while the leader moves about, and the follower's drives lag."""
+    cell = lab()
     q, q_leader = np.array(cell.robots["fr"].home), np.array(cell.robots["gr"].home)
     servo, known, dq_last, seen, violations = Servo(q), [q_leader], np.zeros(6), [], 0
     for cycle in range(round(duration_s / CYCLE_S)):
         time_s = cycle * CYCLE_S
-        q_leader = q_leader + leader.increment(View(RobotView(cycle, time_s, q_leader, q_leader)))
+        own = RobotView(cycle, time_s, servo.q.copy(), q)
+        q_leader = q_leader + leader.increment(
+            View(RobotView(cycle, time_s, q_leader, q_leader), {"fr": own})
+        )
         known.append(q_leader)
         old = known[max(0, len(known) - 1 - delay_cycles)]
-        view = View(RobotView(cycle, time_s, servo.q, q), {"gr": RobotView(cycle, time_s, old, old)})
-        dq = controller.increment(view)
+        dq = controller.increment(View(own, {"gr": RobotView(cycle, time_s, old, old)}))
         violations += limit_violations(cell.robots["fr"], q, dq, dq_last)
         q, dq_last = q + dq, dq
         servo.follow(q)
-        seen.append(controller.errors(servo.q, q_leader))
+        angle, distance = controller.errors(servo.q, q_leader)
+        seen.append((np.rad2deg(angle), distance, controller.clearance(servo.q, q_leader)))
     assert controller.unsolved == 0
-    return np.array(seen) * [180.0 / np.pi, 1.0], violations
+    return np.array(seen), violations
+
+
+def attack(duration_s: float, seed: int = 0, gains: QpGains | None = None) -> Array:
+    """(k, 3) the same while the leader attacks the lens at 0.75 m/s, with no gate to stop it."""
+    robots = lab().robots
+    focus = robots["gr"].forward(robots["gr"].home)[:3, 3]
+    controller = QpFollower(Scene(lab(), "fr", "gr", 0.06), 1.25, focus, gains)
+    leader = AttackingLeader(robots["gr"], robots["fr"], CYCLE_S, 0.75, seed)
+    seen, violations = follow(controller, leader, duration_s)
+    assert violations == 0
+    return seen
 
 
 @pytest.mark.parametrize(("speed_m_s", "angle_deg", "distance_m"), [(0.25, 0.5, 0.01), (1.0, 1.1, 0.08)])
 def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance_m: float) -> None:
-    seen, violations = follow(speed_m_s, 12.0)
+    leader = ScriptedLeader(lab().robots["gr"], CYCLE_S, speed_m_s, 0)
+    seen, violations = follow(follower(), leader, 12.0)
     settled = np.abs(seen[round(5.0 / CYCLE_S) :])
     assert violations == 0
     assert settled[:, 0].max() <= angle_deg
@@ -122,6 +143,31 @@ def test_it_keeps_its_distance_from_a_leader_that_comes_at_the_lens() -> None:
         least = min(least, controller.clearance(q, q_leader))
     assert least >= controller.barrier_m - 0.01
     assert np.rad2deg(controller.errors(q, q_leader)[0]) < 1.0
+
+
+def test_an_attacker_that_goes_on_does_not_drive_it_into_a_corner() -> None:
+    # two attacks: who only backs away has A1 at its limit and the arm stretched out in both of them
+    angle_deg, _, clearance_m = attack(13.5, seed=4).T
+    assert angle_deg[round(1.0 / CYCLE_S) :].max() < 1.0
+    assert clearance_m.min() > 0.15
+    assert clearance_m.min() < 0.3, "it did come near"
+
+
+def test_what_others_need_to_brake_in_gives_way_to_the_view() -> None:
+    cornered = QpGains(room_weight=0.0)
+    kept = attack(2.2, gains=cornered._replace(reserve_price=cornered.barrier_price))
+    given = attack(2.2, gains=cornered)
+    assert given[80:, 0].max() < 0.6 * kept[80:, 0].max()
+    assert given[:, 2].min() > 0.1, "of the distance to be kept nothing is given"
+
+
+def test_with_nobody_near_room_to_turn_round_is_no_concern() -> None:
+    q, q_leader = np.array(lab().robots["fr"].home), lab().robots["gr"].home
+    q[0] = lab().robots["fr"].lower[0] + 0.1
+    view = View(RobotView(0, 0.0, q, q), {"gr": RobotView(0, 0.0, q_leader, q_leader)})
+    careless = QpFollower(Scene(lab(), "fr", "gr", 0.06), 1.25, gains=QpGains(room_weight=0.0))
+    assert follower().clearance(q, q_leader) == follower().evades_below_m
+    assert (follower().increment(view) == careless.increment(view)).all()
 
 
 def test_it_comes_to_rest_while_the_leader_has_not_been_heard_of() -> None:

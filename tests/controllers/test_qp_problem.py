@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
 from deltaq_controllers.camera.qp_tasks import Tasks
 
 N = 6
-NONE = np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp)
+NONE = Barriers(np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp))
 FIRST = np.zeros(1, dtype=np.intp)
 
 
@@ -17,7 +18,7 @@ def program() -> QuadraticProgram:
 
 def test_a_task_within_the_bounds_is_done() -> None:
     row, wide = np.eye(N)[:1], np.full(N, 0.01)
-    solution = program().solve(Tasks(row, np.array([2e-3]), np.ones(1)), -wide, wide, *NONE)
+    solution = program().solve(Tasks(row, np.array([2e-3]), np.ones(1)), -wide, wide, NONE)
     assert solution is not None
     assert solution[0][0] == pytest.approx(2e-3, rel=1e-3)
     assert np.abs(solution[0][1:]).max() < 1e-6
@@ -27,7 +28,7 @@ def test_bounds_outweigh_every_task_and_every_barrier() -> None:
     row, narrow = np.eye(N)[:1], np.full(N, 1e-3)
     barrier, least = np.eye(N)[:1], np.array([0.05])
     solution = program().solve(
-        Tasks(row, np.array([-0.05]), np.ones(1)), -narrow, narrow, barrier, least, FIRST
+        Tasks(row, np.array([-0.05]), np.ones(1)), -narrow, narrow, Barriers(barrier, least, FIRST)
     )
     assert solution is not None
     dq, slack = solution
@@ -39,7 +40,10 @@ def test_bounds_outweigh_every_task_and_every_barrier() -> None:
 def test_a_barrier_outweighs_the_tasks() -> None:
     row, wide = np.eye(N)[:1], np.full(N, 0.01)
     solution = program().solve(
-        Tasks(row, np.array([-5e-3]), np.ones(1)), -wide, wide, np.eye(N)[:1], np.array([1e-3]), FIRST
+        Tasks(row, np.array([-5e-3]), np.ones(1)),
+        -wide,
+        wide,
+        Barriers(np.eye(N)[:1], np.array([1e-3]), FIRST),
     )
     assert solution is not None
     assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
@@ -51,7 +55,7 @@ def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
     kinds = np.array([0, 1], dtype=np.intp)
     least = np.array([5e-3, -1e-3])
     solution = program().solve(
-        Tasks(barriers[:1], np.zeros(1), np.ones(1)), -wide, wide, barriers, least, kinds
+        Tasks(barriers[:1], np.zeros(1), np.ones(1)), -wide, wide, Barriers(barriers, least, kinds)
     )
     assert solution is not None
     assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
@@ -61,7 +65,7 @@ def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
 def test_the_heavier_task_is_done_first() -> None:
     rows, wide = np.array([np.eye(N)[0], np.eye(N)[0]]), np.full(N, 0.01)
     wanted, weights = np.array([2e-3, -2e-3]), np.array([1.0, 1e-2])
-    solution = program().solve(Tasks(rows, wanted, weights), -wide, wide, *NONE)
+    solution = program().solve(Tasks(rows, wanted, weights), -wide, wide, NONE)
     assert solution is not None
     assert solution[0][0] == pytest.approx(2e-3 * (1 - 1e-2) / (1 + 1e-2), rel=1e-2)
 
@@ -77,9 +81,9 @@ def test_there_is_always_an_answer_within_the_bounds(seed: int) -> None:
             Tasks(rows, random.normal(scale=0.01, size=4), 10.0 ** random.uniform(-4, 0, 4)),
             slowest,
             fastest,
-            barriers,
-            random.normal(scale=0.05, size=len(barriers)),
-            random.integers(0, 2, len(barriers)),
+            Barriers(
+                barriers, random.normal(scale=0.05, size=len(barriers)), random.integers(0, 2, len(barriers))
+            ),
         )
         assert solution is not None
         dq, slack = solution

@@ -12,8 +12,8 @@ are farther apart. A body travels no farther than its sphere's centre, and the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -33,10 +33,12 @@ Index = NDArray[np.intp]
 _UNKNOWN_M = -1e6
 """What is known of the distance of a pair that was never measured [m]."""
 
+_LEAST_RANGE_M = 1e-3
+"""Of smaller ranges, or none, there is no share [m]."""
 
-@dataclass(frozen=True)
-class Near:
-    """Pairs of bodies in range, nearest first.
+
+class Near(NamedTuple):
+    """Pairs of bodies in range, those first whose distance is the least share of it.
 
     Attributes:
         pairs: (k,) index of each in `Neighbours.names`.
@@ -107,7 +109,9 @@ class Neighbours:
         self._told: Index = np.zeros(0, dtype=np.intp)
 
     def near(self, q: Array, ranges: Array) -> Near:
-        """What is near at a configuration.
+        """What is near at a configuration, as a share of the range.
+
+        By distance less range the many bodies of a robot that comes, which matter from afar, would crowd out the floor.
 
         Args:
             q: (m,) joints of all robots of the cell, in its order [rad or m].
@@ -117,12 +121,12 @@ class Neighbours:
         # those told last time tell how near a pair has to be to be told now
         told = self._told
         distances = self._measure(told)
-        within = min(float((distances - ranges[told]).max()), 0.0) if len(told) == self._most else 0.0
-        others = self._candidates(ranges + within)
+        scales = np.maximum(ranges, _LEAST_RANGE_M)
+        within = min(float((distances / scales[told]).max()), 1.0) if len(told) == self._most else 1.0
+        others = self._candidates(np.where(ranges > 0.0, within * ranges, ranges))
         pairs, distances = np.concatenate([told, others]), np.concatenate([distances, self._measure(others)])
-        excess = distances - ranges[pairs]
-        nearest = np.lexsort((pairs, excess))[: self._most]
-        chosen = nearest[excess[nearest] < 0.0]
+        nearest = np.lexsort((pairs, distances / scales[pairs]))[: self._most]
+        chosen = nearest[(distances < ranges[pairs])[nearest]]
         self._told = pairs[chosen]
         rows = self._rows(self._told)
         own = rows[:, self._own_joints].copy()

@@ -8,6 +8,7 @@ tasks share what is left by their weights (`qp_gains`). In the null space of not
     distance   -u . J_v dq        =  step(d) - u . p' T                      (14)
     roll       (d roll / d q) dq  =  step(roll)                              (15)
     evasion    f . dq             =  |W^-1 F_rep| T,  f along W^-1 F_rep     (12)
+    room       g . dq             =  |G| T,  g along G = -k H                   (11)
     barrier    n . J dq >= n . v T - gamma (d - barrier) - s
 
 T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a share of an error, but never
@@ -21,26 +22,24 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.neighbours import Near, Neighbours
+from deltaq_controllers.camera.qp_constraints import Barriers, Braking, Keeping, barriers_of, bounds
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_others import OtherRobots
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
 from deltaq_controllers.camera.qp_tasks import Aim, Tasks, view_tasks
-from deltaq_controllers.camera.repulsion import Potential, Repulsion
+from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.subtasks import RollJoint
 from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.redundancy import WeightedGradient, inverse_weights
+from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
 from deltaq_protocol.brake import brake_cycles
 
 Array = NDArray[np.float64]
 
-_BRAKING = 0.98
-"""Share of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""
-
-MOST_PAIRS = 10
-"""Pairs of bodies that one programme takes into account, the nearest first."""
+MOST_PAIRS = 16
+"""Pairs of bodies that one programme takes into account, those first that are nearest for their range."""
 
 
 class QpFollower:
@@ -59,7 +58,8 @@ class QpFollower:
         limits: limits of the increments.
         evades_below_m: clearance from other robots below which barriers act [m].
         barrier_m: least distance from other robots, however they stand [m].
-        slack_m: by how much the last increment fell short of the barriers to other robots, and of all others [m].
+        slack_m: (3,) by how much the last increment fell short of the barriers to other robots, of all others, and
+            of what other robots need to brake in [m].
         unsolved: cycles in which the solver gave no answer and the robot braked.
 
     Raises:
@@ -83,7 +83,7 @@ class QpFollower:
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.barrier_m = scene.cell.description.gate.stop_distance_m + self.gains.clear_of_others_m
         self.evades_below_m = self.barrier_m + self.gains.others_range_m
-        self.slack_m, self.unsolved = np.zeros(2), 0
+        self.slack_m, self.unsolved = np.zeros(3), 0
         self._scene, self._cycle_s = scene, cycle_s
         self._last = LastIncrement(self.limits.max_ddq)
         self._camera = Kinematics(robot, "camera")
@@ -92,11 +92,13 @@ class QpFollower:
         self._leader = Kinematics(scene.leader, "tool")
         self._others = OtherRobots(scene)
         self._neighbours = Neighbours(scene.cell, scene.robot_name, MOST_PAIRS)
-        self._margins = self._margin_of_pairs()
         foreign, gains = self._neighbours.foreign, self.gains
-        self._ranges = self._margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
-        self._shares = np.where(foreign, gains.others_share, gains.barrier_share)
-        self._program = QuadraticProgram(self.limits.max_ddq, gains.rest_weight, [gains.barrier_price] * 2)
+        margins = self._margin_of_pairs()
+        self._ranges = margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
+        shares = np.where(foreign, gains.others_share, gains.barrier_share)
+        self._keeping = Keeping(foreign, margins, shares)
+        prices = [gains.barrier_price, gains.barrier_price, gains.reserve_price]
+        self._program = QuadraticProgram(self.limits.max_ddq, gains.rest_weight, prices)
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
@@ -108,10 +110,10 @@ class QpFollower:
         at_home = {name: RobotView(0, 0.0, robot.home, robot.home) for name, robot in robots.items()}
         self._others.update(at_home)
         q = robots[own].home
-        near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, np.inf))
+        near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, 1e3))
         tasks = self._tasks(q, *self._focus_ahead(), evade=True)
-        barriers, least = self._barriers(near, np.zeros_like(q), 1.0)
-        self._program.solve(tasks, *self.limits.reach(np.zeros_like(q)), barriers, least, near.pairs * 0)
+        barriers = self._barriers(near, np.zeros_like(q), 1)
+        self._program.solve(tasks, *bounds(self.limits, q, np.zeros_like(q), 1), barriers)
         self._others = OtherRobots(self._scene)
 
     def increment(self, view: View) -> Array:
@@ -128,10 +130,9 @@ class QpFollower:
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
         tasks = self._tasks(q, focus, velocity, evade=True in foreign)
-        slowest, fastest = self._bounds(q, dq_last, cycles)
-        barriers, least = self._barriers(near, travel, 0.5 * (cycles + 2))
-        kinds = np.where(foreign, 0, 1)
-        solution = self._program.solve(tasks, slowest, fastest, barriers, least, kinds)
+        slowest, fastest = bounds(self.limits, q, dq_last, cycles)
+        barriers = self._barriers(near, travel, cycles)
+        solution = self._program.solve(tasks, slowest, fastest, barriers)
         if solution is None:
             self.unsolved += 1
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
@@ -174,36 +175,19 @@ class QpFollower:
             q,
             Aim(focus, velocity, self.desired_distance_m),
             self._evasion(q) if evade else np.zeros_like(q),
+            self._room(q) if evade else np.zeros_like(q),
             self.gains,
             self._roll_joint,
             self.limits.max_ddq,
             self._cycle_s,
         )
 
-    def _bounds(self, q: Array, dq_last: Array, cycles: int) -> tuple[Array, Array]:
-        """Least and greatest increment (n,) of speed, acceleration and room to brake; `dq_last` takes `cycles`."""
-        slowest, fastest = self.limits.reach(dq_last)
-        # the brake after the increment is at most a cycle longer than the one before it; two cycles more, and a joint
-        # can slow down by itself before its limit while others speed up: too late, and the whole arm has to brake
-        room = 2.0 / (cycles + 4)
-        hardest = _BRAKING * self.limits.max_ddq
-        least = np.minimum(np.maximum(slowest, room * (self.limits.lower - q)), dq_last + hardest)
-        most = np.maximum(np.minimum(fastest, room * (self.limits.upper - q)), dq_last - hardest)
-        return least, most
-
-    def _barriers(self, near: Near, travel: Array, reach: float) -> tuple[Array, Array]:
-        """Rows (k, n) and least changes (k,) that keep the distances in range, judged where the brake ends [m].
-
-        Args:
-            near: what is near where the brake under way ends.
-            travel: (n,) what is left of it.
-            reach: of the brake that follows an increment `dq` the end lies `reach * dq` away, as the gate will see
-                it too; at most a cycle is added to it.
-        """
-        closing = np.maximum(-(near.others @ self._others.rates()), 0.0)
-        margins = self._margins[near.pairs] + self._reserve(closing)
-        change = closing * self._cycle_s - self._shares[near.pairs] * (near.distance - margins)
-        return near.own, (change + near.own @ travel) / reach
+    def _barriers(self, near: Near, travel: Array, cycles: int) -> Barriers:
+        """What keeps the distances in range, with a brake under way that has (n,) and so many cycles left."""
+        # of the brake that follows an increment the end lies `reach * dq` away, as the gate will see it too; at most
+        # a cycle is added to it
+        braking = Braking(travel, reach=0.5 * (cycles + 2))
+        return barriers_of(near, self._keeping, braking, self._others.rates(), self.gains, self._cycle_s)
 
     def _evasion(self, q: Array) -> Array:
         """(n,) W^-1 F_rep of (12), off the floor and where the other robots will be [rad/s or m/s].
@@ -212,13 +196,17 @@ class QpFollower:
         there has the gate hold him.
         """
         ahead_s = self._scene.latency_s + self.gains.reaction_s
-        self._repulsion.approach(self._camera, *self._others.spheres_ahead(ahead_s))
-        force = self._repulsion.field(self._camera)
+        force = self._repulsion.field_of(self._camera, Obstacles(*self._others.spheres_ahead(ahead_s)))
         return inverse_weights(self._limit_weights, q, force) * force
 
-    def _reserve(self, closing: Array) -> Array:
-        """(k,) what is kept free for others to brake in, by their speed of approach (k,) in m/s [m]."""
-        return closing * (self.gains.reaction_s + closing / (2.0 * self.gains.others_brake_m_s2))
+    def _room(self, q: Array) -> Array:
+        """(n,) rates back from the limits, along -H of (11) [rad/s or m/s].
+
+        A joint at its limit is a wall behind who backs away. To turn round before it, and slip past the attacker
+        where the evasion leaves it open, takes more room than the weights of the evasion keep.
+        """
+        back = -self.gains.room * limit_gradient(q, self.limits.lower, self.limits.upper)
+        return back * min(1.0, self.gains.room_rate / max(float(np.linalg.norm(back)), 1e-9))
 
     def _margin_of_pairs(self) -> Array:
         gains, pairs, gate = self.gains, self._neighbours, self._scene.cell.description.gate

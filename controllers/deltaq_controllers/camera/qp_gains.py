@@ -12,8 +12,10 @@ class QpGains(NamedTuple):
 
     Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come
     the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it
-    while there is another way. The tasks are least squares in one sum, each weight a few decades below the one
-    before: angle, distance, roll, and last of all that the joints stand still.
+    while there is another way. The tasks are least squares in one sum. Angle comes first, dearer than what others
+    need to brake in; two decades below it evasion, distance and room, of one weight: who gets out of the way neither
+    backs off along the view axis nor into a limit while there is a way aside. Then roll, and last of all that the
+    joints stand still.
 
     Attributes:
         clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
@@ -26,13 +28,17 @@ class QpGains(NamedTuple):
         reaction_s: time for which another robot is expected to come on as it does [s].
         others_brake_m_s2: deceleration that is counted on in another robot [m/s^2].
         barrier_price: cost of slack per m, on the scale of the tasks' costs.
+        reserve_price: the same of what other robots need to brake in, beyond the least distance from them.
         evasion: eta of the repulsion (12) off other robots [m^3 rad/s].
         evasion_range_m: rho_0 of (12) [m].
         evasion_min_m: distance at which the repulsion stops growing [m].
         limit_scale: s_w of the weights (10) that keep the repulsion from pressing joints to their limits [rad].
-        angle_weight, evasion_weight, distance_weight, roll_weight, rest_weight: of the squares: per mm of the
-            focus' path at 1 m for angle, per mrad for evasion and roll, per mm for distance, per acceleration limit
-            for rest.
+        room: k of the rates -k H, H of (11), at which joints leave their limits in the way of another robot
+            [rad^2/s or m^2/s].
+        room_rate: largest size of these rates [rad/s or m/s].
+        angle_weight, evasion_weight, distance_weight, room_weight, roll_weight, rest_weight: of the squares: per mm
+            of the focus' path at 1 m for angle, per mrad for evasion, room and roll, per mm for distance, per
+            acceleration limit for rest.
         angle_share, distance_share, roll_share: part of an error that a cycle takes away, near the goal.
         brake_share: part of the possible deceleration that approaching a goal counts on.
         zoom_m_s2: largest deceleration of the view distance that is counted on [m/s^2].
@@ -41,7 +47,7 @@ class QpGains(NamedTuple):
 
     clear_of_others_m: float = 0.05
     clear_of_structure_m: float = 0.03
-    clear_of_self_m: float = 0.02
+    clear_of_self_m: float = 0.01
     barrier_range_m: float = 0.25
     others_range_m: float = 0.5
     barrier_share: float = 0.2
@@ -49,13 +55,17 @@ class QpGains(NamedTuple):
     reaction_s: float = 0.2
     others_brake_m_s2: float = 2.0
     barrier_price: float = 1e6
+    reserve_price: float = 3e3
     evasion: float = 1e-2
     evasion_range_m: float = 0.3
     evasion_min_m: float = 0.03
     limit_scale: float = DEGREES
+    room: float = 0.04
+    room_rate: float = 0.7
     angle_weight: float = 1.0
-    evasion_weight: float = 0.1
+    evasion_weight: float = 1e-2
     distance_weight: float = 1e-2
+    room_weight: float = 1e-2
     roll_weight: float = 1e-4
     rest_weight: float = 1e-5
     angle_share: float = 0.5

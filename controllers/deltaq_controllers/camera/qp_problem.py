@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from quadprog import solve_qp
 
+from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_tasks import Tasks
 from deltaq_controllers.compiled import compiled
 
@@ -55,9 +56,7 @@ class QuadraticProgram:
         tasks: Tasks,
         slowest: Array,
         fastest: Array,
-        barriers: Array,
-        least: Array,
-        kinds: NDArray[np.intp],
+        barriers: Barriers,
     ) -> tuple[Array, Array] | None:
         """The best increment, and the slacks that it needs.
 
@@ -65,16 +64,14 @@ class QuadraticProgram:
             tasks: what it is for.
             slowest: (n,) least increment [rad or m].
             fastest: (n,) greatest increment [rad or m].
-            barriers: (k, n) change of each distance per increment.
-            least: (k,) least change of the distance [m].
-            kinds: (k,) kind of each barrier, an index of `prices`.
+            barriers: what to keep, kinds being indices of `prices`.
 
         Returns:
             (n,) increment within its bounds and (m,) slacks [m]; None if the solver found none.
         """
         n = len(self._scale)
         _cost(tasks, self._scale, self._rest_weight, self._hessian, self._linear)
-        columns, low = _constraints(self._bounds, self._scale, slowest, fastest, barriers, least, kinds)
+        columns, low = _constraints(self._bounds, self._scale, slowest, fastest, barriers)
         try:
             solution = solve_qp(self._hessian, self._linear, columns, low)[0]
         except ValueError:  # rounding made it inconsistent
@@ -103,13 +100,7 @@ def _cost(tasks: Tasks, scale: Array, rest_weight: float, hessian: Array, linear
 
 @compiled
 def _constraints(
-    bounds: Array,
-    scale: Array,
-    slowest: Array,
-    fastest: Array,
-    barriers: Array,
-    least: Array,
-    kinds: NDArray[np.intp],
+    bounds: Array, scale: Array, slowest: Array, fastest: Array, barriers: Barriers
 ) -> tuple[Array, Array]:
     """A column and a lower bound for each bound of the increments and of the slacks, then for each barrier.
 
@@ -118,12 +109,13 @@ def _constraints(
     """
     n, (_, given) = len(scale), bounds.shape
     m = given - 2 * n
+    least, kinds = barriers.least, barriers.kinds
     columns, low = np.zeros((n + m, given + len(least))), np.zeros(given + len(least))
     columns[:, :given] = bounds
     for i in range(n):
         low[i], low[n + m + i] = slowest[i] / scale[i], -fastest[i] / scale[i]
     for k in range(len(least)):
-        columns[:n, given + k] = barriers[k] * scale / _SLACK_SCALE
+        columns[:n, given + k] = barriers.rows[k] * scale / _SLACK_SCALE
         columns[n + kinds[k], given + k] = 1.0
         low[given + k] = least[k] / _SLACK_SCALE
     return columns, low

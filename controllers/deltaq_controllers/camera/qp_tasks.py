@@ -45,18 +45,20 @@ def view_tasks(
     q: Array,
     aim: Aim,
     evasion: Array,
+    room: Array,
     gains: QpGains,
     roll_joint: RollJoint,
     max_ddq: Array,
     cycle_s: float,
 ) -> Tasks:
-    """Angle (two rows), distance, roll and evasion.
+    """Angle (two rows), distance, roll, evasion and room.
 
     Args:
         pose: of the camera.
         q: (n,) configuration [rad or m].
         aim: what to look at.
         evasion: (n,) rates that get out of the others' way; zero for none [rad/s or m/s].
+        room: (n,) rates that leave joints room to their limits; zero for none [rad/s or m/s].
         gains: weights and shares.
         roll_joint: the joint that levels the picture.
         max_ddq: (n,) largest change of the increment between two cycles [rad or m].
@@ -64,15 +66,15 @@ def view_tasks(
     """
     view = look_on(pose.rotation, pose.position, aim.focus, pose.twists)
     jacobian, approach = view_jacobians(view, pose.position, aim.focus, pose.twists)
-    push = math.sqrt((evasion * evasion).sum())
-    rows = np.empty((5, len(q)))
+    push, pull = math.sqrt((evasion * evasion).sum()), math.sqrt((room * room).sum())
+    rows = np.empty((6, len(q)))
     rows[:2], rows[2] = jacobian / view.stretch, -approach
     rows[3] = roll_effects(pose.rotation, pose.twists[3:])
-    rows[4] = evasion / max(push, 1e-9)
+    rows[4], rows[5] = evasion / max(push, 1e-9), room / max(pull, 1e-9)
 
     deceleration = available(rows[:2], max_ddq, view.direction)
     turn = step(view.angle, gains.angle_share, deceleration, gains.brake_share)
-    wanted = np.empty(5)
+    wanted = np.empty(6)
     for i in range(2):
         drift = (view.P[i] * aim.velocity).sum() * cycle_s / view.stretch
         wanted[i] = -turn * view.direction[i] - drift
@@ -89,7 +91,7 @@ def view_tasks(
     turn = turn_to_level(pose.rotation, axis, q[last], roll_joint.lower, roll_joint.upper) * rows[3, last]
     level = step(abs(turn), gains.roll_share, gains.spin_rad_s2 * cycle_s**2, gains.brake_share)
     wanted[3] = math.copysign(level, turn)
-    wanted[4] = cycle_s * push
+    wanted[4], wanted[5] = cycle_s * push, cycle_s * pull
 
     weights = np.array(
         [
@@ -98,6 +100,7 @@ def view_tasks(
             gains.distance_weight,
             gains.roll_weight,
             gains.evasion_weight,
+            gains.room_weight,
         ]
     )
     return Tasks(rows, wanted, weights)

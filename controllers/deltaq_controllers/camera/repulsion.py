@@ -57,6 +57,13 @@ def push(potential: Potential, clearance: float, between_centres: float) -> floa
     return size * between_centres / d if potential.as_printed else size
 
 
+class Obstacles(NamedTuple):
+    """Spheres to keep clear of: centres (k, 3) in the world and radii (k,) [m]."""
+
+    centres: Array
+    radii: Array
+
+
 class Repulsion:
     """Repulsion of one robot's bounding spheres from given spheres and from the floor.
 
@@ -103,20 +110,22 @@ class Repulsion:
         return least
 
     def field(self, kinematics: Kinematics) -> Array:
-        """F_rep (n,) at the configuration of `kinematics` [rad/s or m/s]."""
-        columns, near = kinematics.columns, self._near
-        if near is None:
-            return np.zeros(columns.shape[1])
+        """F_rep (n,) at the configuration of `kinematics`, of what is near [rad/s or m/s]."""
+        if self._near is None:
+            return np.zeros(kinematics.columns.shape[1])
+        return self.field_of(kinematics, self._near)
+
+    def field_of(self, kinematics: Kinematics, obstacles: Obstacles) -> Array:
+        """F_rep (n,) of given obstacles and of the floor [rad/s or m/s]."""
         return _field(
-            columns, self._moves, self._spheres, kinematics.placements(), self._potential, near, self._floor
+            kinematics.columns,
+            self._moves,
+            self._spheres,
+            kinematics.placements(),
+            self._potential,
+            obstacles,
+            self._floor,
         )
-
-
-class Obstacles(NamedTuple):
-    """Spheres to keep clear of: centres (k, 3) in the world and radii (k,) [m]."""
-
-    centres: Array
-    radii: Array
 
 
 class Floor(NamedTuple):

@@ -1,0 +1,116 @@
+"""The constraints of the quadratic programme, compiled: bounds of the joints, and barriers of the distances.
+
+Both are judged where the brake ends that the gate has follow every increment.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.camera.neighbours import Near
+from deltaq_controllers.camera.qp_gains import QpGains
+from deltaq_controllers.compiled import compiled
+from deltaq_controllers.limits import IncrementLimits
+
+Array = NDArray[np.float64]
+
+_BRAKING = 0.98
+"""Share of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""
+
+OTHERS, STANDING, RESERVE = range(3)
+"""Kinds of barriers, by their slack."""
+
+
+class Keeping(NamedTuple):
+    """How distances are kept, by pair of bodies.
+
+    Attributes:
+        foreign: (p,) whether the pair's other body belongs to another robot.
+        margins: (p,) least distance, however they move [m].
+        shares: (p,) part of what is left of a distance that one cycle may take.
+    """
+
+    foreign: NDArray[np.bool_]
+    margins: Array
+    shares: Array
+
+
+class Braking(NamedTuple):
+    """What is left of the brake under way, `travel` (n,), and by how many increments a new one moves its end."""
+
+    travel: Array
+    reach: float
+
+
+class Barriers(NamedTuple):
+    """`rows dq >= least` but for a slack of each kind.
+
+    Attributes:
+        rows: (k, n) change of each distance per increment.
+        least: (k,) least change [m].
+        kinds: (k,) whose slack it may use.
+    """
+
+    rows: Array
+    least: Array
+    kinds: NDArray[np.intp]
+
+
+@compiled
+def barriers_of(
+    near: Near, keeping: Keeping, braking: Braking, rates: Array, gains: QpGains, cycle_s: float
+) -> Barriers:
+    """A barrier for each distance in range.
+
+    Other robots have two: of the distance to be kept, and of what they need to brake in besides. The second
+    gives way to the view, since it is the gate that stops them.
+
+    Args:
+        near: what is near where the brake under way ends.
+        keeping: how distances are kept.
+        braking: the brake.
+        rates: (m,) rates of all joints of the cell, the own ones zero [rad/s or m/s].
+        gains: what others are expected to do.
+        cycle_s: the cycle [s].
+    """
+    k, foreign = len(near.pairs), keeping.foreign[near.pairs]
+    rows = np.empty((k + foreign.sum(), near.own.shape[1]))
+    least, kinds = np.empty(len(rows)), np.full(len(rows), STANDING)
+    reserve = k
+    for i in range(k):
+        pair = near.pairs[i]
+        closing = max(-(near.others[i] * rates).sum(), 0.0)
+        share, travel = keeping.shares[pair], (near.own[i] * braking.travel).sum()
+        change = closing * cycle_s - share * (near.distance[i] - keeping.margins[pair])
+        rows[i], least[i] = near.own[i], (change + travel) / braking.reach
+        if foreign[i]:
+            needed = closing * (gains.reaction_s + closing / (2.0 * gains.others_brake_m_s2))
+            rows[reserve], least[reserve] = near.own[i], least[i] + share * needed / braking.reach
+            kinds[i], kinds[reserve] = OTHERS, RESERVE
+            reserve += 1
+    return Barriers(rows, least, kinds)
+
+
+@compiled
+def bounds(limits: IncrementLimits, q: Array, dq_last: Array, cycles: int) -> tuple[Array, Array]:
+    """Least and greatest increment (n,) of speed, acceleration and room to brake.
+
+    Args:
+        limits: of the increments.
+        q: (n,) configuration [rad or m].
+        dq_last: (n,) increment that led to it [rad or m].
+        cycles: how many its brake takes.
+    """
+    slowest = np.maximum(dq_last - limits.max_ddq, -limits.max_dq)
+    fastest = np.minimum(dq_last + limits.max_ddq, limits.max_dq)
+    # the brake after the increment is at most a cycle longer than the one before it; two cycles more, and a joint
+    # can slow down by itself before its limit while others speed up: too late, and the whole arm has to brake
+    room = 2.0 / (cycles + 4)
+    hardest = _BRAKING * limits.max_ddq
+    # a joint that is faster than it may be has both bounds on one side of the other
+    least = np.maximum(np.minimum(slowest, fastest), room * (limits.lower - q))
+    most = np.minimum(np.maximum(slowest, fastest), room * (limits.upper - q))
+    return np.minimum(least, dq_last + hardest), np.maximum(most, dq_last - hardest)
