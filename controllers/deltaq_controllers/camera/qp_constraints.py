@@ -61,9 +61,16 @@ class Barriers(NamedTuple):
 
 @compiled
 def barriers_of(
-    near: Near, keeping: Keeping, braking: Braking, rates: Array, gains: QpGains, cycle_s: float
+    near: Near,
+    keeping: Keeping,
+    braking: Braking,
+    rates: Array,
+    slowest: Array,
+    fastest: Array,
+    gains: QpGains,
+    cycle_s: float,
 ) -> Barriers:
-    """A barrier for each distance in range.
+    """A barrier for each distance in range, but for those that no increment within its bounds can break.
 
     Other robots have two: of the distance to be kept, and of what they need to brake in besides. The second
     gives way to the view, since it is the gate that stops them.
@@ -73,25 +80,28 @@ def barriers_of(
         keeping: how distances are kept.
         braking: the brake.
         rates: (m,) rates of all joints of the cell, the own ones zero [rad/s or m/s].
+        slowest: (n,) least increment [rad or m].
+        fastest: (n,) greatest increment [rad or m].
         gains: what others are expected to do.
         cycle_s: the cycle [s].
     """
-    k, foreign = len(near.pairs), keeping.foreign[near.pairs]
-    rows = np.empty((k + foreign.sum(), near.own.shape[1]))
-    least, kinds = np.empty(len(rows)), np.full(len(rows), STANDING)
-    reserve = k
-    for i in range(k):
-        pair = near.pairs[i]
+    most, n = 2 * len(near.pairs), near.own.shape[1]
+    rows, least, kinds = np.empty((most, n)), np.empty(most), np.empty(most, dtype=np.intp)
+    k = 0
+    for i in range(len(near.pairs)):
+        pair, row = near.pairs[i], near.own[i]
         closing = max(-(near.others[i] * rates).sum(), 0.0)
-        share, travel = keeping.shares[pair], (near.own[i] * braking.travel).sum()
+        share, travel = keeping.shares[pair], (row * braking.travel).sum()
         change = closing * cycle_s - share * (near.distance[i] - keeping.margins[pair])
-        rows[i], least[i] = near.own[i], (change + travel) / braking.reach
-        if foreign[i]:
-            needed = closing * (gains.reaction_s + closing / (2.0 * gains.others_brake_m_s2))
-            rows[reserve], least[reserve] = near.own[i], least[i] + share * needed / braking.reach
-            kinds[i], kinds[reserve] = OTHERS, RESERVE
-            reserve += 1
-    return Barriers(rows, least, kinds)
+        needed = closing * (gains.reaction_s + closing / (2.0 * gains.others_brake_m_s2))
+        at_worst = np.minimum(row * slowest, row * fastest).sum()
+        first = OTHERS if keeping.foreign[pair] else STANDING
+        for kind, more in ((first, 0.0), (RESERVE, share * needed)):
+            wanted = (change + travel + more) / braking.reach
+            if at_worst < wanted and (kind != RESERVE or more > 0.0):
+                rows[k], least[k], kinds[k] = row, wanted, kind
+                k += 1
+    return Barriers(rows[:k], least[:k], kinds[:k])
 
 
 @compiled

@@ -112,8 +112,8 @@ class QpFollower:
         q = robots[own].home
         near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, 1e3))
         tasks = self._tasks(q, *self._focus_ahead(), evade=True)
-        barriers = self._barriers(near, np.zeros_like(q), 1)
-        self._program.solve(tasks, *bounds(self.limits, q, np.zeros_like(q), 1), barriers)
+        reach = bounds(self.limits, q, np.zeros_like(q), 1)
+        self._program.solve(tasks, *reach, self._barriers(near, np.zeros_like(q), 1, *reach))
         self._others = OtherRobots(self._scene)
 
     def increment(self, view: View) -> Array:
@@ -131,7 +131,7 @@ class QpFollower:
         foreign = self._neighbours.foreign[near.pairs]
         tasks = self._tasks(q, focus, velocity, evade=True in foreign)
         slowest, fastest = bounds(self.limits, q, dq_last, cycles)
-        barriers = self._barriers(near, travel, cycles)
+        barriers = self._barriers(near, travel, cycles, slowest, fastest)
         solution = self._program.solve(tasks, slowest, fastest, barriers)
         if solution is None:
             self.unsolved += 1
@@ -182,12 +182,13 @@ class QpFollower:
             self._cycle_s,
         )
 
-    def _barriers(self, near: Near, travel: Array, cycles: int) -> Barriers:
+    def _barriers(self, near: Near, travel: Array, cycles: int, slowest: Array, fastest: Array) -> Barriers:
         """What keeps the distances in range, with a brake under way that has (n,) and so many cycles left."""
         # of the brake that follows an increment the end lies `reach * dq` away, as the gate will see it too; at most
         # a cycle is added to it
         braking = Braking(travel, reach=0.5 * (cycles + 2))
-        return barriers_of(near, self._keeping, braking, self._others.rates(), self.gains, self._cycle_s)
+        rates = self._others.rates()
+        return barriers_of(near, self._keeping, braking, rates, slowest, fastest, self.gains, self._cycle_s)
 
     def _evasion(self, q: Array) -> Array:
         """(n,) W^-1 F_rep of (12), off the floor and where the other robots will be [rad/s or m/s].
