@@ -36,6 +36,9 @@ _UNKNOWN_M = -1e6
 _LEAST_RANGE_M = 1e-3
 """Of smaller ranges, or none, there is no share [m]."""
 
+_TOUCHING_M = 1e-3
+"""Nearest points that are closer tell no direction [m]."""
+
 
 class Near(NamedTuple):
     """Pairs of bodies in range, those first whose distance is the least share of it.
@@ -118,20 +121,15 @@ class Neighbours:
             ranges: (p,) distance of each pair from which on it matters [m].
         """
         self._place(q)
-        # those told last time tell how near a pair has to be to be told now
         told = self._told
         distances = self._measure(told)
-        scales = np.maximum(ranges, _LEAST_RANGE_M)
-        within = min(float((distances / scales[told]).max()), 1.0) if len(told) == self._most else 1.0
-        others = self._candidates(np.where(ranges > 0.0, within * ranges, ranges))
+        # those told last time tell how near a pair has to be to be told now
+        others = self._candidates(_nearer(ranges, told, distances, self._most))
         pairs, distances = np.concatenate([told, others]), np.concatenate([distances, self._measure(others)])
-        nearest = np.lexsort((pairs, distances / scales[pairs]))[: self._most]
-        chosen = nearest[(distances < ranges[pairs])[nearest]]
-        self._told = pairs[chosen]
-        rows = self._rows(self._told)
-        own = rows[:, self._own_joints].copy()
-        rows[:, self._own_joints] = 0.0
-        return Near(self._told, distances[chosen], own, rows)
+        chosen = _nearest(ranges, pairs, distances, self._most)
+        self._told, distances = pairs[chosen], distances[chosen]
+        own, rows = self._rows(self._told, distances)
+        return Near(self._told, distances, own, rows)
 
     def _surround(self, carriers: Index) -> None:
         """Bounding spheres of the bodies; `_centres` and `_radii` of all, `_spheres` to place the `_moving` ones."""
@@ -178,19 +176,23 @@ class Neighbours:
         self._at_least[pairs] = distances + self._travel[self._one[pairs]] + self._travel[self._other[pairs]]
         return distances
 
-    def _rows(self, pairs: Index) -> Array:
-        """(k, m) change of each distance, as it was measured, per increment of each joint."""
-        if not pairs.size:
-            return np.zeros((0, self._model.nv))
+    def _rows(self, pairs: Index, distances: Array) -> tuple[Array, Array]:
+        """Change of each distance, as it was measured, per increment of the own joints (k, n) and of others (k, m)."""
         contacts = np.empty((len(pairs), 3, 3))
-        for contact, pair in zip(contacts, pairs.tolist(), strict=True):
+        for contact, pair, distance_m in zip(contacts, pairs.tolist(), distances.tolist(), strict=True):
             result = self._results[pair]
-            contact[0], contact[1], contact[2] = (
-                result.normal,
-                result.getNearestPoint1(),
-                result.getNearestPoint2(),
-            )
-        return _rows(contacts, self._columns, self._moves[self._one[pairs]], self._moves[self._other[pairs]])
+            contact[0], contact[1] = result.getNearestPoint1(), result.getNearestPoint2()
+            if distance_m < _TOUCHING_M:
+                contact[2] = result.normal
+        return _rows(
+            contacts,
+            distances,
+            self._columns,
+            self._moves[self._one[pairs]],
+            self._moves[self._other[pairs]],
+            self._own_joints.start,
+            self._own_joints.stop,
+        )
 
     def _moves_of(self, carriers: list[int]) -> Array:
         """(bodies, m) 1 where a joint moves a body."""
@@ -247,20 +249,48 @@ def _candidates(
 
 
 @compiled
-def _rows(contacts: Array, columns: Array, first: Array, second: Array) -> Array:
-    """Change of distances (k, m) by the joints.
+def _nearer(ranges: Array, told: Index, distances: Array, most: int) -> Array:
+    """(p,) how near a pair has to be to be among the `most` told, given the distances (k,) of those told so far."""
+    share = 1.0
+    if len(told) == most:
+        farthest = 0.0
+        for i in range(most):
+            farthest = max(farthest, distances[i] / max(ranges[told[i]], _LEAST_RANGE_M))
+        share = min(farthest, 1.0)
+    return np.where(ranges > 0.0, share * ranges, ranges)
+
+
+@compiled
+def _nearest(ranges: Array, pairs: Index, distances: Array, most: int) -> Index:
+    """Places of those of `pairs` (k,) in range, the least share of their range first, and `most` of them at most."""
+    # one of two alike comes first that does in the list of all pairs
+    order = np.argsort(pairs, kind="mergesort")
+    shares = distances / np.maximum(ranges[pairs], _LEAST_RANGE_M)
+    nearest = order[np.argsort(shares[order], kind="mergesort")][:most]
+    return nearest[distances[nearest] < ranges[pairs[nearest]]]
+
+
+@compiled
+def _rows(
+    contacts: Array, distances: Array, columns: Array, first: Array, second: Array, begin: int, end: int
+) -> tuple[Array, Array]:
+    """Change of distances by the own joints, (k, n), and by all others, (k, m).
 
     Args:
-        contacts: (k, 3, 3) of each pair coal's normal, from the first body to the second, and the nearest points.
+        contacts: (k, 3, 3) nearest points of each pair and, where it touches, coal's normal, first to second body.
+        distances: (k,) of these points [m].
         columns: (6, m) velocities of what the joints carry, at the world's origin.
         first: (k, m) 1 where a joint moves the first body.
         second: (k, m) 1 where a joint moves the second.
+        begin: the first of the own joints.
+        end: the joint after the last of them.
     """
     rows = np.zeros((len(contacts), columns.shape[1]))
     for k in range(len(contacts)):
-        away = -contacts[k, 0]
+        point1, point2 = contacts[k, 0], contacts[k, 1]
+        away = -contacts[k, 2] if distances[k] < _TOUCHING_M else (point1 - point2) / distances[k]
         # a force at a point is a wrench at the origin
-        moment1, moment2 = cross(contacts[k, 1], away), cross(contacts[k, 2], away)
+        moment1, moment2 = cross(point1, away), cross(point2, away)
         for joint in range(columns.shape[1]):
             alike = first[k, joint] - second[k, joint]
             for axis in range(3):
@@ -268,4 +298,6 @@ def _rows(contacts: Array, columns: Array, first: Array, second: Array) -> Array
                 rows[k, joint] += (
                     alike * away[axis] * columns[axis, joint] + moment * columns[3 + axis, joint]
                 )
-    return rows
+    own = rows[:, begin:end].copy()
+    rows[:, begin:end] = 0.0
+    return own, rows

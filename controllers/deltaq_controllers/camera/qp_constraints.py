@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.camera.neighbours import Near
-from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.compiled import compiled
 from deltaq_controllers.limits import IncrementLimits
 
@@ -31,11 +30,15 @@ class Keeping(NamedTuple):
         foreign: (p,) whether the pair's other body belongs to another robot.
         margins: (p,) least distance, however they move [m].
         shares: (p,) part of what is left of a distance that one cycle may take.
+        reaction_s: time for which another robot is expected to come on as it does [s].
+        others_brake_m_s2: deceleration that is counted on in another robot [m/s^2].
     """
 
     foreign: NDArray[np.bool_]
     margins: Array
     shares: Array
+    reaction_s: float
+    others_brake_m_s2: float
 
 
 class Braking(NamedTuple):
@@ -67,7 +70,6 @@ def barriers_of(
     rates: Array,
     slowest: Array,
     fastest: Array,
-    gains: QpGains,
     cycle_s: float,
 ) -> Barriers:
     """A barrier for each distance in range, but for those that no increment within its bounds can break.
@@ -82,7 +84,6 @@ def barriers_of(
         rates: (m,) rates of all joints of the cell, the own ones zero [rad/s or m/s].
         slowest: (n,) least increment [rad or m].
         fastest: (n,) greatest increment [rad or m].
-        gains: what others are expected to do.
         cycle_s: the cycle [s].
     """
     most, n = 2 * len(near.pairs), near.own.shape[1]
@@ -93,7 +94,7 @@ def barriers_of(
         closing = max(-(near.others[i] * rates).sum(), 0.0)
         share, travel = keeping.shares[pair], (row * braking.travel).sum()
         change = closing * cycle_s - share * (near.distance[i] - keeping.margins[pair])
-        needed = closing * (gains.reaction_s + closing / (2.0 * gains.others_brake_m_s2))
+        needed = closing * (keeping.reaction_s + closing / (2.0 * keeping.others_brake_m_s2))
         at_worst = np.minimum(row * slowest, row * fastest).sum()
         first = OTHERS if keeping.foreign[pair] else STANDING
         for kind, more in ((first, 0.0), (RESERVE, share * needed)):

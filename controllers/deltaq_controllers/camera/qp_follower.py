@@ -26,7 +26,7 @@ from deltaq_controllers.camera.qp_constraints import Barriers, Braking, Keeping,
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_others import OtherRobots
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
-from deltaq_controllers.camera.qp_tasks import Aim, Tasks, view_tasks
+from deltaq_controllers.camera.qp_tasks import Aim, TaskGains, Tasks, view_tasks
 from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.subtasks import RollJoint
@@ -96,12 +96,13 @@ class QpFollower:
         margins = self._margin_of_pairs()
         self._ranges = margins + np.where(foreign, gains.others_range_m, gains.barrier_range_m)
         shares = np.where(foreign, gains.others_share, gains.barrier_share)
-        self._keeping = Keeping(foreign, margins, shares)
+        self._keeping = Keeping(foreign, margins, shares, gains.reaction_s, gains.others_brake_m_s2)
         prices = [gains.barrier_price, gains.barrier_price, gains.reserve_price]
         self._program = QuadraticProgram(self.limits.max_ddq, gains.rest_weight, prices)
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
+        self._task_gains = TaskGains.of(gains)
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -176,7 +177,7 @@ class QpFollower:
             Aim(focus, velocity, self.desired_distance_m),
             self._evasion(q) if evade else np.zeros_like(q),
             self._room(q) if evade else np.zeros_like(q),
-            self.gains,
+            self._task_gains,
             self._roll_joint,
             self.limits.max_ddq,
             self._cycle_s,
@@ -188,7 +189,7 @@ class QpFollower:
         # a cycle is added to it
         braking = Braking(travel, reach=0.5 * (cycles + 2))
         rates = self._others.rates()
-        return barriers_of(near, self._keeping, braking, rates, slowest, fastest, self.gains, self._cycle_s)
+        return barriers_of(near, self._keeping, braking, rates, slowest, fastest, self._cycle_s)
 
     def _evasion(self, q: Array) -> Array:
         """(n,) W^-1 F_rep of (12), off the floor and where the other robots will be [rad/s or m/s].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,27 @@ class Tasks(NamedTuple):
     weights: Array
 
 
+class TaskGains(NamedTuple):
+    """Those of `QpGains` that the tasks make use of: each that is handed over costs time."""
+
+    angle_weight: float
+    evasion_weight: float
+    distance_weight: float
+    room_weight: float
+    roll_weight: float
+    angle_share: float
+    distance_share: float
+    roll_share: float
+    brake_share: float
+    zoom_m_s2: float
+    spin_rad_s2: float
+
+    @classmethod
+    def of(cls, gains: QpGains) -> Self:
+        """The choice from all of them."""
+        return cls(*(getattr(gains, name) for name in cls._fields))
+
+
 @compiled
 def view_tasks(
     pose: CameraPose,
@@ -46,7 +67,7 @@ def view_tasks(
     aim: Aim,
     evasion: Array,
     room: Array,
-    gains: QpGains,
+    gains: TaskGains,
     roll_joint: RollJoint,
     max_ddq: Array,
     cycle_s: float,
