@@ -48,6 +48,8 @@ def folder_of(package: Path, users_cache: Path) -> str:
     installed = package / "__pycache__" / f"compiled-{version[:16]}"
     if _can_be_written(installed):
         return str(installed)
+    if not users_cache.is_absolute():  # nobody's, or as XDG does not want it
+        return ""
     own = users_cache / "deltaq" / installed.name
     if installed.exists() and not own.exists():
         with suppress(OSError):  # in part it is of use, too
@@ -63,4 +65,10 @@ def _can_be_written(folder: Path) -> bool:
     return os.access(folder, os.W_OK)
 
 
-_FOLDER = folder_of(Path(__file__).parent, Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser())
+def _users_cache() -> Path:
+    with suppress(RuntimeError):  # a user without a home
+        return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return Path()
+
+
+_FOLDER = folder_of(Path(__file__).parent, _users_cache())

@@ -83,3 +83,4 @@ def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None
     (tmp_path / "__pycache__").write_text("not a folder")
     (tmp_path / "cache").write_text("nor this")
     assert folder_of(tmp_path, tmp_path / "cache") == ""
+    assert folder_of(tmp_path, Path()) == "", "of a user without a home"
