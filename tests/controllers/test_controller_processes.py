@@ -88,15 +88,16 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
         status, led, err = finish(leader)
         assert status == 0, err
     finally:
-        leader.kill()
-        follower.kill()
+        for process in (leader, follower):
+            process.kill()
+            process.communicate()
     assert followed["controller"] == "paper"
     assert led["controller"] == "leader"
     for summary in (followed, led):
         counts = summary["gate"]
         assert isinstance(counts, dict)
         assert summary["cycles"] > 200
-        assert counts["admitted"] > 0.8 * summary["cycles"]
+        assert counts["admitted"] > 0.8 * summary["cycles"], summary
     # a machine that others use as well may cost a cycle here and there, each a short dip in speed
     assert followed["angle_deg"]["max"] < 3.0
     assert followed["distance_m"]["max"] < 0.06
