@@ -19,11 +19,7 @@ from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
 from deltaq_emulator.shell import Address, Emulator
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.real_time import ask_for_real_time
 from deltaq_protocol.rsi import load_ethernet_xml
-
-_REAL_TIME_PRIORITY = 30
-"""Above the Robot Servers': a KRC has a processor of its own."""
 
 
 def _address(text: str) -> Address:
@@ -107,7 +103,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             # nothing that stands now is garbage: no need to look at it again in every collection
             gc.collect()
             gc.freeze()
-            ask_for_real_time(_REAL_TIME_PRIORITY)
             emulator.run(lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server))
         finally:
             emulator.close()

@@ -13,9 +13,8 @@ from deltaq_cell.load import load_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.summary import description_message
 from deltaq_protocol.messages import Description, ToolPose
-from deltaq_protocol.real_time import ask_for_real_time
 from deltaq_services.hli.shell import Hli
-from deltaq_services.process import arguments, run
+from deltaq_services.process import arguments, ask_for_real_time, run
 
 OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
 """Environment variable: where set, `take` and `reset` need this token."""

@@ -15,8 +15,8 @@ from pathlib import Path
 from deltaq_cell.description import CellDescription
 from deltaq_cell.description import RsiDriver as RsiDescription
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.real_time import ask_for_real_time
 from deltaq_protocol.rsi import AxisMap, SensorCodec, TelegramError, load_ethernet_xml
+from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import Measurement, RobotServer
 from deltaq_services.robot_server.link import Link
 from deltaq_services.robot_server.rsi_driver import RsiDriver

@@ -1,8 +1,7 @@
 """`python -m deltaq_services.sim --cell lab`."""
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_protocol.real_time import ask_for_real_time
-from deltaq_services.process import arguments, run
+from deltaq_services.process import arguments, ask_for_real_time, run
 from deltaq_services.sim.shell import Shell
 
 _REAL_TIME_PRIORITY = 10
