@@ -164,8 +164,7 @@ def view_jacobians(view: Look, position: Array, focus: Array, twists: Array) -> 
     return rows[:2], rows[2]
 
 
-@compiled
 def view_angle(rotation: Array, position: Array, focus: Array) -> float:
     """Angle between view axis and focus [rad]; what Figs. 8 and 9 plot, with `p - x` (errata)."""
-    y = components(rotation, focus - position)
-    return math.atan2(math.hypot(y[0], y[1]), y[2])
+    y1, y2, y3 = (rotation.T @ (focus - position)).tolist()
+    return math.atan2(math.hypot(y1, y2), y3)

@@ -65,6 +65,13 @@ class CameraFollower:
         self._leader = PlacedSpheres(leader) if leader is not None else None
         self._emergency = Emergency(gains.emergency_on_m, gains.emergency_off_m)
         self._tracker = FocusTracker()
+        self._warm_up(leader)
+
+    def _warm_up(self, leader: RobotModel | None) -> None:
+        """Have what the law does not compile itself compiled: the first cycle has no time for it."""
+        gains, q = self.gains, np.array(self.robot.home)
+        integrate(self._law.rates, q, gains.horizon_s, gains.max_step_s, self.limits.max_dq)
+        self._obstacles(leader.home if leader is not None else None)
 
     @property
     def in_emergency(self) -> bool:
@@ -94,7 +101,10 @@ class CameraFollower:
             (n,) increment within the robot's limits of position, speed and acceleration [rad or m].
         """
         self._tracker.update(p_focus, time_s)
-        focus = self._tracker.ahead(self.gains.latency_s) if self.variants.extrapolated_focus else p_focus
+        # one kind of array: for another one, or one that is read-only, the law would be compiled anew within a cycle
+        q_cmd, focus = np.array(q_cmd), np.array(p_focus)
+        if self.variants.extrapolated_focus:
+            focus = self._tracker.ahead(self.gains.latency_s)
         speed = float(np.linalg.norm(self._tracker.velocity))
         obstacles, radii = self._obstacles(q_leader)
         self.clearance_m = self._law.aim(q_cmd, focus, speed, desired_distance, obstacles, radii)

@@ -80,7 +80,7 @@ class CameraLaw:
             cycle_s / gains.horizon_s,
         )
         self._goal = Goal(np.zeros(3), 0.0, 1.0, gains.distance, math.inf)
-        self._warm_up(robot.home, max_dq)
+        self._warm_up(np.array(robot.home), max_dq)
 
     def _warm_up(self, q: Array, max_dq: Array) -> None:
         """Have everything compiled: the first cycle, and the first obstacle, have no time for it."""

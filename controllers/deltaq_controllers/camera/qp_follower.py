@@ -110,7 +110,7 @@ class QpFollower:
         robots, own = self._scene.cell.robots, self._scene.robot_name
         at_home = {name: RobotView(0, 0.0, robot.home, robot.home) for name, robot in robots.items()}
         self._others.update(at_home)
-        q = robots[own].home
+        q = np.array(robots[own].home)
         near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, 1e3))
         tasks = self._tasks(q, *self._focus_ahead(), evade=True)
         reach = bounds(self.limits, q, np.zeros_like(q), 1)
@@ -119,7 +119,8 @@ class QpFollower:
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
-        q, dq_last = view.own.q_cmd, self._last.update(view.own)
+        # one kind of array: for a read-only one the programme's parts would be compiled anew within a cycle
+        q, dq_last = np.array(view.own.q_cmd), self._last.update(view.own)
         if self._scene.leader_name not in view.others:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
         self._others.update(view.others)
@@ -160,7 +161,7 @@ class QpFollower:
     def _focus_ahead(self) -> tuple[Array, Array]:
         """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
         if self.focus is not None:
-            return self.focus, np.zeros(3)
+            return np.array(self.focus), np.zeros(3)
         tracker = self._others.leader
         # the increment asked for now arrives after the latency; what it starts from, a cycle earlier
         self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
