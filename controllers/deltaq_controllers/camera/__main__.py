@@ -9,6 +9,7 @@ from deltaq_controllers.camera.scene import Scene
 
 def main() -> int:
     """Make every controller once, which compiles what it needs."""
+    print("compiling the camera's laws, once: this takes some ten seconds", flush=True)
     scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr", latency_s=0.06)
     for name in NAMES:
         camera_controller_named(name, scene, distance_m=1.25)

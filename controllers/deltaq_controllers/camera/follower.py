@@ -102,12 +102,12 @@ class CameraFollower:
         """
         self._tracker.update(p_focus, time_s)
         # one kind of array: for another one, or one that is read-only, the law would be compiled anew within a cycle
-        q_cmd, focus = np.array(q_cmd), np.array(p_focus)
+        q_cmd, focus = np.array(q_cmd, dtype=np.float64), np.array(p_focus, dtype=np.float64)
         if self.variants.extrapolated_focus:
             focus = self._tracker.ahead(self.gains.latency_s)
         speed = float(np.linalg.norm(self._tracker.velocity))
         obstacles, radii = self._obstacles(q_leader)
-        self.clearance_m = self._law.aim(q_cmd, focus, speed, desired_distance, obstacles, radii)
+        self.clearance_m = self._law.aim(q_cmd, focus, speed, float(desired_distance), obstacles, radii)
         evading = self._emergency.update(self.clearance_m)
         dq = integrate(
             self._law.evasion if evading else self._law.rates,

@@ -120,7 +120,7 @@ class QpFollower:
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
         # one kind of array: for a read-only one the programme's parts would be compiled anew within a cycle
-        q, dq_last = np.array(view.own.q_cmd), self._last.update(view.own)
+        q, dq_last = np.array(view.own.q_cmd, dtype=np.float64), self._last.update(view.own)
         if self._scene.leader_name not in view.others:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
         self._others.update(view.others)
@@ -161,7 +161,7 @@ class QpFollower:
     def _focus_ahead(self) -> tuple[Array, Array]:
         """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
         if self.focus is not None:
-            return np.array(self.focus), np.zeros(3)
+            return np.array(self.focus, dtype=np.float64), np.zeros(3)
         tracker = self._others.leader
         # the increment asked for now arrives after the latency; what it starts from, a cycle earlier
         self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
@@ -175,7 +175,7 @@ class QpFollower:
         return view_tasks(
             CameraPose(camera.rotation, camera.position, camera.twists),
             q,
-            Aim(focus, velocity, self.desired_distance_m),
+            Aim(focus, velocity, float(self.desired_distance_m)),
             self._evasion(q) if evade else np.zeros_like(q),
             self._room(q) if evade else np.zeros_like(q),
             self._task_gains,
