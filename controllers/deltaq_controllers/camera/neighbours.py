@@ -22,22 +22,22 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import make_reproducible
 from deltaq_cell.joined import WORLD, joined
-from deltaq_controllers.compiled import compiled
+from deltaq_controllers.camera.pairs import (
+    TOUCHING_M,
+    candidates,
+    nearest,
+    note_travel,
+    ranges_of_nearer,
+    rows_of,
+)
 from deltaq_controllers.kinematics import placement_views
-from deltaq_controllers.spheres import Spheres, local_box, placed
-from deltaq_controllers.vectors import cross, distance
+from deltaq_controllers.spheres import Spheres, local_box
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _UNKNOWN_M = -1e6
 """What is known of the distance of a pair that was never measured [m]."""
-
-_LEAST_RANGE_M = 1e-3
-"""Of smaller ranges, or none, there is no share [m]."""
-
-_TOUCHING_M = 1e-3
-"""Nearest points that are closer tell no direction [m]."""
 
 
 class Near(NamedTuple):
@@ -124,9 +124,9 @@ class Neighbours:
         told = self._told
         distances = self._measure(told)
         # those told last time tell how near a pair has to be to be told now
-        others = self._candidates(_nearer(ranges, told, distances, self._most))
+        others = self._candidates(ranges_of_nearer(ranges, told, distances, self._most))
         pairs, distances = np.concatenate([told, others]), np.concatenate([distances, self._measure(others)])
-        chosen = _nearest(ranges, pairs, distances, self._most)
+        chosen = nearest(ranges, pairs, distances, self._most)
         self._told, distances = pairs[chosen], distances[chosen]
         own, rows = self._rows(self._told, distances)
         return Near(self._told, distances, own, rows)
@@ -151,12 +151,14 @@ class Neighbours:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
         placements = np.concatenate(self._placements)
         turned = np.abs(q - self._q)
-        _travel(self._spheres, placements, self._moving, self._turned_by, turned, self._centres, self._travel)
+        note_travel(
+            self._spheres, placements, self._moving, self._turned_by, turned, self._centres, self._travel
+        )
         self._q = q
 
     def _candidates(self, ranges: Array) -> Index:
         """Pairs other than those told that can be within (p,) ranges."""
-        return _candidates(
+        return candidates(
             self._one,
             self._other,
             self._told,
@@ -182,9 +184,9 @@ class Neighbours:
         for contact, pair, distance_m in zip(contacts, pairs.tolist(), distances.tolist(), strict=True):
             result = self._results[pair]
             contact[0], contact[1] = result.getNearestPoint1(), result.getNearestPoint2()
-            if distance_m < _TOUCHING_M:
+            if distance_m < TOUCHING_M:
                 contact[2] = result.normal
-        return _rows(
+        return rows_of(
             contacts,
             distances,
             self._columns,
@@ -202,102 +204,3 @@ class Neighbours:
                 if joint != WORLD:
                     moves[row, joint - 1] = 1.0
         return moves
-
-
-@compiled
-def _travel(
-    spheres: Spheres,
-    placements: Array,
-    moving: Index,
-    turned_by: Array,
-    turned: Array,
-    centres: Array,
-    travel: Array,
-) -> None:
-    """Move the `centres` of the `moving` bodies, and add to their `travel` how far they can have gone [m].
-
-    Each goes no farther than its centre, and its radius times what all the joints turned that it is `turned_by`.
-    """
-    now = placed(spheres, placements)
-    for i in range(len(moving)):
-        body = moving[i]
-        travel[body] += distance(now[i], centres[body]) + spheres.radii[i] * (turned_by[i] * turned).sum()
-        centres[body] = now[i]
-
-
-@compiled
-def _candidates(
-    one: Index,
-    other: Index,
-    told: Index,
-    ranges: Array,
-    travel: Array,
-    centres: Array,
-    radii: Array,
-    at_least: Array,
-) -> Index:
-    """Pairs but those told that can be within (p,) ranges; what their spheres tell is noted in `at_least`."""
-    possible = at_least - travel[one] - travel[other] < ranges
-    possible[told] = False
-    near = np.zeros(len(ranges), dtype=np.bool_)
-    for pair in np.flatnonzero(possible):
-        i, j = one[pair], other[pair]
-        gap = distance(centres[i], centres[j]) - radii[i] - radii[j]
-        at_least[pair] = max(at_least[pair], gap + travel[i] + travel[j])
-        near[pair] = gap < ranges[pair]
-    return np.flatnonzero(near)
-
-
-@compiled
-def _nearer(ranges: Array, told: Index, distances: Array, most: int) -> Array:
-    """(p,) how near a pair has to be to be among the `most` told, given the distances (k,) of those told so far."""
-    share = 1.0
-    if len(told) == most:
-        farthest = 0.0
-        for i in range(most):
-            farthest = max(farthest, distances[i] / max(ranges[told[i]], _LEAST_RANGE_M))
-        share = min(farthest, 1.0)
-    return np.where(ranges > 0.0, share * ranges, ranges)
-
-
-@compiled
-def _nearest(ranges: Array, pairs: Index, distances: Array, most: int) -> Index:
-    """Places of those of `pairs` (k,) in range, the least share of their range first, and `most` of them at most."""
-    # one of two alike comes first that does in the list of all pairs
-    order = np.argsort(pairs, kind="mergesort")
-    shares = distances / np.maximum(ranges[pairs], _LEAST_RANGE_M)
-    nearest = order[np.argsort(shares[order], kind="mergesort")][:most]
-    return nearest[distances[nearest] < ranges[pairs[nearest]]]
-
-
-@compiled
-def _rows(
-    contacts: Array, distances: Array, columns: Array, first: Array, second: Array, begin: int, end: int
-) -> tuple[Array, Array]:
-    """Change of distances by the own joints, (k, n), and by all others, (k, m).
-
-    Args:
-        contacts: (k, 3, 3) nearest points of each pair and, where it touches, coal's normal, first to second body.
-        distances: (k,) of these points [m].
-        columns: (6, m) velocities of what the joints carry, at the world's origin.
-        first: (k, m) 1 where a joint moves the first body.
-        second: (k, m) 1 where a joint moves the second.
-        begin: the first of the own joints.
-        end: the joint after the last of them.
-    """
-    rows = np.zeros((len(contacts), columns.shape[1]))
-    for k in range(len(contacts)):
-        point1, point2 = contacts[k, 0], contacts[k, 1]
-        away = -contacts[k, 2] if distances[k] < _TOUCHING_M else (point1 - point2) / distances[k]
-        # a force at a point is a wrench at the origin
-        moment1, moment2 = cross(point1, away), cross(point2, away)
-        for joint in range(columns.shape[1]):
-            alike = first[k, joint] - second[k, joint]
-            for axis in range(3):
-                moment = first[k, joint] * moment1[axis] - second[k, joint] * moment2[axis]
-                rows[k, joint] += (
-                    alike * away[axis] * columns[axis, joint] + moment * columns[3 + axis, joint]
-                )
-    own = rows[:, begin:end].copy()
-    rows[:, begin:end] = 0.0
-    return own, rows
