@@ -189,8 +189,19 @@ class RsiDriver(Description):
     kind: Literal["rsi"]
     address: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)]
+    krc_address: str | None = None
+    """The KRC's own address: nobody else is listened to. Needed unless `address` is a loopback."""
     ethernet_xml: str
+    """The RSI configuration that the KRC has loaded, beside the cell's file or shipped."""
     krc: Literal["krc2", "krc4"] = "krc2"
+    ipoc_step: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """By how much the KRC's IPOC grows in a cycle; none: learned from its first telegrams."""
+    inputs: dict[Name, str] = {}
+    """Per digital input of the robot the TAG of the BOOL of SEND that carries it, such as Di.I1."""
+    outputs: dict[Name, str] = {}
+    """Per digital output of the robot the TAG of the BOOL of RECEIVE that carries it, such as Do.O1."""
+    stop: str | None = None
+    """TAG of the BOOL of RECEIVE that ends the motion on the KRC's side, such as Stop; none if it has none."""
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """The emulator's operator panel listens here; a real KRC has none."""
 
@@ -233,6 +244,19 @@ class RobotDescription(Description):
     servo_lag: ServoLag = ServoLag()
     outputs: tuple[Name, ...] = ()
     inputs: tuple[Name, ...] = ()
+
+    @model_validator(mode="after")
+    def _has_a_tag_for_every_signal(self) -> Self:
+        if isinstance(self.driver, RsiDriver):
+            for kind, names in (("inputs", self.inputs), ("outputs", self.outputs)):
+                tags: dict[str, str] = getattr(self.driver, kind)
+                if set(names) != set(tags):
+                    example = f"{next(iter(names), 'name')}: {'Di.I1' if kind == 'inputs' else 'Do.O1'}"
+                    raise ValueError(
+                        f"{kind} names {', '.join(names) or 'none'}, and driver.{kind} gives a TAG of the KRC's file "
+                        f"for {', '.join(tags) or 'none'}; give one for each, such as {kind}: {{{example}}}"
+                    )
+        return self
 
     @model_validator(mode="after")
     def _carries_tools_in_one_place(self) -> Self:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deltaq_cell.description import Array, RobotDescription
+from deltaq_cell.description import Array, RobotDescription, RsiDriver
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.corrections import Corrections
 from deltaq_emulator.monitors import Monitors
@@ -86,7 +86,9 @@ class Krc:
         self._profile = profile
         self._forward = forward
         self._axes = AxisMap.of(robot.joint_names, robot.units, profile.name)
-        self._codec = KrcCodec(config, self._axes, robot.inputs, robot.outputs, self.settings.precision)
+        driver = robot.driver
+        assert isinstance(driver, RsiDriver)  # a robot without RSI has no controller to emulate
+        self._codec = KrcCodec(config, self._axes, driver.inputs, driver.outputs, self.settings.precision)
         self._judge = ReplyJudge(
             self._codec,
             profile.reply_within * cycle_s,

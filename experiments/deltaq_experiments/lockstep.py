@@ -256,5 +256,5 @@ def _arm(cell: CellModel, name: str, robot: RobotModel, cell_file: Path, q_start
         lambda q: T_base_world @ robot.forward(q),
         KrcSettings.load(),
     )
-    codec = SensorCodec(config, axes, description.inputs, description.outputs)
+    codec = SensorCodec(config, axes, description.driver.inputs, description.driver.outputs)
     return Arm(krc, RsiDriver(codec, cycle_s), server, q_start)

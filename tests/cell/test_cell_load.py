@@ -269,3 +269,14 @@ def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> N
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_signal_without_a_tag_in_the_file_of_its_controller_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text(
+        "extends: lab\nrobots:\n  gr:\n    outputs: [gripper, tool_changer, lamp]\n", encoding="utf-8"
+    )
+    with pytest.raises(
+        CellError, match=r"outputs names gripper, tool_changer, lamp, and driver\.outputs gives a TAG"
+    ):
+        load_cell(file)

@@ -39,8 +39,8 @@ class Emulated:
         self.codec = SensorCodec(
             load_ethernet_xml(resolve_near(find_cell(cell), driver.ethernet_xml)),
             AxisMap.of(self.robot.joint_names, self.robot.units, driver.krc),
-            self.robot.inputs,
-            self.robot.outputs,
+            driver.inputs,
+            driver.outputs,
         )
         self._panel = socket.socket(type=socket.SOCK_DGRAM)
         self._panel.settimeout(2 * PATIENCE_S)

@@ -147,13 +147,15 @@ def test_text_reaches_the_controller_and_is_refused_where_the_file_has_no_place_
         SensorCodec(CANONICAL, ARM_AXES).encode(5, np.zeros(6), text="a")
 
 
-def test_digital_signals_go_by_the_order_of_their_names() -> None:
+def test_digital_signals_go_by_their_tags_whatever_their_order() -> None:
     config = make_config(
         CANONICAL_SEND + element("Di.I1", "BOOL", 1) + element("Di.I2", "BOOL", 2),
         ARM_CORRECTION + element("Do.O1", "BOOL", 7) + element("Do.O2", "BOOL", 8, hold_on=0),
     )
-    sensor = SensorCodec(config, ARM_AXES, inputs=("closed", "changed"), outputs=("gripper", "changer"))
-    krc = KrcCodec(config, ARM_AXES, inputs=("closed", "changed"), outputs=("gripper", "changer"))
+    inputs = {"changed": "Di.I2", "closed": "Di.I1"}
+    outputs = {"gripper": "Do.O1", "changer": "Do.O2"}
+    sensor = SensorCodec(config, ARM_AXES, inputs=inputs, outputs=outputs)
+    krc = KrcCodec(config, ARM_AXES, inputs=inputs, outputs=outputs)
     telegram = krc.encode(report(Q_HOME, changed=True))
     assert b'<Di I1="0" I2="1"/>' in telegram
     assert sensor.decode(telegram).inputs == {"closed": False, "changed": True}
@@ -173,8 +175,13 @@ def test_a_configuration_that_cannot_move_the_robot_is_refused_with_the_remedy()
         SensorCodec(config, GANTRY_AXES)
     with pytest.raises(EthernetConfigError, match="RECEIVE has AK and BK, each of which could be"):
         SensorCodec(make_config(CANONICAL_SEND, ARM_CORRECTION + element("BK.A1", index=9)), ARM_AXES)
-    with pytest.raises(EthernetConfigError, match="SEND has 0 BOOL signals, but the robot names 1"):
-        SensorCodec(CANONICAL, ARM_AXES, inputs=("closed",))
+    with pytest.raises(
+        EthernetConfigError, match=r"SEND has no BOOL signal Di\.I1, which the cell names for closed"
+    ):
+        SensorCodec(CANONICAL, ARM_AXES, inputs={"closed": "Di.I1"})
+    config = make_config(CANONICAL_SEND, ARM_CORRECTION + element("Do.O1", "BOOL", 7))
+    with pytest.raises(EthernetConfigError, match=r"Do\.O1 of RECEIVE is named for gripper and for changer"):
+        SensorCodec(config, ARM_AXES, outputs={"gripper": "Do.O1", "changer": "Do.O1"})
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e9])

@@ -193,7 +193,7 @@ def test_a_subscriber_that_stops_reading_neither_holds_up_the_others_nor_fills_t
                 heard.until(lambda: publisher.put(b"again"))
                 heard.payloads.clear()  # so that only what waits for the other could fill the memory
         heard.until(lambda: publisher.put(b"end"))
-        assert resident_bytes() - before < 60e6  # of 180 MB
+        assert resident_bytes() - before < 90e6  # half of what was sent, and zenoh's own queues are below it
         released.set()
         subscriber.undeclare()
     finally:

@@ -12,7 +12,7 @@ CELL = load_cell("lab")
 FR = CELL.robots["fr"]
 CONFIG = load_ethernet_xml(resolve_near(find_cell("lab"), FR.driver.ethernet_xml))
 AXES = AxisMap.of(FR.joint_names, FR.units, FR.driver.krc)
-KRC = KrcCodec(CONFIG, AXES, FR.inputs, FR.outputs, 4)
+KRC = KrcCodec(CONFIG, AXES, FR.driver.inputs, FR.driver.outputs, 4)
 STEP = np.full(6, np.deg2rad(1.0))
 
 
@@ -23,7 +23,7 @@ def telegram(ipoc, q=FR.home, programmed=FR.home, delay=0):
 
 @pytest.fixture
 def driver():
-    return RsiDriver(SensorCodec(CONFIG, AXES, FR.inputs, FR.outputs), CELL.cycle_s)
+    return RsiDriver(SensorCodec(CONFIG, AXES, FR.driver.inputs, FR.driver.outputs), CELL.cycle_s)
 
 
 def correction(driver, q_cmd):

@@ -57,7 +57,13 @@ def make_robot(joints: tuple[str, ...], servo_lag: ServoLag = NO_LAG) -> RobotDe
     return RobotDescription(
         model="kr16",
         server="tcp/127.0.0.1:1",
-        driver=RsiDriver(kind="rsi", port=49152, ethernet_xml="none.xml"),
+        driver=RsiDriver(
+            kind="rsi",
+            port=49152,
+            ethernet_xml="none.xml",
+            inputs={"closed": "Di.I1"},
+            outputs={"gripper": "Do.O1"},
+        ),
         joints={joint: revolute if joint[0] == "a" else prismatic for joint in joints},
         servo_lag=servo_lag,
         inputs=("closed",),
@@ -89,7 +95,7 @@ class Bench:
         self.robot = make_robot(joints, servo_lag)
         self.profile = PROFILES[krc]
         axes = AxisMap.of(self.robot.joint_names, self.robot.units, self.profile.name)
-        self.pc = SensorCodec(self.config, axes, self.robot.inputs, self.robot.outputs)
+        self.pc = SensorCodec(self.config, axes, self.robot.driver.inputs, self.robot.driver.outputs)
         self.krc = Krc(
             self.robot,
             cycle_s,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -80,23 +81,23 @@ class KrcCodec:
     Args:
         config: the `*_ethernet.xml`.
         axes: the robot's joints.
-        inputs: names of the digital inputs, which are the BOOL signals of SEND in their order.
-        outputs: names of the digital outputs, which are the BOOL signals of RECEIVE in their order.
+        inputs: per name of a digital input the TAG of its BOOL of SEND.
+        outputs: per name of a digital output the TAG of its BOOL of RECEIVE.
         precision: decimals of a DOUBLE in a telegram of the controller.
 
     Attributes:
         axes: as given.
 
     Raises:
-        EthernetConfigError: if the configuration lacks the correction of a joint or has too few BOOL signals.
+        EthernetConfigError: if the configuration lacks the correction of a joint or lacks a digital signal.
     """
 
     def __init__(
         self,
         config: EthernetConfig,
         axes: AxisMap,
-        inputs: tuple[str, ...] = (),
-        outputs: tuple[str, ...] = (),
+        inputs: Mapping[str, str] = MappingProxyType({}),
+        outputs: Mapping[str, str] = MappingProxyType({}),
         precision: int = 4,
     ) -> None:
         self.config = config

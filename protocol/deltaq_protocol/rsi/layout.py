@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES, AxisMap
@@ -107,17 +107,31 @@ def correction_fields(config: EthernetConfig, axes: AxisMap) -> dict[str, Field]
 
 
 def digital_fields(
-    config: EthernetConfig, direction: str, fields: Iterable[Field], names: tuple[str, ...]
+    config: EthernetConfig, direction: str, fields: Iterable[Field], tags: Mapping[str, str]
 ) -> dict[str, Field]:
-    """The field of each named digital signal: the names go by order to the BOOL signals of that direction.
+    """The field of each digital signal, by the signal's name.
+
+    Args:
+        config: the fields are of.
+        direction: SEND or RECEIVE, for messages.
+        fields: of that direction.
+        tags: per name of a signal its TAG.
 
     Raises:
-        EthernetConfigError: if there are more names than signals.
+        EthernetConfigError: if there is no BOOL with that TAG, or two signals share one.
     """
-    signals = [field for field in fields if field.element.type is ElementType.BOOL]
-    if len(names) > len(signals):
-        raise EthernetConfigError(
-            f"{config.source}: {direction} has {len(signals)} BOOL signals, but the robot names {len(names)} "
-            f"({', '.join(names)}); add an ELEMENT with TYPE BOOL for each"
-        )
-    return dict(zip(names, signals, strict=False))
+    signals = {field.element.tag: field for field in fields if field.element.type is ElementType.BOOL}
+    taken: dict[str, str] = {}
+    for name, tag in tags.items():
+        if tag not in signals:
+            raise EthernetConfigError(
+                f"{config.source}: {direction} has no BOOL signal {tag}, which the cell names for {name}; it has "
+                f"{', '.join(signals) or 'none'}; add an ELEMENT with that TAG and TYPE BOOL"
+            )
+        if tag in taken:
+            raise EthernetConfigError(
+                f"{config.source}: {tag} of {direction} is named for {taken[tag]} and for {name}; "
+                "give each a signal of its own"
+            )
+        taken[tag] = name
+    return {name: signals[tag] for name, tag in tags.items()}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
@@ -64,23 +65,23 @@ class SensorCodec:
     Args:
         config: the controller's `*_ethernet.xml`.
         axes: the robot's joints.
-        inputs: names of the digital inputs, which are the BOOL signals of SEND in their order.
-        outputs: names of the digital outputs, which are the BOOL signals of RECEIVE in their order.
+        inputs: per name of a digital input the TAG of its BOOL of SEND.
+        outputs: per name of a digital output the TAG of its BOOL of RECEIVE.
 
     Attributes:
         axes: as given.
 
     Raises:
         EthernetConfigError: if the configuration has no measured position or no correction of some joint, or
-            too few BOOL signals.
+            lacks a digital signal.
     """
 
     def __init__(
         self,
         config: EthernetConfig,
         axes: AxisMap,
-        inputs: tuple[str, ...] = (),
-        outputs: tuple[str, ...] = (),
+        inputs: Mapping[str, str] = MappingProxyType({}),
+        outputs: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self._config = config
         self.axes = axes
@@ -93,7 +94,7 @@ class SensorCodec:
         """Number of joints, the length of every vector given and got."""
         return len(self.axes.joints)
 
-    def _compile_decoder(self, inputs: tuple[str, ...]) -> None:
+    def _compile_decoder(self, inputs: Mapping[str, str]) -> None:
         by_name = {
             (field.group, field.attribute): field
             for field in self._fields
@@ -140,14 +141,14 @@ class SensorCodec:
         pattern = pattern.replace("%IPOC%", "([0-9]{1,10})")
         return re.compile(rb"\s*" + pattern.encode() + rb"\s*")
 
-    def _compile_encoder(self, outputs: tuple[str, ...]) -> None:
+    def _compile_encoder(self, outputs: Mapping[str, str]) -> None:
         fields = receive_fields(self._config)
         axis_of = {field: axis for axis, field in correction_fields(self._config, self.axes).items()}
         output_of = {
             field: name for name, field in digital_fields(self._config, "RECEIVE", fields, outputs).items()
         }
         joints = len(self.axes)
-        self._outputs = outputs
+        self._outputs = tuple(outputs)
         self.has_text = any(field.element.internal == "EStr" for field in fields)
         # the template's places, as indices into corrections, then outputs, then text, then IPOC
         self._places: list[int] = []
@@ -157,7 +158,7 @@ class SensorCodec:
                 self._places.append(self.axes.axes.index(axis))
                 return f"%.{DECIMALS}f"
             if (name := output_of.get(field)) is not None:
-                self._places.append(joints + outputs.index(name))
+                self._places.append(joints + self._outputs.index(name))
                 return "%d"
             if field.element.internal == "EStr":
                 self._places.append(joints + len(outputs))

@@ -54,8 +54,8 @@ def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> Senso
     return SensorCodec(
         load_ethernet_xml(ethernet_xml),
         AxisMap.of(description.joint_names, description.units, description.driver.krc),
-        description.inputs,
-        description.outputs,
+        description.driver.inputs,
+        description.driver.outputs,
     )
 
 
