@@ -147,6 +147,7 @@ class Proximity:
             for groups in (*self.alone.values(), *self.between.values())
             for group in groups
         }
+        self._pairs: dict[tuple[Group, int], Group] = {}
         # only now are all bodies known that a screen may need
         self.alone = {name: ScreenedGroups(groups, self._around) for name, groups in self.alone.items()}
         self.between = {names: ScreenedGroups(groups, self._around) for names, groups in self.between.items()}
@@ -212,6 +213,20 @@ class Proximity:
         if tightest is None:
             return Look([], False, None, 0.0)
         return Look(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
+
+    def pair(self, group: Group, index: int) -> Group:
+        """One pair of a group as a group of its own, whose stop distance is the caller's to set.
+
+        Args:
+            group: one of those in `alone` or `between`.
+            index: of the pair in it.
+        """
+        if (group, index) not in self._pairs:
+            first, second = group.pairs[index]
+            single = Group([first], [second], frozenset(), group.stop_distance_m)
+            self._pairs[group, index] = single
+            self._numbers[single] = self._numbers[group] + index
+        return self._pairs[group, index]
 
     def leave_out(self, pairs: Iterable[tuple[str, str]], left_out: bool = True) -> None:
         """Measure some pairs of bodies no longer, or again.

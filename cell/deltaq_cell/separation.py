@@ -14,6 +14,11 @@ and `bend` bounds what is left of second order, by Taylor's theorem with
 
 since while the joints move, no point's distance from an axis grows by more than it travels. Both sides of a plane
 are extreme points of whole bodies, so nothing rests on n being the best normal.
+
+A plane that stands still loses to first order where an edge or a face lies along it and turns. So a plane may turn
+with one of the bodies, n(t) = n + t w x n with w the body's rotation over the strip: that body's side then only shifts,
+and the other's is as exact as before. What the products of two motions add is at most |w x n| times the travel of
+each body, and n(t) is longer than one by less than |w x n|^2 / 2.
 """
 
 from __future__ import annotations
@@ -51,6 +56,7 @@ class Separation:
         self._columns = np.zeros((joints, 6))
         self._revolute = np.zeros(joints, dtype=bool)
         self._half, self._deviation = np.zeros(joints), np.zeros(joints)
+        self._direction = np.zeros(joints)
         self._first = self._second = np.empty(0, dtype=np.intp)
 
     def add(
@@ -120,6 +126,7 @@ class Separation:
         self._columns[joints] = (J * direction).T
         self._revolute[joints] = J[3:].any(axis=0)
         self._half[joints], self._deviation[joints] = half, half - np.abs(direction)
+        self._direction[joints] = direction
 
     def keeps(self, numbers: Indices, normals: Array, distances: Array, asked: Array) -> Bits:
         """Whether planes keep k pairs apart over the strips where their robots are placed.
@@ -137,27 +144,65 @@ class Separation:
         asked = asked + self._blur(pairs, moves).sum(axis=0)
         if (distances < asked).all():
             return np.zeros(len(asked), dtype=bool)
-        sides = self._sides(pairs, moves, np.stack([normals, -normals]))
+        twists = moves @ self._columns
+        sides = self._sides(pairs, twists, np.stack([normals, -normals]))
         # bodies of one robot are at the same t
         together = self._owner[pairs[0]] == self._owner[pairs[1]]
         reach = np.where(together, sides.sum(axis=1).max(axis=0), sides.max(axis=0).sum(axis=0))
         kept: Bits = -reach >= asked
+        for body in (0, 1):
+            left = np.flatnonzero(~kept)
+            if left.size:
+                turning = pairs[:, left], moves[:, left], twists[:, left], normals[left], asked[left]
+                kept[left] = self._kept_by_turning(body, together[left], *turning)
         return kept
 
-    def _sides(self, bodies: Indices, moved_by: Bits, normals: Array) -> Array:
+    def _kept_by_turning(
+        self,
+        body: int,
+        together: Bits,
+        pairs: Indices,
+        moves: Bits,
+        twists: Array,
+        normals: Array,
+        asked: Array,
+    ) -> Bits:
+        """(k,) whether planes that turn with the first (0) or the second (1) body of each pair keep it apart."""
+        turn = _cross(twists[body, :, 3:], normals)
+        angle = np.sqrt(_dot(turn, turn))
+        travel = _dot(self._arms[pairs] * moves, np.abs(self._direction)).sum(axis=0)
+        asked = np.maximum(asked, asked * np.sqrt(1.0 + angle**2)) + angle * travel
+        kept = np.ones(len(asked), dtype=bool)
+        for t in ((-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (1.0, -1.0)):
+            turned = normals + t[body] * turn
+            reach = sum(
+                self._reach(pairs[side], twists[side], sign * normals, sign * turned, t[side])
+                for side, sign in ((0, 1.0), (1, -1.0))
+            )
+            kept &= (-reach >= asked) | (together & (t[0] != t[1]))
+        return kept
+
+    def _sides(self, bodies: Indices, twists: Array, normals: Array) -> Array:
         """(2, 2, k) how far (2, k) bodies reach along (2, k, 3) normals, to first order, at t = -1 and t = 1 [m]."""
-        twists = moved_by @ self._columns
-        linear = _dot(normals, twists[..., :3])
-        tilt = _cross(normals, twists[..., 3:])
-        ends = np.stack([normals - tilt, normals + tilt])
-        reach: Array = (self._corners[bodies] @ ends[..., None])[..., 0].max(axis=-1)
+        return np.stack([self._reach(bodies, twists, normals, normals, t) for t in (-1.0, 1.0)])
+
+    def _reach(self, bodies: Indices, twists: Array, normals: Array, turned: Array, t: float) -> Array:
+        """(..., k) how far (..., k) bodies reach at t, to first order [m].
+
+        Args:
+            bodies: their places.
+            twists: (..., k, 6) over the strip, at the world's origin.
+            normals: (..., k, 3) that are met by the motion.
+            turned: (..., k, 3) along which they reach at the middle.
+            t: place in the strip, -1 to 1.
+        """
+        along = turned + t * _cross(normals, twists[..., 3:])
+        reach: Array = (self._corners[bodies] @ along[..., None])[..., 0].max(axis=-1)
         axis = self._axis[bodies]
-        across = ends - _dot(axis, ends)[..., None] * axis
+        across = along - _dot(axis, along)[..., None] * axis
         reach += self._disc[bodies] * np.sqrt(_dot(across, across))
-        reach += self._ball[bodies] * np.sqrt(_dot(ends, ends))
-        reach[0] -= linear
-        reach[1] += linear
-        return reach
+        reach += self._ball[bodies] * np.sqrt(_dot(along, along))
+        return reach + t * _dot(normals, twists[..., :3])
 
     def _blur(self, bodies: Indices, moved_by: Bits) -> Array:
         """(2, k) what deviation and bend may add to each side [m]."""

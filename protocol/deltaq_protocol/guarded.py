@@ -204,6 +204,13 @@ class RobotMemory(Message):
     dry_run_cycle: int = -1
 
 
+class KeptDistance(Message):
+    """A violated pair of bodies, and what it has to keep until its violation has ended [m]."""
+
+    pair: tuple[str, str]
+    distance_m: FiniteFloat
+
+
 class GateMemory(Message):
     """All that the gate's decisions depend on after `number` messages, so that a replay can begin there.
 
@@ -218,4 +225,5 @@ class GateMemory(Message):
     receipt: str
     fingerprint: str
     contacts: tuple[Name, ...] = ()
+    violations: tuple[KeptDistance, ...] = ()
     robots: dict[str, RobotMemory]

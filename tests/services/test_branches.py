@@ -58,6 +58,8 @@ def test_drives_that_still_settle_have_windows_to_come_and_a_robot_at_rest_has_o
 
 
 LINE = np.arange(10)[:, None] * np.array([0.1, 0.2])
+BENT = LINE + np.array([[0.0, 0.0], [0.0, 0.05]] * 5)
+"""Setpoints beside one another, along no line."""
 
 
 def ends(piece):
@@ -86,7 +88,12 @@ def test_a_window_holds_its_setpoint_and_as_many_before_it_as_the_drives_lag(fir
     ("last", "halves"), [(7, [(4, 5), (6, 7)]), (6, [(4, 5), (6, 6)]), (5, [(4, 4), (5, 5)])]
 )
 def test_windows_are_halved_so_that_each_is_in_one_half(last, halves):
-    assert [(half.first, half.last) for half in Windows(LINE, 2, 4, last).halves()] == halves
+    assert [(half.first, half.last) for half in Windows(BENT, 2, 4, last).halves()] == halves
+
+
+def test_windows_along_one_line_are_halved_as_the_line():
+    left, right = Windows(LINE, 2, 4, 7).halves()
+    assert (ends(left), ends(right)) == ([2, 4.5], [4.5, 7])
 
 
 def test_a_single_window_is_halved_along_its_line():

@@ -182,14 +182,14 @@ def test_the_one_that_can_be_divided_is_even_if_the_other_travels_further():
 
 def test_a_budget_is_the_number_of_looks_that_may_be_followed_by_others():
     low = LOW - one_joint("fr", 1, 0.005)
-    divided_once = path(low, low - one_joint("fr", 1, 0.2))
+    divided_once = path(low, low - one_joint("fr", 1, 0.17))
     assert not Certifier(PROXIMITY, budget=0).certify("fr", divided_once, []).holds
     assert Certifier(PROXIMITY, budget=1).certify("fr", divided_once, []).holds
 
 
 def test_all_tubes_of_one_certifier_share_its_budget():
     low = LOW - one_joint("fr", 1, 0.005)
-    divided_once = path(low, low - one_joint("fr", 1, 0.2))
+    divided_once = path(low, low - one_joint("fr", 1, 0.17))
     certifier = Certifier(PROXIMITY, budget=1)
     assert certifier.certify("fr", standing("fr", HOME["fr"]), []).holds  # one look is enough
     assert not certifier.certify("fr", divided_once, []).holds

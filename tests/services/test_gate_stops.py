@@ -9,7 +9,7 @@ import pytest
 
 from deltaq_experiments.lockstep import Lockstep
 from deltaq_experiments.oracle import ClearanceOracle, limit_violations
-from deltaq_protocol.messages import Outcome, Phase
+from deltaq_protocol.messages import Outcome
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +47,17 @@ class Attack:
     def violations(self):
         cycle_s = self.stack.cell.description.cycle_s
         return limit_violations(self.fr, np.array(self.setpoints), cycle_s)
+
+    def clearance_m(self, q):
+        others = {"gr": self.stack.arms["gr"].krc.sample.q}
+        return self.oracle.between_robots_and_structure(others | {"fr": q}).distance_m
+
+    def away(self):
+        """A tenth of full speed along the steepest way out."""
+        q = np.array(self.stack.arms["fr"].state.q_cmd)
+        steps = 1e-4 * np.eye(6)
+        steepest = np.array([self.clearance_m(q + step) - self.clearance_m(q - step) for step in steps])
+        return 0.1 * steepest / np.max(np.abs(steepest) / self.full_speed)
 
     def towards(self, point):
         """Full speed of the tool towards a point of the world."""
@@ -107,19 +118,12 @@ def assert_stopped_short_and_retreats(attack):
     if last.reasons[0].code == "clearance":
         assert attack.least < 0.05 + 0.02  # and not timid: it comes within 2 cm of the stop distance
     assert attack.violations().total == 0
-    way = np.array(attack.setpoints)
-    earlier = way[np.flatnonzero(np.max(np.abs(way - way[-1]), axis=1) > 0.1)[-1]]
-
-    def back():
-        """The way it came: the farthest setpoint within reach that lies before the nearest one."""
-        q_cmd = np.array(attack.stack.arms["fr"].state.q_cmd)
-        apart = np.max(np.abs(way - q_cmd), axis=1)
-        before = way[: np.argmin(apart) + 1]
-        target = before[max(np.flatnonzero(apart[: len(before)] > 0.01)[-1], 0)]
-        return np.clip(0.2 * (target - q_cmd), -0.2 * attack.full_speed, 0.2 * attack.full_speed)
-
-    attack.drive(back, 80)
-    assert attack.stack.arms["fr"].state.phase is Phase.ENGAGED
-    assert np.min(np.max(np.abs(np.array(attack.setpoints[len(way) :]) - earlier), axis=1)) < 0.02
+    if last.reasons[0].code == "clearance":
+        stopped_m = attack.clearance_m(attack.q())
+        before = len(attack.verdicts)
+        attack.drive(attack.away, 40)
+        outcomes = {verdict.outcome for verdict in attack.verdicts[before:]}
+        assert outcomes <= {Outcome.ADMITTED, Outcome.SCALED}
+        assert attack.clearance_m(attack.q()) > stopped_m + 0.01
     assert attack.least >= 0.05
     assert attack.violations().total == 0

@@ -10,6 +10,7 @@ from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 
 LAG = 4
+CYCLE_S = small_cell().cycle_s
 HLI_TIMEOUT = 5
 TOLERANCE_OFF = 0.3
 """Further off its setpoint than any joint of the small cell may be [rad]."""
@@ -19,7 +20,7 @@ class Rig:
     """The orders to one robot, which reports what it is told to report."""
 
     def __init__(self):
-        self.tracker = Tracker("fr", small_cell().robots["fr"], LAG)
+        self.tracker = Tracker("fr", small_cell().robots["fr"], CYCLE_S, LAG)
         self.orders = Orders(self.tracker, HLI_TIMEOUT)
         self.cycle = 100
 

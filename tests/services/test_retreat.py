@@ -22,6 +22,7 @@ from gate_bench import (
 from deltaq_protocol.guarded import Admission
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.retreat import Retreat
+from deltaq_services.sim.violations import Violations
 
 GATE = CELL.description.gate
 SLOW = GATE.retreat_speed * LIMITS["fr"].max_dq
@@ -29,9 +30,23 @@ OUT = one_joint("fr", 1, -SLOW[1])
 FLOOR = "fr/link_3 structure/floor"
 
 
-def find(robot, request, others=(), at_most=1.0):
-    tubes = [(other.name, tube) for other in others for tube in other.tubes()]
-    return Retreat(PROXIMITY, GATE).find(robot, tubes, LIMITS[robot.name], robot.brake(), request, at_most)
+def find(robot, request, others=(), at_most=1.0, violations=None):
+    retreat = Retreat(PROXIMITY, GATE, Violations() if violations is None else violations)
+    return retreat.find(robot, others, LIMITS[robot.name], robot.brake(), request, at_most)
+
+
+def violations_of(*robots):
+    """What pairs have to keep once each of these robots, all at rest, has been looked at."""
+    violations = Violations()
+    for robot in robots:
+        find(
+            robot,
+            np.zeros_like(robot.q_cmd),
+            [other for other in robots if other is not robot],
+            1.0,
+            violations,
+        )
+    return violations
 
 
 def told(reasons):
@@ -69,18 +84,53 @@ def test_motion_inwards_is_not_let_go_and_what_changes_no_distance_is(low):
     assert find(low, one_joint("fr", 0, SLOW[0]))[0] == 1.0  # about the vertical
 
 
-def test_a_blend_that_still_leads_inwards_is_not_let_go():
-    inwards = in_motion("fr", above_the_floor(-2e-3), -0.5 * OUT)
-    assert find(inwards, OUT, at_most=0.1)[0] == 0.0
-    assert find(inwards, OUT, at_most=0.4)[0] == 0.4  # the brake that is left is a third of OUT
+def test_a_robot_that_moves_within_a_violation_has_to_come_to_rest_first():
+    assert find(in_motion("fr", above_the_floor(-2e-3), OUT), OUT) == (0.0, [])
+
+
+def test_a_retreat_that_has_begun_goes_on_without_a_rest():
+    known = violations_of(at_rest("fr", above_the_floor(-2.5e-3)))
+    moving = in_motion("fr", above_the_floor(-1e-3), 0.05 * OUT)
+    assert find(moving, OUT, violations=known)[0] == 1.0
+    assert find(moving, -0.1 * OUT, violations=known)[0] == 1.0  # not nearer than it began
+    assert find(moving, -OUT, violations=known)[0] == 0.0
+    nearer_before = in_motion("fr", above_the_floor(-1e-3), 0.5 * OUT)
+    assert find(nearer_before, OUT, violations=known)[0] == 0.0  # its drives may still be there
 
 
 def test_a_brake_faster_than_retreat_has_to_end_first():
+    known = Violations()
+    known.stands(frozenset(FLOOR.split()), 0.0, STOP_M)
     fast = in_motion("fr", above_the_floor(-2e-3), 2 * OUT)
     assert np.max(np.abs(fast.brake()) / SLOW) > 1
-    assert find(fast, OUT) == (0.0, find(fast, OUT)[1])
+    assert find(fast, OUT, violations=known)[0] == 0.0
     slow = in_motion("fr", above_the_floor(-2e-3), 1.05 * OUT)
-    assert find(slow, OUT)[0] > 0.0
+    assert find(slow, OUT, violations=known)[0] > 0.0
+
+
+def test_a_way_back_is_let_go_as_far_as_the_violation_began_and_no_further():
+    known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
+    back = at_rest("fr", above_the_floor(-1e-3))
+    assert find(back, -0.2 * OUT, violations=known)[0] == 1.0
+    assert find(back, -OUT, violations=known)[0] == 0.0
+
+
+@pytest.mark.parametrize("below_m", [0.5e-3, 5e-3])
+def test_no_number_of_admissions_creeps_nearer(below_m):
+    q, known = above_the_floor(-below_m), Violations()
+    began = ORACLE.between_robots_and_structure(HOME | {"fr": q}).distance_m
+    for inwards in (0.4e-6, 3e-6, 30e-6) * 40:
+        scale, _ = find(at_rest("fr", q), one_joint("fr", 1, inwards), violations=known)
+        q = q + scale * one_joint("fr", 1, inwards)
+    assert ORACLE.between_robots_and_structure(HOME | {"fr": q}).distance_m > began - 1e-5
+
+
+def test_drives_that_stand_off_their_setpoint_do_not_keep_a_robot_in_its_violation():
+    q, known = above_the_floor(-2e-3), Violations()
+    for sag in (1e-4, 3e-4, 2e-4, 4e-4):
+        robot = at_rest("fr", q, measured=q + one_joint("fr", 1, sag))
+        assert find(robot, OUT, violations=known)[0] == 1.0
+        assert find(robot, -0.02 * OUT, violations=known)[0] == 0.0
 
 
 def test_a_pair_that_keeps_the_stop_distance_is_no_violation_and_is_certified_as_always():
@@ -92,6 +142,7 @@ def test_a_pair_that_keeps_the_stop_distance_is_no_violation_and_is_certified_as
 
 def test_a_pair_at_the_stop_distance_to_within_what_coal_can_tell_is_led_out():
     assert find(at_rest("fr", above_the_floor(0.0)), OUT)[0] == 1.0
+    assert find(at_rest("fr", above_the_floor(0.0)), -0.02 * OUT)[0] == 0.0
 
 
 def test_motion_along_a_body_is_no_violation():
@@ -112,9 +163,8 @@ def test_a_violation_of_two_robots_is_led_out_of_by_either():
     assert told(turns[0][1]) == ["fr/link_1 gr/link_3"]
 
 
-def test_each_course_of_another_robot_is_judged_by_itself():
-    here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
-    gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
+def in_flight(gr, increment):
+    """GR, with an admission on its way that turns its joint 4."""
     gr.in_flight = Admission(
         robot="gr",
         epoch=1,
@@ -123,14 +173,29 @@ def test_each_course_of_another_robot_is_judged_by_itself():
         follows_sequence=1,
         follows_q_cmd=gr.state.q_cmd,
         follows_dq=gr.state.dq,
-        dq=tuple(one_joint("gr", 4, 2e-3).tolist()),
+        dq=tuple(one_joint("gr", 4, increment).tolist()),
         brake_cycles=4,
     )
-    turns = [find(fr, sign * one_joint("fr", 0, SLOW[0]), [gr]) for sign in (1, -1)]
-    assert sorted(scale for scale, _ in turns) == [0.0, 1.0]
-    standing, coming_nearer = turns[0][1]
-    assert standing.value == pytest.approx(STOP_M - 2e-3, abs=1e-5)
-    assert coming_nearer.value < standing.value - 1e-3
+    return gr
+
+
+def turns_of(fr, gr, violations=None):
+    return sorted(find(fr, sign * one_joint("fr", 0, SLOW[0]), [gr], 1.0, violations)[0] for sign in (1, -1))
+
+
+def test_a_robot_that_may_be_moving_is_not_retreated_from_before_it_stands():
+    here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
+    gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
+    assert turns_of(fr, gr) == [0.0, 1.0]
+    assert turns_of(fr, in_flight(gr, -2e-3)) == [0.0, 0.0]  # though it leads away
+
+
+def test_the_whole_tube_of_a_robot_that_retreats_too_is_kept_clear_of():
+    here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
+    gr, fr = at_rest("gr", with_room(-2e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
+    known = violations_of(gr, fr)
+    assert turns_of(fr, in_flight(gr, -2e-3), known) == [0.0, 1.0]
+    assert turns_of(fr, in_flight(gr, 2e-3), known) == [0.0, 0.0]  # it comes nearer than it began, by then
 
 
 def test_retreat_from_one_body_does_not_lead_too_near_to_another(low):

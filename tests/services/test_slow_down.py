@@ -22,6 +22,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.gate import Gate
 from deltaq_services.sim.slow_down import SlowDown
+from deltaq_services.sim.violations import Violations
 
 BAND_M, SPEED_M_S, STOP_M = 0.4, 0.2, 0.05
 BAND = CELL.description.gate.model_copy(
@@ -165,7 +166,7 @@ def test_the_tightest_of_several_bodies_binds_whichever_comes_first():
 
 
 def test_the_gate_tells_the_band_where_it_is_tighter_than_the_limits_and_the_limit_where_it_is_not():
-    gate = Gate(PROXIMITY, LIMITS, BAND, Contacts(PROXIMITY, {}))
+    gate = Gate(PROXIMITY, LIMITS, BAND, Contacts(PROXIMITY, {}), Violations())
     other, request = at_rest("gr", CELL.robots["gr"].home), one_joint("fr", 1, 2 * LIMITS["fr"].max_dv[1])
     for room_m, code in ((0.005, ReasonCode.SLOW_DOWN), (0.1, ReasonCode.ACCELERATION_LIMIT)):
         decision = gate.decide(at_rest("fr", above_the_floor(room_m)), [other], request)

@@ -9,12 +9,13 @@ from deltaq_services.sim.tracker import Tracker
 
 LAG = 4
 CELL = small_cell()
+CYCLE_S = CELL.cycle_s
 FR, GR = CELL.robots["fr"], CELL.robots["gr"]
 
 
 @pytest.fixture
 def tracker():
-    return Tracker("fr", FR, LAG)
+    return Tracker("fr", FR, CYCLE_S, LAG)
 
 
 def state(cycle, q_cmd=0.1, q=None, **changes):
@@ -169,7 +170,7 @@ def test_a_robot_is_at_rest_when_its_drives_have_caught_up_and_nothing_is_left_t
 
 
 def test_even_quick_drives_are_given_two_cycles():
-    quick = Tracker("fr", FR, 1)
+    quick = Tracker("fr", FR, CYCLE_S, 1)
     quick.observe(state(1))
     assert not quick.at_rest()
     quick.observe(state(2))
@@ -179,7 +180,7 @@ def test_even_quick_drives_are_given_two_cycles():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_joint_may_be_off_its_path_by_its_tolerance_and_no_more(sign):
     tolerance = FR.tracking_tolerance[0]
-    tracker = Tracker("fr", FR, LAG)
+    tracker = Tracker("fr", FR, CYCLE_S, LAG)
     tracker.observe(state(1, 0.0, sign * tolerance))
     assert tracker.off_path() is None
     tracker.observe(state(2, 0.0, sign * tolerance * 1.01))
@@ -206,7 +207,7 @@ def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
     q = np.zeros(9)
     q[lesser], q[greater] = 1.9 * tolerance[lesser], 1.2 * tolerance[greater]
     assert q[greater] > q[lesser]
-    tracker = Tracker("gr", GR, LAG)
+    tracker = Tracker("gr", GR, CYCLE_S, LAG)
     tracker.observe(server_state("gr", 1, q_cmd=(0.0,) * 9, q=tuple(q)))
     assert tracker.off_path()[0] == lesser
 
@@ -221,7 +222,7 @@ def test_a_tracker_goes_on_from_what_another_remembers(tracker):
     assert (memory.missed, memory.ended_processes) == (LAG - 1, (0,))
     assert memory.history == tuple((cycle / 10,) * 6 for cycle in range(1, LAG + 1))
     assert (memory.state, memory.in_flight) == (tracker.state, tracker.in_flight)
-    heir = Tracker("fr", FR, LAG)
+    heir = Tracker("fr", FR, CYCLE_S, LAG)
     heir.observe(state(99, 5.0))
     heir.recall(memory)
     assert heir.memory() == memory

@@ -24,19 +24,19 @@ GR_ABOVE_FR = np.array((0.5501, 2.5284, -0.549, 2.2375, -1.0142, 0.8645, 1.4247,
 """A little more than the stop distance above FR's lens, where FR stands low over the floor."""
 
 
-def at_rest(name, q):
-    """A tracker of a robot that has stood at `q` for as long as its drives lag."""
-    tracker = Tracker(name, CELL.description.robots[name], LAG)
-    here = tuple(q.tolist())
+def at_rest(name, q, measured=None):
+    """A tracker of a robot that has stood at `q` for as long as its drives lag; its drives are at `measured`."""
+    tracker = Tracker(name, CELL.description.robots[name], CELL.description.cycle_s, LAG)
+    here, there = tuple(q.tolist()), tuple((q if measured is None else measured).tolist())
     still = Plan(dq=(0.0,) * q.size, brake_cycles=1, step=1)
     for cycle in range(1, LAG + 1):
-        tracker.observe(server_state(name, cycle, q=here, q_cmd=here, dq=still.dq, plan=still))
+        tracker.observe(server_state(name, cycle, q=there, q_cmd=here, dq=still.dq, plan=still))
     return tracker
 
 
 def in_motion(name, q, dq):
     """A tracker of a robot that has come to `q` at a constant `dq` and was admitted it last."""
-    tracker = Tracker(name, CELL.description.robots[name], LAG)
+    tracker = Tracker(name, CELL.description.robots[name], CELL.description.cycle_s, LAG)
     sent = tuple(dq.tolist())
     plan = Plan(dq=sent, brake_cycles=LIMITS[name].brake_cycles(dq), step=0)
     for cycle in range(1, LAG + 1):

@@ -59,19 +59,20 @@ class Certifier:
             tube: its tube.
             others: names of other robots with each tube that they may be in.
         """
-        certificates = [self._alone(robot, tube)]
+        certificates = [self.alone(robot, tube, self._proximity.alone[robot])]
         for other, other_tube in others:
             if certificates[-1].holds:
-                certificates.append(self._between(robot, tube, other, other_tube))
+                groups = self._proximity.between[robot, other]
+                certificates.append(self.between(robot, tube, other, other_tube, groups))
         if not certificates[-1].holds:
             return certificates[-1]
         bindings = [item.binding for item in certificates if item.binding is not None]
         return Certificate(True, min(bindings, key=lambda item: item.room_m, default=None))
 
-    def _alone(self, robot: str, tube: Piece) -> Certificate:
-        groups = self._proximity.alone[robot]
+    def alone(self, robot: str, tube: Piece, groups: Sequence[Group]) -> Certificate:
+        """Certify groups of one robot against the structure or itself."""
         least: Binding | None = None
-        stack: list[tuple[Piece, list[Group]]] = [(tube, groups)] if groups else []
+        stack: list[tuple[Piece, Sequence[Group]]] = [(tube, groups)] if groups else []
         while stack:
             piece, groups = stack.pop()
             self._place(robot, piece)
@@ -85,10 +86,12 @@ class Certifier:
             stack += [(half, look.failing) for half in halves]
         return Certificate(True, least)
 
-    def _between(self, robot: str, tube: Piece, other: str, other_tube: Piece) -> Certificate:
-        groups = self._proximity.between[robot, other]
+    def between(
+        self, robot: str, tube: Piece, other: str, other_tube: Piece, groups: Sequence[Group]
+    ) -> Certificate:
+        """Certify groups of one robot against another, whose tube is `other_tube`."""
         least: Binding | None = None
-        stack: list[tuple[Piece, Piece, list[Group]]] = [(tube, other_tube, groups)] if groups else []
+        stack: list[tuple[Piece, Piece, Sequence[Group]]] = [(tube, other_tube, groups)] if groups else []
         while stack:
             mine, theirs, groups = stack.pop()
             my_travel = self._place(robot, mine, among_themselves=False)

@@ -37,6 +37,7 @@ from deltaq_services.sim.gate import Decision, Gate
 from deltaq_services.sim.gated_robot import GatedRobot
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.violations import Violations
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,7 @@ class Sim:
         counters: outcomes and reasons so far.
         fingerprint: tells the gate's code and configuration.
         contacts: which bodies may touch now.
+        violations: which bodies are too near now, and what they have to keep.
         taken: messages taken so far.
     """
 
@@ -75,11 +77,13 @@ class Sim:
             for name, robot in description.robots.items()
         }
         self.contacts = Contacts(self._proximity, description.contacts)
+        self.violations = Violations()
         self.gate: Decider = Gate(
             self._proximity,
             {name: Limits.of(robot, cycle_s) for name, robot in description.robots.items()},
             description.gate,
             self.contacts,
+            self.violations,
         )
         self._sequence = 0
         self._command_order = CommandOrder()
@@ -109,6 +113,8 @@ class Sim:
         if robot.tracker.restarted:
             robot.orders.server_restarted(state)
             robot.inbox.decided_cycle = -1  # its cycles begin anew
+        if robot.tracker.restarted or robot.tracker.displaced:
+            self.violations.only(robot.name, ())  # they were of where it stood before
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 
     def on_request(self, request: Request) -> list[Output]:
@@ -197,6 +203,7 @@ class Sim:
             receipt=self._receipt,
             fingerprint=self.fingerprint,
             contacts=self.contacts.allowed,
+            violations=self.violations.memory(),
             robots={name: robot.memory() for name, robot in self.robots.items()},
         )
 
@@ -206,6 +213,7 @@ class Sim:
         self._sequence, self._receipt = memory.sequence, memory.receipt
         self._command_order.newest_id = memory.command_id
         self.contacts.allow(memory.contacts)
+        self.violations.recall(memory.violations)
         for name, robot in memory.robots.items():
             self.robots[name].recall(robot)
 

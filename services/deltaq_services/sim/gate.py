@@ -24,6 +24,7 @@ from deltaq_services.sim.retreat import Retreat
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch
+from deltaq_services.sim.violations import Violations
 
 Array = NDArray[np.float64]
 
@@ -64,11 +65,13 @@ class Gate:
         limits: dict[str, Limits],
         margins: GateDescription,
         contacts: Contacts,
+        violations: Violations,
     ) -> None:
         self._proximity = proximity
         self._limits = limits
         self._contacts = contacts
-        self._retreat = Retreat(proximity, margins)
+        self._violations = violations
+        self._retreat = Retreat(proximity, margins, violations)
         self._slow_down = SlowDown(proximity, margins, next(iter(limits.values())).cycle_s)
 
     def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
@@ -98,17 +101,18 @@ class Gate:
             return certifier.certify(robot.name, tube, tubes)
 
         certificate = certify(scale, Certifier(self._proximity))
-        if not certificate.holds:
+        if certificate.holds:
+            self._violations.only(robot.name, ())
+        else:
             reasons = [_clearance_reason(certificate)]
-            limit_scale, least = scale, scale / 2**_HALVINGS
-            stands = Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds
-            # all smaller scales share one budget, so that a decision ends in time
-            certifier = Certifier(self._proximity)
-            scale = _largest(lambda s: certify(s, certifier), least, limit_scale) if stands else 0.0
-            if scale <= max(least, _LEAST_SCALE):
-                out, near = self._retreat.find(robot, tubes, limits, brake, request, limit_scale)
-                if out > scale or not stands:
-                    scale, reasons = out, near
+            if Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds:
+                self._violations.only(robot.name, ())
+                # all smaller scales share one budget, so that a decision ends in time
+                certifier = Certifier(self._proximity)
+                scale = _largest(lambda s: certify(s, certifier), scale / 2**_HALVINGS, scale)
+            else:
+                scale, violated = self._retreat.find(robot, others, limits, brake, request, scale)
+                reasons = violated or reasons
         return _decision(limits, brake, request, scale, reasons, certificate.binding)
 
 

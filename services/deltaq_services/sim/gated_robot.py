@@ -30,7 +30,7 @@ class GatedRobot:
         self.name = name
         self.joints = len(description.joints)
         self.max_age_cycles = math.ceil(gate.max_request_age_s / cycle_s)
-        self.tracker = Tracker(name, description, math.ceil(gate.servo_lag_s / cycle_s))
+        self.tracker = Tracker(name, description, cycle_s, math.ceil(gate.servo_lag_s / cycle_s))
         self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
         self.inbox = Inbox(self.joints, self.max_age_cycles)
         self.dry_run_cycle = -1

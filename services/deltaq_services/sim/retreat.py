@@ -1,8 +1,9 @@
 """Retreat: the only motion that is admitted while bodies are nearer than the stop distance.
 
 Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and a gate
-that knew nothing else would never let go. Retreat admits slow motion on which no violated pair comes
-nearer at any setpoint, and every other pair keeps the stop distance as always.
+that knew nothing else would never let go. Retreat admits slow motion that is certified like any other, only that a
+violated pair has to keep what it had when its violation began (`deltaq_services.sim.violations`) instead of the stop
+distance. That is known only of robots that stood still then: a robot that moves is never retreated into.
 """
 
 from __future__ import annotations
@@ -22,120 +23,165 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Certifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Branch, Piece, Windows
+from deltaq_services.sim.tube import Branch, Piece
+from deltaq_services.sim.violations import Pair, Violations
 
 Array = NDArray[np.float64]
-Others = Sequence[tuple[str, Piece]]
-
-_NEARER_M = 1e-6
-"""What rounding may make of a distance that does not change."""
 
 
 @dataclass(frozen=True)
-class _Violation:
-    """Pairs of one group, by index, that are nearer than the stop distance, with their distances [m].
-
-    `other` is the robot on the other side and a tube that it may be in, if there is one.
-    """
+class _Near:
+    """A pair, by its index in a group, that is not shown to have its room; `other` is the robot on the other side."""
 
     group: Group
-    other: tuple[str, Piece] | None
-    distances: dict[int, float]
+    index: int
+    other: Tracker | None
+
+    @property
+    def names(self) -> tuple[str, str]:
+        first, second = self.group.pairs[self.index]
+        return first.name, second.name
+
+    @property
+    def pair(self) -> Pair:
+        return frozenset(self.names)
 
 
 class Retreat:
-    """Finds the motion that leads out of a violation."""
+    """Finds the motion that leads out of a violation.
 
-    def __init__(self, proximity: Proximity, margins: GateDescription) -> None:
+    Args:
+        proximity: the bodies.
+        margins: of the gate.
+        violations: what pairs have to keep; brought up to date by every look.
+    """
+
+    def __init__(self, proximity: Proximity, margins: GateDescription, violations: Violations) -> None:
         self._proximity = proximity
         self._speed = margins.retreat_speed
+        self._violations = violations
 
     def find(
-        self, robot: Tracker, others: Others, limits: Limits, brake: Array, request: Array, at_most: float
+        self,
+        robot: Tracker,
+        others: Sequence[Tracker],
+        limits: Limits,
+        brake: Array,
+        request: Array,
+        at_most: float,
     ) -> tuple[float, list[Reason]]:
-        """The scale at which a request leads out of a violation.
+        """The scale at which a request leads out of violations.
+
+        Args:
+            robot: the robot that shall move.
+            others: the other robots.
+            limits: of the robot.
+            brake: (n,) next increment of the brake [rad or m].
+            request: (n,) increment asked for.
+            at_most: the largest scale that other limits leave.
 
         Returns:
-            The scale, 0 if the request brings a violated pair nearer, and the reasons.
+            The scale, 0 if the request is not certified to keep what each pair has to keep, and a reason for
+            every violation.
         """
-        violations = self._violations(robot, others)
-        reasons = [
-            Reason(
-                code=ReasonCode.RETREAT,
-                what=" ".join(body.name for body in item.group.pairs[index]),
-                value=distance,
-                bound=item.group.stop_distance_m,
-            )
-            for item in violations
-            for index, distance in item.distances.items()
-        ]
+        violated, reasons = self._violated(robot, others)
         scale = min(at_most, limits.slow_scale(brake, request, self._speed))
         dq = brake + scale * (request - brake)
-        tube = robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
-        leads_out = scale > 0 and self._leads_out(robot.name, tube, others, violations)
+        branch = Branch(dq, limits.brake_cycles(dq), -1)
+        leads_out = scale > 0 and self._leads_out(robot, branch, others, violated)
         return (scale if leads_out else 0.0), reasons
 
-    def _violations(self, robot: Tracker, others: Others) -> list[_Violation]:
-        # what fails already where the robot stands, with all that the drives' lag leaves uncertain ...
+    def _violated(self, robot: Tracker, others: Sequence[Tracker]) -> tuple[list[_Near], list[Reason]]:
+        """Pairs whose violation has been measured, and what is to be said of them."""
+        near = self._near(robot, others)
+        self._violations.only(robot.name, {item.pair for item in near})
+        violated, reasons = [], []
+        for item in near:
+            distance = self._distance_m(robot, item)
+            if robot.stands_still() and (item.other is None or item.other.stands_still()):
+                self._violations.stands(item.pair, distance, item.group.stop_distance_m)
+            if self._violations.kept_m(item.pair) is None:
+                continue  # certified as always, and so not at all until the robots stand still
+            violated.append(item)
+            bound = item.group.stop_distance_m
+            reasons.append(
+                Reason(code=ReasonCode.RETREAT, what=" ".join(item.names), value=distance, bound=bound)
+            )
+        return violated, reasons
+
+    def _near(self, robot: Tracker, others: Sequence[Tracker]) -> list[_Near]:
+        """Pairs that are not shown to have their room where the robot stands, each once."""
         self._place(robot.name, robot.standing())
-        near = []
-        for other in (None, *others):
-            for group in self._groups(robot.name, other):
-                bound = group.stop_distance_m + NUMERICAL_TOLERANCE_M
-                near.append((group, other, group.nearer(bound)[0]))
-        # ... is judged by its distance at the setpoint
-        self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
-        found = []
-        for group, other, indices in near:
-            distances = self._distances(group, other)
-            found.append(_Violation(group, other, {index: distances[index] for index in indices}))
-        return found
+        found = {(item.group, item.index): item for item in self._without_room(robot.name, None)}
+        for other in others:
+            for tube in other.tubes():
+                self._place(other.name, tube)
+                found |= {(item.group, item.index): item for item in self._without_room(robot.name, other)}
+        return list(found.values())
 
-    def _groups(self, robot: str, other: tuple[str, Piece] | None) -> list[Group]:
-        """Groups of the placed robot against itself and the structure, or against another, that have no room."""
-        if other is None:
-            groups = self._proximity.alone[robot]
-        else:
-            self._place(*other)
-            groups = self._proximity.between[robot, other[0]]
-        return self._proximity.look(groups, NUMERICAL_TOLERANCE_M).failing if groups else []
+    def _without_room(self, robot: str, other: Tracker | None) -> Iterator[_Near]:
+        between = None if other is None else self._proximity.between[robot, other.name]
+        groups = self._proximity.alone[robot] if between is None else between
+        failing = self._proximity.look(groups, NUMERICAL_TOLERANCE_M).failing if groups else []
+        for group in failing:
+            for index in group.nearer(group.stop_distance_m + NUMERICAL_TOLERANCE_M)[0]:
+                yield _Near(group, index, other)
 
-    def _distances(self, group: Group, other: tuple[str, Piece] | None) -> dict[int, float]:
-        """Distances of all pairs of a group where the robot is placed [m]."""
-        if other is not None:
-            self._place(*other)
-        self._proximity.least(group)
-        return {index: pair.swept_m for index, pair in group.measured().items()}
+    def _distance_m(self, robot: Tracker, near: _Near) -> float:
+        """Distance of a pair at the setpoints [m]."""
+        for tracker in (robot, near.other):
+            if tracker is not None:
+                self._proximity.place(tracker.name, tracker.q_cmd, np.zeros_like(tracker.q_cmd))
+        return self._proximity.least(self._proximity.pair(near.group, near.index))
 
     def _place(self, robot: str, piece: Piece) -> None:
         strip = piece.strip()
         self._proximity.place(robot, strip.middle, strip.half, strip.direction)
 
-    def _leads_out(self, robot: str, tube: Windows, others: Others, violations: list[_Violation]) -> bool:
-        with _set_aside(violations):
-            certificate = Certifier(self._proximity).certify(robot, tube, others)
-        if not certificate.holds:
-            return False
-        for point in tube.points[tube.first + 1 :]:
-            self._proximity.place(robot, point, np.zeros_like(point))
-            if any(self._nearer(violation) for violation in violations):
+    def _leads_out(
+        self, robot: Tracker, branch: Branch, others: Sequence[Tracker], violated: Sequence[_Near]
+    ) -> bool:
+        with _set_aside(violated):
+            tubes = [(other.name, tube) for other in others for tube in other.tubes()]
+            as_always = Certifier(self._proximity).certify(robot.name, robot.tube(branch), tubes)
+        return as_always.holds and self._keep(robot, branch, violated)
+
+    def _keep(self, robot: Tracker, branch: Branch, violated: Sequence[_Near]) -> bool:
+        """Whether each violated pair keeps what it has to.
+
+        That was measured at setpoints, so what is measured of the robots has no part in it here either: drives that
+        stand a little off their setpoints would be a violation of their own, for ever.
+        """
+        certifier = Certifier(self._proximity)
+        tube = robot.tube_of_setpoints(branch)
+        for other in dict.fromkeys(item.other for item in violated):
+            pairs = [self._keeping(item) for item in violated if item.other is other]
+            if other is None:
+                kept = certifier.alone(robot.name, tube, pairs).holds
+            else:
+                kept = all(
+                    certifier.between(robot.name, tube, other.name, theirs, pairs).holds
+                    for theirs in other.tubes_of_setpoints()
+                )
+            if not kept:
                 return False
         return True
 
-    def _nearer(self, violation: _Violation) -> bool:
-        distances = self._distances(violation.group, violation.other)
-        return any(distances[index] < before - _NEARER_M for index, before in violation.distances.items())
+    def _keeping(self, near: _Near) -> Group:
+        kept = self._violations.kept_m(near.pair)
+        assert kept is not None  # only such pairs are violated
+        pair = self._proximity.pair(near.group, near.index)
+        pair.stop_distance_m = kept - NUMERICAL_TOLERANCE_M  # which the certificate adds again
+        return pair
 
 
 @contextmanager
-def _set_aside(violations: list[_Violation]) -> Iterator[None]:
+def _set_aside(violated: Sequence[_Near]) -> Iterator[None]:
     """Leave the violated pairs out of their groups for a while."""
-    for item in violations:
-        for index in item.distances:
-            item.group.leave_out(index)
+    for item in violated:
+        item.group.leave_out(item.index)
     try:
         yield
     finally:
-        for item in violations:
-            for index in item.distances:
-                item.group.take_in(index)
+        for item in violated:
+            item.group.take_in(item.index)

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 _ENDED_PROCESSES = 16
 """Processes of one Robot Server that are remembered: their states may be overtaken by those of their successor."""
 
+_SUMS = 1e-9
+"""What adding increments up in another order may make of a setpoint [rad or m]."""
+
 _ROUNDING = 2e-5
 """What a telegram's decimals may make of a measured joint that is on its path [rad or m]."""
 
@@ -33,14 +36,16 @@ class Tracker:
         in_flight: an admission that no state has confirmed or outdated yet.
         missed: admissions that the Robot Server did not take.
         restarted: whether the newest state is the first of another Robot Server process.
+        displaced: whether its setpoint is not where the increments since the last state can have brought it.
     """
 
-    def __init__(self, name: str, description: RobotDescription, lag_cycles: int) -> None:
+    def __init__(self, name: str, description: RobotDescription, cycle_s: float, lag_cycles: int) -> None:
         self.name = name
         self.state: ServerState | None = None
         self.in_flight: Admission | None = None
         self.missed = 0
-        self.restarted = False
+        self.restarted = self.displaced = False
+        self._fastest = description.max_velocity * cycle_s
         self._lag = max(2, lag_cycles)
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
@@ -48,7 +53,7 @@ class Tracker:
 
     def observe(self, state: ServerState) -> bool:
         """Take a state in; returns False if no cycle of the robot has passed since the last."""
-        self.restarted = False
+        self.restarted = self.displaced = False
         if state.process in self._ended:
             return False
         if self.state is not None and state.process != self.state.process:
@@ -61,6 +66,7 @@ class Tracker:
                 self.state = state  # the KRC is silent, but phase and reason may have changed
             if state.cycle <= self.state.cycle:
                 return False
+            self.displaced = self._is_displaced(self.state, state)
         self.state = state
         if self.in_flight is not None:
             if (state.epoch, state.sequence) != (self.in_flight.epoch, self.in_flight.sequence):
@@ -68,6 +74,13 @@ class Tracker:
             self.in_flight = None
         self._history.append(np.array(state.q_cmd))
         return True
+
+    def _is_displaced(self, before: ServerState, state: ServerState) -> bool:
+        travel = np.array(state.q_cmd) - np.array(before.q_cmd)
+        # the increment is that of the last cycle, also where the KRC missed the reply and stands where it stood
+        unexplained = np.abs(travel - np.array(state.dq))
+        unseen = state.cycle - before.cycle - 1
+        return bool(travel.any() and np.any(unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS))
 
     def memory(self) -> TrackerMemory:
         """What `recall` needs to go on from here."""
@@ -110,12 +123,23 @@ class Tracker:
         beyond = np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
         return tube(history, branch, self._lag, q if np.any(beyond > _ROUNDING) else None)
 
+    def tube_of_setpoints(self, branch: Branch) -> Windows:
+        """The same, wherever the robot is measured to be."""
+        return tube(np.array(self._history), branch, self._lag)
+
     def tubes(self) -> list[Windows]:
         """The tubes of every course that the robot may take."""
-        branches = [self._planned()]
+        return [self.tube(branch) for branch in self._courses()]
+
+    def tubes_of_setpoints(self) -> list[Windows]:
+        """The same, wherever the robot is measured to be."""
+        return [self.tube_of_setpoints(branch) for branch in self._courses()]
+
+    def _courses(self) -> list[Branch]:
+        courses = [self._planned()]
         if self.in_flight is not None:
-            branches.append(Branch(np.array(self.in_flight.dq), self.in_flight.brake_cycles, -1))
-        return [self.tube(branch) for branch in branches]
+            courses.append(Branch(np.array(self.in_flight.dq), self.in_flight.brake_cycles, -1))
+        return courses
 
     def standing(self) -> Windows:
         """The tube of a robot that is sent nothing more: where the drives may be now."""
@@ -125,6 +149,10 @@ class Tracker:
         """Nothing is left to send and the drives have caught up."""
         settled = all((setpoint == self.q_cmd).all() for setpoint in self._history)
         return settled and len(self._history) == self._lag and not self._planned().setpoints(self.q_cmd).size
+
+    def stands_still(self) -> bool:
+        """At rest, and nothing is on its way that could set it in motion."""
+        return self.in_flight is None and self.at_rest()
 
     def off_path(self) -> tuple[int, float, float] | None:
         """The joint that left the commanded path by more than its tolerance: index, distance, tolerance."""

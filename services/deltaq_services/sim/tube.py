@@ -119,8 +119,8 @@ class Windows:
         return Strip.around(self.points[first : self.last + 1])
 
     def halves(self) -> tuple[Piece, ...]:
-        """Half of the windows each; of a single window the halves of its strip."""
-        if self.first == self.last:
+        """Half of the windows each; of a single window, or of all along one line, the halves of their strip."""
+        if self.first == self.last or np.max(self.strip().deviation) < _SHORTEST:
             return self.strip().halves()
         middle = (self.first + self.last) // 2
         return replace(self, last=middle), replace(self, first=middle + 1)

@@ -1,0 +1,67 @@
+"""Violations: pairs of bodies that are nearer than the stop distance, and how near each of them may stay.
+
+A violation begins where somebody else put the bodies: no admission leads into one. What it had then, measured while
+the robots that it concerns stood still, is kept until it has ended. Nothing else would do: a gate that compared with
+the cycle before and forgave rounding would let a robot creep into contact, a micrometre at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from deltaq_protocol.guarded import KeptDistance
+
+Pair = frozenset[str]
+"""Names of two bodies."""
+
+ALLOWANCE_M = 5e-6
+"""How much nearer a pair may come in all while its violation lasts: what rounding needs, and no more."""
+
+_MEASURED_M = 2e-6
+"""What the same distance may differ by when it is measured again."""
+
+
+class Violations:
+    """The distances that violated pairs have to keep [m]."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Pair, float] = {}
+
+    def kept_m(self, pair: Pair) -> float | None:
+        """What a pair has to keep; None if it is not known to be violated."""
+        return self._kept.get(pair)
+
+    def stands(self, pair: Pair, distance_m: float, stop_distance_m: float) -> None:
+        """A pair without the room that it should have was measured while its robots stood still.
+
+        Args:
+            pair: names of the bodies.
+            distance_m: at the setpoints.
+            stop_distance_m: what the pair keeps otherwise.
+        """
+        keeps = min(distance_m - ALLOWANCE_M, stop_distance_m)
+        before = self._kept.get(pair)
+        # no admission can have brought it nearer than it had to keep: somebody else did
+        if before is None or distance_m < before - _MEASURED_M:
+            self._kept[pair] = keeps
+
+    def only(self, robot: str, violated: Collection[Pair]) -> None:
+        """The violations of a robot are among these; all others of it have ended."""
+        ended = [pair for pair in self._kept if _concerns(pair, robot) and pair not in violated]
+        for pair in ended:
+            del self._kept[pair]
+
+    def memory(self) -> tuple[KeptDistance, ...]:
+        """What `recall` needs to go on from here."""
+        return tuple(
+            KeptDistance(pair=(one, other), distance_m=distance)
+            for (one, other), distance in sorted((sorted(pair), item) for pair, item in self._kept.items())
+        )
+
+    def recall(self, memory: Iterable[KeptDistance]) -> None:
+        """Go on from where another gate was."""
+        self._kept = {frozenset(item.pair): item.distance_m for item in memory}
+
+
+def _concerns(pair: Pair, robot: str) -> bool:
+    return any(name.startswith(f"{robot}/") for name in pair)
