@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import GateDescription
 from deltaq_cell.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -58,6 +59,9 @@ class ClearanceOracle:
         self._robot_pairs = self._pairs(
             never, lambda one, other: one != other and STRUCTURE not in (one, other)
         )
+        self._watched = [
+            (pairs, list(range(len(pairs[0].collisionPairs)))) for pairs in (self._foreign, self._own)
+        ]
 
     def between_robots_and_structure(self, configurations: Mapping[str, Array]) -> Near:
         """Least distance between robots, and between robots and structure; (n,) [rad or m] per robot."""
@@ -70,6 +74,40 @@ class ClearanceOracle:
     def of_one_robot(self, configurations: Mapping[str, Array]) -> Near:
         """Least distance between two bodies of one robot; (n,) [rad or m] per robot."""
         return self._least(self._own, configurations)
+
+    def distances(self, configurations: Mapping[str, Array]) -> Array:
+        """(pairs,) distance of every pair that is watched, always in the same order [m]."""
+        found = []
+        for pairs, watched in self._watched:
+            self._least(pairs, configurations)
+            results = pairs[1].distanceResults
+            found.append([results[index].min_distance for index in watched])
+        return np.concatenate(found)
+
+    def stop_distances(self, gate: GateDescription) -> Array:
+        """(pairs,) what each pair of `distances` has to keep [m]."""
+        stops = (gate.stop_distance_m, gate.self_stop_distance_m)
+        return np.repeat(stops, [len(watched) for _, watched in self._watched])
+
+    def watch(self, distance_m: float, *configurations: Mapping[str, Array]) -> None:
+        """From now on measure only pairs that are nearer than a distance in one of these configurations."""
+        watched = []
+        for pairs in (self._foreign, self._own):
+            data = pairs[1]
+            for index in range(len(pairs[0].collisionPairs)):
+                data.activateCollisionPair(index)
+            near: set[int] = set()
+            for where in configurations:
+                self._least(pairs, where)
+                near |= {
+                    index
+                    for index, result in enumerate(data.distanceResults)
+                    if result.min_distance < distance_m
+                }
+            for index in set(range(len(pairs[0].collisionPairs))) - near:
+                data.deactivateCollisionPair(index)
+            watched.append((pairs, sorted(near)))
+        self._watched = watched
 
     def _add(self, body: pin.GeometryObject, owner: str, index: int) -> None:
         self._all.addGeometryObject(pin.GeometryObject(body.name, 0, body.placement, body.geometry))

@@ -19,6 +19,7 @@ import numpy as np
 from deltaq_experiments.model import course
 from deltaq_experiments.model.ledger import Ledger, Property, Telegram, Violation
 from deltaq_experiments.model.one_joint import (
+    CYCLE_S,
     FASTEST,
     HLI_TIMEOUT_CYCLES,
     LAG_CYCLES,
@@ -73,7 +74,7 @@ class System:
     def _sim_with(self, tracker_type: type[Tracker], orders_type: type[Orders]) -> Sim:
         """A SIM that follows its robot and orders it about with these."""
         sim = one_joint_sim(self._description)
-        tracker = tracker_type(ROBOT, self._description.robots[ROBOT], LAG_CYCLES)
+        tracker = tracker_type(ROBOT, self._description.robots[ROBOT], CYCLE_S, LAG_CYCLES)
         sim.robots[ROBOT].tracker = tracker
         sim.robots[ROBOT].orders = orders_type(tracker, HLI_TIMEOUT_CYCLES)
         return sim
