@@ -130,10 +130,9 @@ class RetreatAttack:
             return flat * random.uniform(0, 0.3)
         outwards: Array = steepest / max(float(np.max(np.abs(steepest) / fastest)), 1e-12)
         if ask == "creep":
-            return -outwards * _CREEP * 10.0 ** random.uniform(0, 4)
+            return -outwards * _CREEP * float(10.0 ** random.uniform(0, 4))
         share = float(random.uniform(0.01, 1.0))
-        wanted: Array = outwards * (share if ask == "outwards" else -share)
-        return wanted
+        return outwards * (share if ask == "outwards" else -share)
 
     def _steepest(self, q: dict[str, Array], name: str) -> Array:
         """(n,) change of the least room per unit of each joint [m/rad or m/m]."""
