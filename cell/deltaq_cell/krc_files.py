@@ -57,8 +57,9 @@ def _beside(path: Path, config: EthernetConfig, station: Station) -> list[Findin
         for file in _texts(path, "*.rsi.xml", "*.rsix")
         if path.name in file[1] and (context := _context(*file)) is not None and context.ethernet(path.name)
     ]
-    # a program names the context without the `.xml`, or, on a KR C2, the *_ethernet.xml
-    names = [path.name, *(context.source.removesuffix(".xml") for context in contexts)]
+    # a program names the context with or without its suffix, or, on a KR C2, the *_ethernet.xml
+    stems = [context.source.partition(".rsi")[0] for context in contexts]
+    names = [path.name, *stems, *(f"{stem}{suffix}" for stem in stems for suffix in (".rsi", ".rsix"))]
     programs = [file for file in _texts(path, "*.src") if any(f'"{name}"' in file[1] for name in names)]
     found = [finding for context in contexts for finding in judge_context(context, config, station)]
     found += [finding for name, text in programs for finding in judge_program(text, name)]

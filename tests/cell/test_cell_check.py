@@ -141,7 +141,7 @@ KRC_FILES = [
      "mine_ethernet.xml: RECEIVE/AK.A2: HOLDON is 0"),
     ([("DEF_ASPos", "DEF_RSol")], [], "ethernet_xml", None, None, "warning", "SEND/DEF_ASPos: is missing"),
     ([], [("control_port: 49252, stop: Stop", "control_port: 49252, stop: Halt")], "stop", "Halt",
-     "Do.O1, Do.O2, Stop", "error", "RECEIVE/Halt: no BOOL has that TAG"),
+     "Stop", "error", "RECEIVE/Halt: no BOOL has that TAG"),
     ([], [("address: 127.0.0.1, port: 49152", "address: 192.168.10.20, krc_address: 192.168.10.30, port: 49152")],
      "address", "192.168.10.10", "192.168.10.20", "error", "CONFIG/IP_NUMBER: is 192.168.10.10"),
     ([(">49152<", ">49153<")],
