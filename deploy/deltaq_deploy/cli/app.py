@@ -30,6 +30,7 @@ from deltaq_deploy.cli import (
     record,
     replay,
     reset,
+    rsi,
     schema,
     status,
     stop,
@@ -66,6 +67,7 @@ app.command(rich_help_panel=COMMAND)(lease.lease)
 app.command(rich_help_panel=COMMAND)(contact.contact)
 app.command("dry-run", rich_help_panel=COMMAND)(dry_run.dry_run)
 app.command(rich_help_panel=REAL)(krc.krc)
+app.add_typer(rsi.rsi, name="rsi", rich_help_panel=REAL)
 app.command(rich_help_panel=STUDY)(experiment.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
 app.command(rich_help_panel=STUDY)(peg_and_valve.peg_and_valve)
