@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from private_cell import write_private_cell
 from test_rsi_command import emulator
@@ -17,6 +18,8 @@ from deltaq_cell.load import load_cell
 from deltaq_deploy.krc.pendant import PENDANT, table
 from deltaq_deploy.real import refuse_unreal
 from deltaq_emulator.catalogue import Code
+from deltaq_emulator.settings import KrcSettings
+from deltaq_experiments.lockstep import Lockstep
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "how-to" / "commission.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"<!-- run: commission -->\n```sh\n(.*?)^```", GUIDE, re.MULTILINE | re.DOTALL)
@@ -69,3 +72,24 @@ def test_every_numbered_message_of_the_emulated_controller_is_explained() -> Non
     explained = {row.code for row in PENDANT}
     assert {code for code in Code if code.startswith("KSS")} <= explained
     assert all(row.shown.startswith(row.code) for row in PENDANT if row.code and row.code.startswith("KSS"))
+
+
+def test_a_correction_that_the_controller_cuts_off_at_five_degrees_is_held_as_the_guide_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = KrcSettings.load().model_copy(update={"correction_limit_deg": 5.0})
+    monkeypatch.setattr(KrcSettings, "load", lambda: settings)
+    cell = Lockstep("lab")
+    cell.run_until_ready()
+    cell.acquire("fr", "guide")
+    home = cell.cell.robots["fr"].home[0]
+    step = np.array([np.deg2rad(0.05), 0, 0, 0, 0, 0])
+    for _ in range(400):
+        cell.cycle()
+        cell.ask("fr", step)
+        state = cell.arms["fr"].state
+        assert state is not None
+        if state.phase == "held":
+            break
+    assert (state.phase, state.reason) == ("held", "tracking_error")
+    assert np.rad2deg(state.q[0] - home) == pytest.approx(5.0, abs=0.01)
