@@ -15,6 +15,7 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription, RobotDescription, RsiDriver
 from deltaq_cell.find import find_cell, resolve_near
+from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_located
 from deltaq_cell.located import Located, shown
 from deltaq_cell.models import RobotModelError, nearest_name
@@ -88,6 +89,7 @@ class _Check:
         for name, robot in self.cell.robots.items():
             yield from self.references(name, robot)
             yield from self.cycle(name, robot)
+            yield from self.krc_files(name, robot)
             try:
                 models[name] = RobotModel(robot, name)
             except RobotModelError as error:
@@ -174,6 +176,16 @@ class _Check:
                 f"'{robot.driver.krc}', which is {allowed}"
             )
             yield self.at(("cycle_s",), message, self.cell.cycle_s, cycles[0])
+
+    def krc_files(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
+        """What the KRC has loaded can be safe and agrees with the cell."""
+        try:
+            found = judge_krc_files(self.path, robot)
+        except FileNotFoundError:
+            return  # told as a reference that leads nowhere
+        for finding in found:
+            field = ("robots", name, "driver", *finding.field)
+            yield self.at(field, str(finding), finding.value, finding.bound, severity=finding.severity)
 
     def limits(self, robot: RobotModel) -> Iterator[Problem]:
         """A joint's limits lie inside those of the robot's own data sheet, as its URDF has them."""

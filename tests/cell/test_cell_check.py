@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell.check import check_cell
-from deltaq_cell.find import find_cell
+from deltaq_cell.find import find_cell, resolve_near
 
 LAB = find_cell("lab").read_text(encoding="utf-8")
 
@@ -133,3 +133,72 @@ def test_a_contact_that_names_no_body_is_told_with_the_nearest_name(tmp_path: Pa
     assert [problem.field for problem in report.problems] == ["contacts.gripper_on_valves.bodies.0"]
     assert "no body is named 'gr/tool_griper' on a robot" in report.problems[0].message
     assert report.problems[0].suggestion == "gr/tool_gripper"
+
+
+# edits of the KRC's file, edits of the cell, field, words in the line it points at, value, bound, severity, message
+KRC_FILES = [
+    ([('INDX="2" UNIT="0" HOLDON="1"', 'INDX="2" UNIT="0" HOLDON="0"')], [], "ethernet_xml", 0, 1, "error",
+     "mine_ethernet.xml: RECEIVE/AK.A2: HOLDON is 0"),
+    ([("DEF_ASPos", "DEF_RSol")], [], "ethernet_xml", None, None, "warning", "SEND/DEF_ASPos: is missing"),
+    ([], [("control_port: 49252, stop: Stop", "control_port: 49252, stop: Halt")], "stop", "Halt",
+     "Stop", "error", "RECEIVE/Halt: no BOOL has that TAG"),
+    ([], [("address: 127.0.0.1, port: 49152", "address: 192.168.10.20, krc_address: 192.168.10.30, port: 49152")],
+     "address", "192.168.10.10", "192.168.10.20", "error", "CONFIG/IP_NUMBER: is 192.168.10.10"),
+    ([(">49152<", ">49153<")],
+     [("address: 127.0.0.1, port: 49152", "address: 192.168.10.10, krc_address: 192.168.10.30, port: 49152")],
+     "port", 49153, 49152, "error", "CONFIG/PORT: is 49153"),
+    ([("</ROOT>", "")], [], "ethernet_xml", None, None, "error", "mine_ethernet.xml: file: is no XML document"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("file_edits", "cell_edits", "field", "value", "bound", "severity", "message"),
+    KRC_FILES,
+    ids=[row[6] for row in KRC_FILES],
+)
+def test_a_krc_file_that_does_not_fit_is_told_at_the_field_it_concerns(
+    tmp_path: Path,
+    file_edits: list[tuple[str, str]],
+    cell_edits: list[tuple[str, str]],
+    field: str,
+    value: object,
+    bound: object,
+    severity: str,
+    message: str,
+) -> None:
+    xml = resolve_near(find_cell("lab"), "fr_ethernet.xml").read_text(encoding="utf-8")
+    for old, new in file_edits:
+        assert old in xml
+        xml = xml.replace(old, new)
+    (tmp_path / "mine_ethernet.xml").write_text(xml, encoding="utf-8")
+    path, lines = checked(tmp_path, *cell_edits, ("fr_ethernet.xml", "mine_ethernet.xml"))
+    problems = [
+        problem for problem in check_cell(path).problems if problem.field == f"robots.fr.driver.{field}"
+    ]
+    (problem,) = [problem for problem in problems if message in problem.message]
+    assert problem.severity == severity
+    assert (problem.value, problem.bound) == (value, bound)
+    assert "kind: rsi" in lines[problem.line - 1]
+
+
+def test_contexts_and_programs_beside_the_krc_file_are_judged_with_it(tmp_path: Path) -> None:
+    xml = resolve_near(find_cell("lab"), "fr_ethernet.xml").read_text(encoding="utf-8")
+    (tmp_path / "fr_ethernet.xml").write_text(xml, encoding="utf-8")
+    (tmp_path / "fr.rsi.xml").write_text(
+        '<RSIObjects><RSIObject ObjType="ETHERNET" ObjID="ETHERNET1"><Parameters>'
+        '<Parameter Name="ConfigFile" ParamValue="fr_ethernet.xml"/></Parameters></RSIObject></RSIObjects>'
+    )
+    (tmp_path / "fr.src").write_text('ret = RSI_CREATE("fr.rsi", id, TRUE)\nret = RSI_ON(#RELATIVE)\n')
+    (tmp_path / "other.src").write_text('ret = RSI_CREATE("other.rsi", id, TRUE)\nret = RSI_ON(#RELATIVE)\n')
+    (tmp_path / "other.rsi.xml").write_text("<Nothing/> about fr_ethernet.xml")
+    path, _ = checked(tmp_path)
+    messages = [problem.message for problem in check_cell(path).problems]
+    assert [message.split(": ")[1] for message in messages if message.startswith("fr.rsi.xml")] == [
+        *(f"AXISCORR/CorrA{i}" for i in range(1, 7)),
+        "STOP/Stop",
+        "ETHERNET1/Precision",
+    ]
+    assert [message for message in messages if ".src: " in message] == [
+        message for message in messages if message.startswith("fr.src: RSI_ON: corrections are relative")
+    ]
+    assert any(message.startswith("fr.src") for message in messages)

@@ -23,12 +23,14 @@ from deltaq_deploy.cli import (
     health,
     hz,
     key,
+    krc,
     lease,
     peg_and_valve,
     plot,
     record,
     replay,
     reset,
+    rsi,
     schema,
     status,
     stop,
@@ -40,6 +42,7 @@ RUN = "Run a cell"
 WATCH = "Look at a running cell"
 COMMAND = "Command a running cell"
 STUDY = "Study and check"
+REAL = "Real robots"
 
 app = typer.Typer(
     help="A networked control server for industrial manipulators: any controller, one safety gate.",
@@ -63,6 +66,8 @@ app.command(rich_help_panel=COMMAND)(reset.reset)
 app.command(rich_help_panel=COMMAND)(lease.lease)
 app.command(rich_help_panel=COMMAND)(contact.contact)
 app.command("dry-run", rich_help_panel=COMMAND)(dry_run.dry_run)
+app.command(rich_help_panel=REAL)(krc.krc)
+app.add_typer(rsi.rsi, name="rsi", rich_help_panel=REAL)
 app.command(rich_help_panel=STUDY)(experiment.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
 app.command(rich_help_panel=STUDY)(peg_and_valve.peg_and_valve)

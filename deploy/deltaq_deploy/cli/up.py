@@ -22,11 +22,13 @@ def up(
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from functools import partial
 
+    from deltaq_cell.find import find_cell
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import console, prefixed_log
     from deltaq_deploy.launcher import Launcher
+    from deltaq_deploy.real import refuse_unreal
     from deltaq_deploy.rest import bring_to_rest
-    from deltaq_deploy.services import cell_services, recorder, select
+    from deltaq_deploy.services import Role, cell_services, recorder, select
 
     description = load_cell(cell)
     services = cell_services(description, cell, real)
@@ -34,6 +36,9 @@ def up(
         services = (*services, recorder(cell, record))
     if only:
         services = select(services, [name.strip() for name in only.split(",")])
+    if real:
+        servers = [service for service in services if service.role is Role.ROBOT_SERVER]
+        refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
     output = console()
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))

@@ -1,9 +1,13 @@
 """`python -m deltaq_services.robot_server --cell lab --robot fr`."""
 
-from deltaq_cell.description import RsiDriver
+from pathlib import Path
+
+from deltaq_cell.description import RobotDescription, RsiDriver
 from deltaq_cell.find import find_cell, resolve_near
+from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.rsi import EthernetConfigError
 from deltaq_services.process import arguments, run
 from deltaq_services.robot_server.shell import serve
 
@@ -14,11 +18,25 @@ def main() -> None:
     cell = load_cell(options.cell)
     if options.robot not in cell.robots:
         raise DeltaqError(f"cell {cell.cell} has no robot {options.robot!r}; it has {', '.join(cell.robots)}")
-    driver = cell.robots[options.robot].driver
-    xml = (
-        resolve_near(find_cell(options.cell), driver.ethernet_xml) if isinstance(driver, RsiDriver) else None
-    )
+    robot = cell.robots[options.robot]
+    file = find_cell(options.cell)
+    refuse_unsafe(file, robot)
+    xml = resolve_near(file, robot.driver.ethernet_xml) if isinstance(robot.driver, RsiDriver) else None
     serve(cell, options.robot, xml)
+
+
+def refuse_unsafe(cell_file: Path, robot: RobotDescription) -> None:
+    """Say what is wrong with the files of a robot's KRC.
+
+    Raises:
+        EthernetConfigError: they cannot be safe.
+    """
+    findings = judge_krc_files(cell_file, robot)
+    for finding in findings:
+        if finding.severity == "warning":
+            print(f"warning: {finding}", flush=True)
+    if errors := [str(finding) for finding in findings if finding.severity == "error"]:
+        raise EthernetConfigError("\n".join(["the KRC's files are refused:", *errors]))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,96 @@
+"""The files that a robot's KRC has loaded, judged by what the cell says of the robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deltaq_cell.description import RobotDescription, RsiDriver
+from deltaq_cell.find import resolve_near
+from deltaq_protocol.rsi import AxisMap, EthernetConfig, EthernetConfigError, load_ethernet_xml
+from deltaq_protocol.rsi.context import RsiContext, parse_context
+from deltaq_protocol.rsi.judge import Finding, Station, judge
+from deltaq_protocol.rsi.judge_program import judge_context, judge_program
+
+MAX_BYTES = 1 << 20
+"""A context of RSI 4 carries RSI Visual's catalogue of objects, some 120 KB."""
+
+
+def station_of(robot: RobotDescription, driver: RsiDriver) -> Station:
+    """What a robot's description says of the PC's end of its RSI.
+
+    Raises:
+        EthernetConfigError: a joint is no RSI axis.
+    """
+    axes = AxisMap.of(robot.joint_names, robot.units, driver.krc)
+    return Station(axes, driver.address, driver.port, driver.inputs, driver.outputs, driver.stop)
+
+
+def judge_krc_files(cell_file: Path, robot: RobotDescription) -> tuple[Finding, ...]:
+    """Judge what the KRC of a robot has loaded: its `*_ethernet.xml`, and contexts and programs beside it that use it.
+
+    Args:
+        cell_file: the cell's file; what it names is looked up beside it.
+        robot: the robot.
+
+    Returns:
+        What is wrong, errors first; empty for a robot that has no KRC.
+
+    Raises:
+        FileNotFoundError: the `*_ethernet.xml` is nowhere.
+    """
+    driver = robot.driver
+    if not isinstance(driver, RsiDriver):
+        return ()
+    path = resolve_near(cell_file, driver.ethernet_xml)
+    try:
+        station = station_of(robot, driver)
+        config = load_ethernet_xml(path)
+        found = [*judge(config, station), *_beside(path, config, station)]
+    except EthernetConfigError as error:
+        return (Finding("error", "file", str(error).removeprefix(f"{path.name}: "), source=path.name),)
+    return tuple(sorted(found, key=lambda finding: finding.severity))
+
+
+def _beside(path: Path, config: EthernetConfig, station: Station) -> list[Finding]:
+    contexts = [
+        context
+        for file in _texts(path, "*.rsi.xml", "*.rsix")
+        if path.name in file[1] and (context := _context(*file)) is not None and context.ethernet(path.name)
+    ]
+    # a program names the context with or without its suffix, or, on a KR C2, the *_ethernet.xml
+    stems = [context.source.partition(".rsi")[0] for context in contexts]
+    names = [path.name, *stems, *(f"{stem}{suffix}" for stem in stems for suffix in (".rsi", ".rsix"))]
+    programs = [file for file in _texts(path, "*.src") if any(f'"{name}"' in file[1] for name in names)]
+    found = [finding for context in contexts for finding in judge_context(context, config, station)]
+    found += [finding for name, text in programs for finding in judge_program(text, name)]
+    if not contexts and not station.emulated and station.axes.krc == "krc4":
+        found.append(
+            Finding(
+                "warning",
+                "Precision",
+                "how many decimals the KRC sends is not known here, and one is what it sends unless told otherwise; "
+                "put the context that loads this file beside it, or see it with `deltaq rsi sniff`",
+                bound=4,
+                source=path.name,
+            )
+        )
+    return found
+
+
+def _context(name: str, text: str) -> RsiContext | None:
+    try:
+        return parse_context(text, name)
+    except EthernetConfigError:
+        return None  # something else that happens to name the file
+
+
+def _texts(path: Path, *patterns: str) -> list[tuple[str, str]]:
+    """Name and text of every file beside `path` that fits a pattern, is of reasonable size and can be read."""
+    texts = []
+    for file in sorted(file for pattern in patterns for file in path.parent.glob(pattern)):
+        try:
+            if file.stat().st_size <= MAX_BYTES:
+                texts.append((file.name, file.read_text(encoding="utf-8-sig", errors="replace")))
+        except OSError:
+            continue  # a folder, or a file of somebody else's
+    return texts

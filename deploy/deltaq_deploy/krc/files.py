@@ -1,0 +1,104 @@
+"""Which files a KRC needs, where they belong on it, and how they get into a folder here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from deltaq_deploy.krc.context import rsi_model, rsi_xml, visual_list
+from deltaq_deploy.krc.ethernet import ethernet_xml
+from deltaq_deploy.krc.plan import KrcFilesError, KrcPlan
+from deltaq_deploy.krc.program import program
+from deltaq_protocol.rsi.judge import is_loopback
+
+PROGRAM_FOLDER = r"C:\KRC\ROBOTER\KRC\R1\Program"
+SENSOR_FOLDER = r"C:\KRC\ROBOTER\Config\User\Common\SensorInterface"
+INIT_FOLDER = r"C:\KRC\ROBOTER\INIT"
+"""Where a KR C2 looks for the files that ST_ETHERNET names."""
+
+
+@dataclass(frozen=True)
+class KrcFile:
+    """A file for a KRC.
+
+    Attributes:
+        name: of the file.
+        text: what is in it.
+        copy_to: folder on the controller; empty for what is read by people.
+        what: what it is for.
+    """
+
+    name: str
+    text: str
+    copy_to: str
+    what: str
+
+
+def files_of(plan: KrcPlan) -> tuple[KrcFile, ...]:
+    """The files that the plan's robot needs.
+
+    Raises:
+        EthernetConfigError: a TAG or an address of the cell is none that a KRC's file can have.
+    """
+    sensor = INIT_FOLDER if plan.krc == "krc2" else SENSOR_FOLDER
+    files = [
+        KrcFile(plan.ethernet_xml, ethernet_xml(plan), sensor, "what is on the wire"),
+        KrcFile(f"{plan.program}.src", program(plan), PROGRAM_FOLDER, "the program that runs RSI"),
+    ]
+    if plan.rsi == 3:
+        files += [
+            KrcFile(f"{plan.program}.rsi.xml", rsi_xml(plan), sensor, "objects, links and limits"),
+            KrcFile(f"{plan.program}.rsi", rsi_model(plan), sensor, "the same, as RSI Visual edits it"),
+        ]
+    if plan.rsi == 4:
+        name = f"{plan.program}_rsi_visual.txt"
+        files.append(
+            KrcFile(name, visual_list(plan), "", f"from which {plan.program}.rsix is built in RSI Visual")
+        )
+    return tuple(files)
+
+
+def notes_on(plan: KrcPlan) -> tuple[str, ...]:
+    """What is left to do by hand."""
+    notes = [
+        "nothing here has been tried on a real controller of that version: read the files, and start in T1"
+    ]
+    if is_loopback(plan.address):
+        notes.append(
+            f"IP_NUMBER is {plan.address}, which no real KRC reaches: set driver.address to this machine's address on "
+            "the robot's network, or give it with --address"
+        )
+    if plan.stop is None:
+        notes.append("the cell names no driver.stop, so the PC cannot end the motion")
+    loose = [signal.name for signal in (*plan.inputs, *plan.outputs) if signal.digital is None]
+    if plan.krc == "krc2" and (plan.inputs or plan.outputs):
+        notes.append(
+            "digital signals are on the wire but linked to nothing on a KR C2: link them by the RSI manual"
+        )
+    elif loose:
+        notes.append(
+            f"{', '.join(loose)}: on the wire but linked to nothing; tell the KRC's $IN or $OUT with "
+            "--digital NAME=NUMBER"
+        )
+    if plan.krc == "krc2":
+        notes.append("the number of decimals is left as the KR C2 has it: see it with `deltaq rsi sniff`")
+    return tuple(notes)
+
+
+def write_files(files: tuple[KrcFile, ...], folder: Path, *, force: bool = False) -> None:
+    """Write files into a folder, all or none.
+
+    Raises:
+        KrcFilesError: one is there already and `force` is not set, or the folder cannot be written to.
+    """
+    there = [file.name for file in files if (folder / file.name).exists()]
+    if there and not force:
+        raise KrcFilesError(
+            f"{folder} has {', '.join(there)} already; take another folder, or --force to overwrite"
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in files:
+            (folder / file.name).write_text(file.text, encoding="utf-8")
+    except OSError as error:
+        raise KrcFilesError(f"{folder}: cannot be written to: {error.strerror or error}") from error

@@ -1,0 +1,212 @@
+"""Statistics of what a KRC sends, from times and datagrams alone."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltaq_deploy.rsi.telegram import Seen, look_at
+
+KEPT = 100_000
+"""Intervals that are kept: more than six minutes at 4 ms."""
+MOST_PEERS = 16
+MOST_STEPS = 1000
+"""Different steps of the IPOC that are told apart; a sender of nonsense makes more."""
+_RING = 2**32
+_LATE = 1.5
+"""An interval of more than this many cycles is a late telegram, or a lost one."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A distribution of times [s]."""
+
+    median_s: float
+    p99_s: float
+    longest_s: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What was seen of a KRC.
+
+    Attributes:
+        telegrams: datagrams that are telegrams.
+        garbled: datagrams that are none.
+        rate_hz: telegrams a second; None for fewer than two.
+        cycle: of the KRC.
+        late: intervals longer than one cycle and a half.
+        ipoc_step: by how much IPOC grows from one telegram to the next, as it mostly does.
+        ipoc_jumps: times that it grew otherwise, or went back.
+        delay: late replies as the KRC counts them, at the end; None if it does not say.
+        delay_growth: by how much that grew.
+        decimals: most decimals of a number.
+        opened_with_ipoc_only: the first telegram had nothing but its IPOC, as a KR C2's has.
+        elements: what the last telegram held.
+        peers: telegrams by sender, `HOST:PORT`.
+        reply: time from a telegram to its answer; None if none was answered.
+        guess: what kind of KRC and cycle that looks like.
+        problems: what is wrong, for people.
+    """
+
+    telegrams: int
+    garbled: int
+    rate_hz: float | None
+    cycle: Spread | None
+    late: int
+    ipoc_step: int | None
+    ipoc_jumps: int
+    delay: int | None
+    delay_growth: int
+    decimals: int | None
+    opened_with_ipoc_only: bool
+    elements: tuple[str, ...]
+    peers: dict[str, int]
+    reply: Spread | None
+    guess: str
+    problems: tuple[str, ...]
+
+
+class WireStatistics:
+    """Collects what a KRC sends, one datagram at a time.
+
+    Args:
+        expected: elements that the KRC's file lists in SEND, as `AIPos.A1`; None if there is no file to compare with.
+        cycle_s: the cell's cycle; None if there is no cell.
+    """
+
+    def __init__(self, expected: tuple[str, ...] | None = None, cycle_s: float | None = None) -> None:
+        self._expected = expected
+        self._cycle_s = cycle_s
+        self._intervals: deque[float] = deque(maxlen=KEPT)
+        self._replies: deque[float] = deque(maxlen=KEPT)
+        self._steps: Counter[int] = Counter()
+        self._peers: Counter[str] = Counter()
+        self._telegrams = self._garbled = 0
+        self._first_s = self._last_s = 0.0
+        self._last: Seen | None = None
+        self._full: Seen | None = None
+        self._delays: tuple[int, int] | None = None
+        self._decimals: int | None = None
+        self._opened_with_ipoc_only = False
+
+    @property
+    def telegrams(self) -> int:
+        """Telegrams so far."""
+        return self._telegrams
+
+    def saw(self, time_s: float, datagram: bytes, peer: str) -> None:
+        """A datagram came from `peer` at `time_s`, on any clock that only goes forward."""
+        if peer in self._peers or len(self._peers) < MOST_PEERS:
+            self._peers[peer] += 1
+        if (seen := look_at(datagram)) is None:
+            self._garbled += 1
+            return
+        if self._last is None:
+            self._first_s = time_s
+            self._opened_with_ipoc_only = not seen.elements
+        else:
+            self._intervals.append(time_s - self._last_s)
+            step = (seen.ipoc - self._last.ipoc + _RING // 2) % _RING - _RING // 2
+            self._steps[step if step in self._steps or len(self._steps) < MOST_STEPS else 0] += 1
+        self._telegrams += 1
+        self._last, self._last_s = seen, time_s
+        if seen.elements:
+            self._full = seen
+        if seen.delay is not None:
+            self._delays = (self._delays[0] if self._delays else seen.delay, seen.delay)
+        if seen.decimals is not None:
+            self._decimals = max(self._decimals or 0, seen.decimals)
+
+    def replied(self, after_s: float) -> None:
+        """The last telegram was answered so long after it came."""
+        self._replies.append(after_s)
+
+    def summary(self) -> Summary:
+        """What was seen so far."""
+        cycle = spread(self._intervals)
+        step, usual = self._steps.most_common(1)[0] if self._steps else (None, 0)
+        passed_s = self._last_s - self._first_s
+        first, last = self._delays or (0, None)
+        return Summary(
+            telegrams=self._telegrams,
+            garbled=self._garbled,
+            rate_hz=(self._telegrams - 1) / passed_s if passed_s > 0 else None,
+            cycle=cycle,
+            late=sum(interval > _LATE * cycle.median_s for interval in self._intervals) if cycle else 0,
+            ipoc_step=step,
+            ipoc_jumps=self._steps.total() - usual,
+            delay=last,
+            delay_growth=(last or first) - first,
+            decimals=self._decimals,
+            opened_with_ipoc_only=self._opened_with_ipoc_only,
+            elements=self._full.elements if self._full else (),
+            peers=dict(self._peers),
+            reply=spread(self._replies),
+            guess=_guess(cycle, step, self._opened_with_ipoc_only),
+            problems=tuple(self._problems(cycle, self._steps.total() - usual)),
+        )
+
+    def _problems(self, cycle: Spread | None, jumps: int) -> list[str]:
+        problems = []
+        if len(self._peers) > 1:
+            problems.append(
+                f"{len(self._peers)} senders ({', '.join(self._peers)}): a second KRC, or a test program that was left "
+                "running; give each robot a port of its own"
+            )
+        if self._garbled:
+            problems.append(f"{self._garbled} datagrams are no telegrams of a KRC: who else sends here?")
+        if jumps:
+            problems.append(
+                f"IPOC jumped {jumps} times: telegrams are lost on the way, or RSI was started again"
+            )
+        if self._decimals == 1:
+            problems.append(
+                "positions have one decimal, a tenth of a degree: set Precision of the ETHERNET object to 4"
+            )
+        if cycle and self._cycle_s and not 0.8 < cycle.median_s / self._cycle_s < 1.25:
+            problems.append(
+                f"the cycle is {cycle.median_s * 1e3:.2f} ms, the cell's {self._cycle_s * 1e3:g} ms: correct "
+                "cycle_s, or the option of RSI_ON (#IPO_FAST 4 ms, #IPO 12 ms)"
+            )
+        if self._expected is not None and self._full is not None:
+            came = self._full.elements
+            missing = [name for name in self._expected if name not in came]
+            extra = [name for name in came if name not in self._expected]
+            if missing:
+                problems.append(
+                    f"does not send {', '.join(missing)}, which the cell's file lists in SEND: load the same file"
+                )
+            if extra:
+                problems.append(
+                    f"sends {', '.join(extra)}, which the cell's file does not list in SEND: load the same file"
+                )
+            if not missing and not extra and came != self._expected:
+                problems.append(
+                    "sends its elements in another order than the cell's file: load the same file"
+                )
+        return problems
+
+
+def spread(times: deque[float]) -> Spread | None:
+    """Median, p99 and longest of some times; None if there are none."""
+    if not times:
+        return None
+    values = np.array(times)
+    return Spread(float(np.median(values)), float(np.percentile(values, 99)), float(values.max()))
+
+
+def _guess(cycle: Spread | None, step: int | None, ipoc_only: bool) -> str:
+    if cycle is None:
+        return "too few telegrams to say"
+    milliseconds = cycle.median_s * 1e3
+    kind = (
+        "a KR C4 or later with RSI_ON(…, #IPO_FAST)" if milliseconds < 8 else "a KR C2, or a KR C4 with #IPO"
+    )
+    if ipoc_only:
+        kind = "a KR C2, which opens with a telegram of its IPOC alone"
+    nominal = 4 if milliseconds < 8 else 12
+    unit = {1: "cycles", nominal: "ms"}.get(step or 0, "neither cycles nor ms")
+    return f"{kind}; {milliseconds:.2f} ms a cycle; IPOC counts {unit}"

@@ -1,0 +1,158 @@
+"""Whether a KRC's context and KRL program do with corrections what the Robot Server relies on.
+
+The `*_ethernet.xml` says what is on the wire; the context says which axis a correction moves, and the program whether
+it is an offset from the start (absolute) or an increment in every cycle (relative).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from deltaq_protocol.rsi.context import RsiContext, RsiObject
+from deltaq_protocol.rsi.errors import EthernetConfigError
+from deltaq_protocol.rsi.ethernet_xml import EthernetConfig
+from deltaq_protocol.rsi.judge import Finding, Station
+from deltaq_protocol.rsi.layout import correction_fields
+
+END_OF_MOTION = "4"
+"""Mode of the object STOP that ends RSI_MOVECORR."""
+
+RELATIVE_LATE = (
+    "corrections are relative: a lost reply would repeat or lose an increment, and the offsets that the Robot Server "
+    "sends would run away"
+)
+
+
+def judge_context(context: RsiContext, config: EthernetConfig, station: Station) -> tuple[Finding, ...]:
+    """Judge a context by the `*_ethernet.xml` that it loads and what the cell says.
+
+    Args:
+        context: what the KRC has loaded.
+        config: the file that its ETHERNET object names.
+        station: what the cell says.
+
+    Returns:
+        What is wrong; empty if nothing is.
+    """
+    if (ethernet := context.ethernet(config.source)) is None:
+        return ()
+    return (*_precision(context, ethernet), *_links(context, ethernet, config, station))
+
+
+def _precision(context: RsiContext, ethernet: RsiObject) -> Iterator[Finding]:
+    written = ethernet.parameters.get("Precision")
+    if written is None or written.strip() == "1":
+        found = "is not set, so positions come" if written is None else "is 1: positions come"
+        yield Finding(
+            "warning",
+            f"{ethernet.name}/Precision",
+            f"{found} with one decimal, a tenth of a degree; write 4",
+            written,
+            4,
+            source=context.source,
+        )
+
+
+def _links(
+    context: RsiContext, ethernet: RsiObject, config: EthernetConfig, station: Station
+) -> Iterator[Finding]:
+    try:
+        fields = correction_fields(config, station.axes)
+    except EthernetConfigError:
+        return  # told of the file itself
+    for axis in station.axes.axes:
+        kind = "AXISCORR" if axis[0] == "A" else "AXISCORREXT"
+        first = 1 if axis[0] == "A" else context.first_external_input
+        number = first + int(axis[1]) - 1
+        links = [thing.inputs[number] for thing in context.of_kind(kind) if number in thing.inputs]
+        channel = fields[axis].element.channel
+        if links != [(ethernet.name, channel)]:
+            linked = " and ".join(f"output {output} of {name}" for name, output in links) or "nothing"
+            yield Finding(
+                "error",
+                f"{kind}/Corr{axis}",
+                f"is linked to {linked}, but {fields[axis].element.tag} is output {channel} of {ethernet.name}: a "
+                "correction would move another axis, or none; link it there",
+                linked,
+                channel,
+                source=context.source,
+            )
+    if (stop := next((e for e in config.receive if e.tag == station.stop), None)) is not None:
+        wired = [
+            thing
+            for thing in context.of_kind("STOP")
+            if (ethernet.name, stop.channel) in thing.inputs.values()
+            and thing.parameters.get("Mode") == END_OF_MOTION
+        ]
+        if not wired:
+            yield Finding(
+                "error",
+                f"STOP/{stop.tag}",
+                f"output {stop.channel} of {ethernet.name} leads to no STOP object with Mode {END_OF_MOTION}: the PC "
+                "could not end the motion; link it to one",
+                None,
+                END_OF_MOTION,
+                ("stop",),
+                context.source,
+            )
+
+
+def judge_program(text: str, source: str) -> tuple[Finding, ...]:
+    """Judge a KRL program by how it starts RSI; `source` is its name in messages.
+
+    Returns:
+        An error where corrections are relative, a warning where the program does not say; empty for a program that
+        does not start RSI.
+    """
+    code = re.sub(r";[^\n]*", "", text)
+    return tuple(_rsi_on(code, source)) + tuple(_axis_correction(code, source))
+
+
+def _rsi_on(code: str, source: str) -> Iterator[Finding]:
+    for call in re.finditer(r"(?i)\bRSI_ON\s*\(([^)]*)\)", code):
+        arguments = call[1].upper()
+        if "#RELATIVE" in arguments:
+            yield Finding(
+                "error",
+                "RSI_ON",
+                f"{RELATIVE_LATE}; write RSI_ON(#ABSOLUTE, …)",
+                call[0],
+                "#ABSOLUTE",
+                source=source,
+            )
+        elif "#ABSOLUTE" not in arguments:
+            yield Finding(
+                "warning",
+                "RSI_ON",
+                "does not say whether corrections are absolute; write RSI_ON(#ABSOLUTE, …)",
+                call[0],
+                "#ABSOLUTE",
+                source=source,
+            )
+
+
+def _axis_correction(code: str, source: str) -> Iterator[Finding]:
+    for created in re.finditer(r"(?i)\bST_AXISCORR\s*\(\s*(\w+)", code):
+        mode = re.search(rf"(?i)\bST_SETPARAM\s*\(\s*{created[1]}\s*,\s*1\s*,\s*([^)\s]+)\s*\)", code)
+        if mode is not None and mode[1] == "0":
+            continue
+        if mode is not None and mode[1] == "1":
+            yield Finding(
+                "error",
+                "ST_AXISCORR",
+                f"{RELATIVE_LATE}; write ST_SETPARAM({created[1]}, 1, 0)",
+                1,
+                0,
+                source=source,
+            )
+        else:
+            yield Finding(
+                "warning",
+                "ST_AXISCORR",
+                f"its mode is not set, or by something that cannot be read here; write ST_SETPARAM({created[1]}, 1, 0) "
+                "for absolute corrections",
+                None if mode is None else mode[1],
+                0,
+                source=source,
+            )
