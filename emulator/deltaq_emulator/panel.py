@@ -3,7 +3,9 @@
 | request | what |
 | --- | --- |
 | `{"op": "status"}` | nothing but the answer, which every request gets |
-| `{"op": "acknowledge"}`, `{"op": "restart"}`, `{"op": "stop"}` | what the pendant's keys do |
+| `{"op": "acknowledge"}`, `{"op": "confirm"}`, `{"op": "stop"}` | what the pendant's keys do |
+| `{"op": "restart"}` | start the program again |
+| `{"op": "restart", "correction": "relative"}` | start one that calls RSI_ON(#RELATIVE), or `"absolute"` |
 | `{"op": "mode", "mode": "T1"}` | T1, T2 or AUT |
 | `{"op": "drives", "on": false}` | switch the drives |
 | `{"op": "input", "name": "gripper_closed", "value": true}` | set a digital input |
@@ -27,10 +29,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from deltaq_emulator.drives import REST_TOLERANCE
 from deltaq_emulator.faults import FaultyLink, LinkFaults
-from deltaq_emulator.krc import REST_TOLERANCE, Krc
+from deltaq_emulator.krc import Krc
 from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.settings import Mode
+from deltaq_emulator.settings import Correction, Mode
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError
 
@@ -44,7 +47,12 @@ class _Request(BaseModel):
 
 
 class _Simple(_Request):
-    op: Literal["status", "acknowledge", "restart", "stop"]
+    op: Literal["status", "acknowledge", "confirm", "stop"]
+
+
+class _Restart(_Request):
+    op: Literal["restart"]
+    correction: Correction | None = None
 
 
 class _SetMode(_Request):
@@ -95,7 +103,7 @@ class _Awaiting:
 
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[
-        _Simple | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
+        _Simple | _Restart | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
         Field(discriminator="op"),
     ]
 )
@@ -162,6 +170,7 @@ class Panel:
             "robot": self._robot,
             "state": self._krc.state,
             "mode": self._krc.mode,
+            "correction": self._krc.correction,
             "message": None if self._krc.message is None else str(self._krc.message),
             "text": self._krc.text,
             "cycle": sample.cycle,
@@ -213,8 +222,10 @@ class Panel:
         match request:
             case _Simple(op="acknowledge"):
                 self._krc.acknowledge()
-            case _Simple(op="restart"):
-                self._krc.restart()
+            case _Simple(op="confirm"):
+                self._krc.confirm()
+            case _Restart():
+                self._krc.restart(request.correction)
             case _Simple(op="stop"):
                 self._krc.stop()
             case _SetMode():
