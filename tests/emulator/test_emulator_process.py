@@ -179,6 +179,7 @@ def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
         (["--cell", "lab", "--robot", "xr"], "cell 'lab' has no robot 'xr'; it has fr, gr"),
         (["--cell", "lap", "--robot", "fr"], "did you mean 'lab'?"),
         (["--cell", "lab", "--robot", "fr", "--settings", "none.yaml"], "none.yaml: cannot be read"),
+        (["--cell", "lab", "--robot", "fr", "--context", "none.rsi.xml"], "none.rsi.xml: cannot be read"),
         (["--cell", "lab", "--robot", "fr", "--server", "here"], "'here' is not HOST:PORT"),
     ],
 )

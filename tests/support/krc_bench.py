@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from deltaq_cell.description import JointDescription, RobotDescription, RsiDriver, ServoLag
+from deltaq_emulator.context import NOTHING, Context
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import PROFILES
 from deltaq_emulator.settings import KrcSettings
@@ -93,6 +94,7 @@ class Bench:
         cycle_s: float = CYCLE_S,
         q_start: np.ndarray | None = None,
         driver: Mapping[str, Any] = MappingProxyType({}),
+        context: Context = NOTHING,
         **settings: Any,
     ) -> None:
         self.config = make_config(joints, hold_on)
@@ -100,6 +102,7 @@ class Bench:
         self.profile = PROFILES[krc]
         axes = AxisMap.of(self.robot.joint_names, self.robot.units, self.profile.name)
         self.pc = SensorCodec(self.config, axes, self.robot.driver.inputs, self.robot.driver.outputs)
+        krc_settings = context.settings(KrcSettings(**(WIDE_OPEN | settings)))
         self.krc = Krc(
             self.robot,
             cycle_s,
@@ -107,7 +110,8 @@ class Bench:
             self.profile,
             np.zeros(len(joints)) if q_start is None else q_start,
             forward,
-            KrcSettings(**(WIDE_OPEN | settings)),
+            krc_settings,
+            limits=context.limits(axes, krc_settings),
         )
         self.n = len(joints)
 
