@@ -207,7 +207,7 @@ def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_ow
     )
     assert f">{driver.port}<" in ours.read_text()
     text = cell.read_text().replace(
-        f"driver: {{port: {driver.port},", f"driver: {{ethernet_xml: {ours}, krc: krc4, port: {driver.port},"
+        f"driver: {{port: {driver.port},", f"driver: {{ethernet_xml: {ours}, krc: krc4, stop: null, port: {driver.port},"
     )
     cell.write_text(text)
     with running(cell, "fr") as emulated:
