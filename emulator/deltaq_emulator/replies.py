@@ -11,6 +11,8 @@ from deltaq_protocol.rsi import KrcCodec, SensorTelegram, TelegramError
 
 HISTORY = 256
 """Telegrams that a reply can still be recognised as late or double for."""
+MAX_EXCUSED = 100
+"""Cycles in a row for which a missing reply may be excused; a PC that is silent for longer is late."""
 _RING = 2**32
 
 
@@ -67,6 +69,7 @@ class ReplyJudge:
         self._current: int | None = None
         self._accepted: SensorTelegram | None = None
         self._anything_came = False
+        self._excused = 0
         self._counting = self._count_from == "start"
         self._budget.begin_session()
         self.delay = 0
@@ -120,17 +123,21 @@ class ReplyJudge:
 
         Args:
             excused: the controller itself was held up, so that a missing reply is not the PC's fault: it counts in
-                the element Delay and not against the budget.
+                the element Delay and not against the budget, `MAX_EXCUSED` times in a row.
         """
         reply, self._accepted = self._accepted, None
         came, self._anything_came = self._anything_came, False
-        if reply is None:
+        if reply is not None:
+            self._counting = True
+            self._excused = 0
+        else:
             self.counts[Reply.UNANSWERED] += 1
             self.counts[Reply.MISSING] += not came
-            self.counts[Reply.EXCUSED] += excused
             self.delay += 1
-        else:
-            self._counting = True
-        if self._counting and not (reply is None and excused):
+            if excused and self._excused < MAX_EXCUSED:
+                self.counts[Reply.EXCUSED] += 1
+                self._excused += 1
+                return None
+        if self._counting:
             self._budget.cycle(late=reply is None)
         return reply

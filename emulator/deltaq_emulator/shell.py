@@ -2,7 +2,7 @@
 
 The loop keeps absolute deadlines: it sends each cycle whatever came back, as a real controller does. Where the machine
 holds it up for longer than a cycle the emulated time stands still instead of catching up in a burst, and the
-slip is counted.
+slip is counted. A reply that is missing beside a cycle that this process itself began late is not held against the PC.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from deltaq_protocol.errors import DeltaqError
 MAX_READ = 64
 """Datagrams read in one go, so that a flood cannot hold up the cycle."""
 MAX_DATAGRAM = 65535
+LATE_START = 0.25
+"""A cycle that begins later than this share of a cycle has been held up by the machine."""
 
 Address = tuple[str, int]
 
@@ -50,8 +52,9 @@ class Emulator:
         self._krc = krc
         self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
         self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q))
-        self.counts = {"slipped": 0, "send_errors": 0}
-        """Cycles that the machine held up, and telegrams that could not be sent."""
+        self.counts = {"slipped": 0, "late_starts": 0, "latest_start_us": 0, "send_errors": 0}
+        """Cycles that were lost because the machine held this process up; cycles that began late, and how late the
+        latest of them [µs]; telegrams that could not be sent."""
         self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, lambda: self.counts)
         self._sent_at = 0.0
         self._link = _udp_socket()
@@ -79,14 +82,18 @@ class Emulator:
     def run(self, stopping: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
         """Send and receive until `stopping()`; `ready` is called once, when the first cycle has begun."""
         deadline, slipped_s = time.monotonic(), 0.0
-        first = True
+        first, held_up = True, False
         while not stopping():
             now = time.monotonic()
-            if now - deadline > self._krc.cycle_s:
-                slipped_s += now - deadline
+            late_s = now - deadline
+            if late_s > self._krc.cycle_s:
+                slipped_s += late_s
                 self.counts["slipped"] = int(slipped_s / self._krc.cycle_s)
                 deadline = now
-            telegram = self._krc.tick()
+            held_up_before, held_up = held_up, late_s > LATE_START * self._krc.cycle_s
+            self._count_start(late_s, held_up)
+            # begun late itself, or held up while the PC's reply was to come
+            telegram = self._krc.tick(excused=held_up_before or held_up)
             self._sent_at = now
             if telegram is not None:
                 self._to_pc.put(now, telegram)
@@ -98,6 +105,10 @@ class Emulator:
                 ready()
             deadline += self._krc.cycle_s
             self._receive_until(deadline)
+
+    def _count_start(self, late_s: float, held_up: bool) -> None:
+        self.counts["late_starts"] += held_up
+        self.counts["latest_start_us"] = max(self.counts["latest_start_us"], round(late_s * 1e6))
 
     def _receive_until(self, deadline: float) -> None:
         sockets = [self._link] if self._panel_socket is None else [self._link, self._panel_socket]

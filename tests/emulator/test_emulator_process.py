@@ -87,6 +87,16 @@ def pc(emulated: Emulated) -> Iterator[socket.socket]:
         yield sock
 
 
+def silent(sock: socket.socket) -> bool:
+    """Whether nothing more comes within the socket's timeout, apart from what is under way."""
+    try:
+        for _ in range(1000):
+            sock.recv(4096)
+    except TimeoutError:
+        return True
+    return False
+
+
 @pytest.mark.parametrize("replies", ["none", "garbage"])
 def test_telegrams_go_out_at_the_fixed_rate_whatever_comes_back(tmp_path: Path, replies: str) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
@@ -154,6 +164,20 @@ def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again
             ipoc = emulated.codec.decode(sock.recv(4096)).ipoc
 
 
+def test_a_stall_of_the_machine_is_told_apart_from_a_late_pc(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
+        datagram, krc = sock.recvfrom(4096)
+        sock.sendto(emulated.codec.encode(emulated.codec.decode(datagram).ipoc, np.zeros(6)), krc)
+        emulated.process.send_signal(signal.SIGSTOP)
+        sock.settimeout(0.5)
+        assert silent(sock)
+        emulated.process.send_signal(signal.SIGCONT)
+        counters = emulated.until(cycles=1)["counters"]
+        assert counters["slipped"] >= 0.4 / 0.004
+        assert counters["late_starts"] >= 1
+        assert counters["latest_start_us"] >= 400_000
+
+
 def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> None:
     with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
         sock.recv(4096)
@@ -207,7 +231,8 @@ def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_ow
     )
     assert f">{driver.port}<" in ours.read_text()
     text = cell.read_text().replace(
-        f"driver: {{port: {driver.port},", f"driver: {{ethernet_xml: {ours}, krc: krc4, stop: null, port: {driver.port},"
+        f"driver: {{port: {driver.port},",
+        f"driver: {{ethernet_xml: {ours}, krc: krc4, stop: null, port: {driver.port},",
     )
     cell.write_text(text)
     with running(cell, "fr") as emulated:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from krc_bench import Bench
 
-from deltaq_emulator.replies import HISTORY
+from deltaq_emulator.replies import HISTORY, MAX_EXCUSED
 from deltaq_emulator.states import KrcState
 
 
@@ -197,6 +197,16 @@ def test_a_reply_that_is_missing_because_the_controller_was_held_up_does_not_cou
     assert bench.cycle().delay == 20
     bench.silent(6)
     assert bench.krc.state is KrcState.STOPPED
+
+
+def test_a_pc_that_is_silent_for_long_is_late_however_often_the_controller_is_held_up() -> None:
+    bench = Bench(late_budget=3)
+    bench.cycle()
+    silent = 1
+    while bench.krc.tick(excused=True) is not None:
+        silent += 1
+        assert silent < 1000
+    assert silent == 1 + MAX_EXCUSED + 4
 
 
 @settings(max_examples=50)
