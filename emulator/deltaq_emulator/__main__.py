@@ -53,6 +53,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--panel", type=_address, metavar="HOST:PORT", help="instead of the cell's control_port"
     )
+    parser.add_argument("--address", metavar="HOST", help="the controller's own, for a second one beside it")
     parser.add_argument("--seed", type=int, default=0, help="of injected network faults")
     return parser.parse_args(argv)
 
@@ -118,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         panel = arguments.panel
         if panel is None and driver.control_port is not None:
             panel = (driver.address, driver.control_port)
-        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed)
+        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed, arguments.address)
         try:
             if arguments.record is not None:
                 emulator.recorder.start(arguments.record)

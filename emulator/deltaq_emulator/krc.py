@@ -6,6 +6,7 @@ returns the telegram to send; `receive` takes whatever comes until the next `tic
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -14,6 +15,7 @@ from deltaq_cell.description import Array, RobotDescription, RsiDriver
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.corrections import Corrections
 from deltaq_emulator.drives import Drives
+from deltaq_emulator.faults import Forgery
 from deltaq_emulator.late_budget import LateBudget
 from deltaq_emulator.limits import CorrectionLimits
 from deltaq_emulator.monitors import Monitors
@@ -91,6 +93,7 @@ class Krc:
                 "(rad or m)"
             )
         self._drives = Drives(robot, cycle_s, q_start, self._monitors.lower, self._monitors.upper)
+        self._revolute = np.array([unit == "rad" for unit in robot.units])
         self._start = q_start.copy()
         self._tool = forward(q_start)
         self._tool_start = self._tool
@@ -197,16 +200,17 @@ class Krc:
         self._sent += 1
         if first and self._profile.ipoc_only_first:
             return self._codec.encode_ipoc_only(self._ipoc)
-        return self._codec.encode(
-            KrcReport(
-                self._ipoc,
-                self._drives.q,
-                self._start,
-                pose_from_matrix(self._tool),
-                pose_from_matrix(self._tool_start),
-                self._judge.delay,
-                self.inputs,
-            )
+        return self._codec.encode(self._report())
+
+    def _report(self) -> KrcReport:
+        return KrcReport(
+            self._ipoc,
+            self._drives.q,
+            self._start,
+            pose_from_matrix(self._tool),
+            pose_from_matrix(self._tool_start),
+            self._judge.delay,
+            self.inputs,
         )
 
     def _make_sample(self) -> Sample:
@@ -323,3 +327,15 @@ class Krc:
     def shift_ipoc(self, by: int) -> None:
         """Let the time stamp jump, forward or back."""
         self._ipoc = (self._ipoc + by) % IPOC_RANGE
+
+    def forged(self, forgery: Forgery) -> bytes:
+        """What somebody else could send who knows this cycle's telegram."""
+        report = self._report()
+        shift = math.radians(forgery.offset_deg)
+        return self._codec.encode(
+            report._replace(
+                ipoc=(report.ipoc + forgery.ipoc_shift) % IPOC_RANGE,
+                q=report.q + shift * self._revolute,
+                q_programmed=report.q_programmed + forgery.programmed_too * shift * self._revolute,
+            )
+        )

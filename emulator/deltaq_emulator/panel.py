@@ -11,6 +11,7 @@
 | `{"op": "input", "name": "gripper_closed", "value": true}` | set a digital input |
 | `{"op": "fault", "link": "from_pc", "drop": 0.1}` | faults of the network: `to_pc`, `from_pc` or `both` ways |
 | `{"op": "fault", "freeze_cycles": 20}`, `{"op": "fault", "ipoc_shift_ms": -24}` | of the controller |
+| `{"op": "fault", "forge": [{"ipoc_shift": 7000}, {"offset_deg": 1.4}]}` | others send, after each telegram, these |
 | `{"op": "fault"}` | no more faults |
 | `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
 | `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | be told once all this holds |
@@ -30,7 +31,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from deltaq_emulator.drives import REST_TOLERANCE
-from deltaq_emulator.faults import FaultyLink, LinkFaults
+from deltaq_emulator.faults import FaultyLink, Forgery, LinkFaults
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.settings import Correction, Mode
@@ -38,6 +39,8 @@ from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError
 
 MAX_REQUEST_BYTES = 4096
+MAX_FORGERIES = 16
+"""Forged telegrams a cycle."""
 MAX_AWAITED = 64
 """Requests whose answer may be awaited at one time."""
 
@@ -76,6 +79,7 @@ class _Fault(LinkFaults):
     link: Literal["to_pc", "from_pc", "both"] = "both"
     freeze_cycles: Annotated[int, Field(ge=0, le=100_000)] | None = None
     ipoc_shift_ms: Annotated[int, Field(gt=-(2**32), lt=2**32)] | None = None
+    forge: Annotated[tuple[Forgery, ...], Field(max_length=MAX_FORGERIES)] = ()
 
 
 class _Record(_Request):
@@ -135,6 +139,8 @@ class Panel:
         self._recorder = recorder
         self._shell_counts = shell_counts
         self._awaiting: list[_Awaiting] = []
+        self.forgeries: tuple[Forgery, ...] = ()
+        """What others send to the PC after each telegram."""
 
     def take(self, datagram: bytes, answer: Callable[[bytes], None]) -> None:
         """Do what a request says; whatever it is, `answer` is called once and nothing raised.
@@ -184,6 +190,7 @@ class Panel:
                 name: link.faults.model_dump() | {"counts": dict(link.counts)}
                 for name, link in self._links.items()
             },
+            "forged": [forgery.model_dump() for forgery in self.forgeries],
             "record": None if self._recorder.path is None else str(self._recorder.path),
             "record_error": self._recorder.error,
         }
@@ -247,11 +254,13 @@ class Panel:
         if fault.ipoc_shift_ms is not None:
             self._krc.shift_ipoc(fault.ipoc_shift_ms)
         of_link = fault.model_dump(include=set(LinkFaults.model_fields))
-        one_shot_only = fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms"} and not (
-            fault.model_fields_set & set(LinkFaults.model_fields)
-        )
-        if one_shot_only:
+        lasting = {*LinkFaults.model_fields, "forge"}
+        if (
+            fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms"}
+            and not fault.model_fields_set & lasting
+        ):
             return
+        self.forgeries = fault.forge
         for name, link in self._links.items():
             if fault.link in (name, "both"):
                 link.faults = LinkFaults(**of_link)

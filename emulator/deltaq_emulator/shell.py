@@ -17,6 +17,7 @@ from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.strangers import Strangers
 from deltaq_protocol.errors import DeltaqError
 
 MAX_READ = 64
@@ -41,13 +42,20 @@ class Emulator:
         server: where the Robot Server listens.
         panel: where the operator's requests are taken, or None.
         seed: of the network's faults.
+        address: of the controller itself, which telegrams come from; None: as the system chooses.
 
     Raises:
         SocketError: if an address cannot be resolved or is taken.
     """
 
     def __init__(
-        self, robot: str, krc: Krc, server: Address, panel: Address | None = None, seed: int = 0
+        self,
+        robot: str,
+        krc: Krc,
+        server: Address,
+        panel: Address | None = None,
+        seed: int = 0,
+        address: str | None = None,
     ) -> None:
         self._krc = krc
         self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
@@ -55,16 +63,20 @@ class Emulator:
         self.counts = {"slipped": 0, "late_starts": 0, "latest_start_us": 0, "send_errors": 0}
         """Cycles that were lost because the machine held this process up; cycles that began late, and how late the
         latest of them [µs]; telegrams that could not be sent."""
-        self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, lambda: self.counts)
+        self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, self._all_counts)
         self._sent_at = 0.0
         self._link = _udp_socket()
+        self._strangers = Strangers(server)
         self._panel_socket = None if panel is None else _udp_socket()
         try:
+            if address is not None:
+                self._link.bind((address, 0))
             # connected: a controller takes replies from its sensor only
             self._link.connect(server)
         except OSError as error:
             self.close()
-            raise SocketError(f"cannot send to {server[0]}:{server[1]}: {error}") from error
+            sender = "" if address is None else f"from {address} "
+            raise SocketError(f"cannot send {sender}to {server[0]}:{server[1]}: {error}") from error
         if self._panel_socket is not None and panel is not None:
             try:
                 self._panel_socket.bind(panel)
@@ -72,9 +84,13 @@ class Emulator:
                 self.close()
                 raise SocketError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
 
+    def _all_counts(self) -> dict[str, int]:
+        return self.counts | {"forgeries_lost": self._strangers.lost}
+
     def close(self) -> None:
         """Close sockets and the record."""
         self._link.close()
+        self._strangers.close()
         if self._panel_socket is not None:
             self._panel_socket.close()
         self.recorder.stop()
@@ -98,6 +114,7 @@ class Emulator:
             if telegram is not None:
                 self._to_pc.put(now, telegram)
                 self._send(now)
+                self._strangers.send(self._krc, self._panel.forgeries)
             self.recorder.row(self._krc.sample)
             self._panel.cycle_passed()
             if first:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import RSIPI
-from private_cell import write_private_cell
+from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.description import RobotDescription, RsiDriver
 from deltaq_cell.load import find_cell, load_cell, resolve_near
@@ -191,6 +191,34 @@ def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> Non
         assert emulated.ask(op="explode")["ok"] is False
 
 
+def test_others_send_to_the_pc_from_addresses_of_their_own(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
+        _, krc = sock.recvfrom(4096)
+        forge = [{"address": "127.0.0.3"}, {"ipoc_shift": 5_000_000}]
+        assert emulated.ask(op="fault", forge=forge)["ok"]
+        from_whom: dict[tuple[str, int], set[int]] = {}
+        while len(from_whom) < 3 or min(map(len, from_whom.values())) < 5:
+            datagram, sender = sock.recvfrom(4096)
+            from_whom.setdefault(sender, set()).add(emulated.codec.decode(datagram).ipoc)
+        (twin,) = (sender for sender in from_whom if sender[0] == "127.0.0.3")
+        (far,) = set(from_whom) - {krc, twin}
+        assert from_whom[twin] <= from_whom[krc]
+        assert from_whom[far] <= {(ipoc + 5_000_000) % 2**32 for ipoc in from_whom[krc]}
+        status = emulated.ask(op="fault")
+        assert (status["forged"], status["counters"]["forgeries_lost"]) == ([], 0)
+
+
+def test_a_second_controller_sends_from_an_address_of_its_own(tmp_path: Path) -> None:
+    cell = write_private_cell(tmp_path)
+    panel = f"127.0.0.1:{free_ports(1)[0]}"
+    with running(cell, "fr") as emulated, pc(emulated) as sock:
+        senders = {sock.recvfrom(4096)[1][0]}
+        with running(cell, "fr", "--address", "127.0.0.7", "--panel", panel):
+            while len(senders) < 2:
+                senders.add(sock.recvfrom(4096)[1][0])
+        assert senders == {"127.0.0.1", "127.0.0.7"}
+
+
 def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
     with running(write_private_cell(tmp_path), "fr") as emulated:
         emulated.process.send_signal(signal.SIGINT)
@@ -204,6 +232,10 @@ def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
         (["--cell", "lap", "--robot", "fr"], "did you mean 'lab'?"),
         (["--cell", "lab", "--robot", "fr", "--settings", "none.yaml"], "none.yaml: cannot be read"),
         (["--cell", "lab", "--robot", "fr", "--context", "none.rsi.xml"], "none.rsi.xml: cannot be read"),
+        (
+            ["--cell", "lab", "--robot", "fr", "--address", "192.0.2.1"],
+            "cannot send from 192.0.2.1 to 127.0.0.1:",
+        ),
         (["--cell", "lab", "--robot", "fr", "--server", "here"], "'here' is not HOST:PORT"),
     ],
 )
