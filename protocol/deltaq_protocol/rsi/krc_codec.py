@@ -28,7 +28,8 @@ from deltaq_protocol.rsi.layout import (
 MAX_TELEGRAM_BYTES = 4096
 MAX_PRECISION = 9
 
-_NUMBER = re.compile(NUMBER)
+# what C's strtod reads of it: a nought before the point may be missing
+_NUMBER = re.compile(rf"{NUMBER}|[-+]?\.[0-9]{{1,16}}(?:[eE][-+]?[0-9]{{1,2}})?")
 _STOP = "driver.stop"
 """Beside the names of outputs, and like none of them."""
 _POSE_SCALE = (MM_PER_M,) * 3 + (DEG_PER_RAD,) * 3
@@ -177,7 +178,7 @@ class KrcCodec:
         return b'<Rob Type="KUKA"><IPOC>%d</IPOC></Rob>' % ipoc
 
     def decode(self, datagram: bytes) -> SensorTelegram:
-        """Read a reply; elements may come in any order, and unknown ones are passed over.
+        """Read a reply; elements may come in any order, unknown ones are passed over, and so is the end of a C string.
 
         Raises:
             TelegramError: if it is no reply of this configuration, with what is wrong.
@@ -217,6 +218,7 @@ class KrcCodec:
     def _parse(datagram: bytes) -> ET.Element:
         if len(datagram) > MAX_TELEGRAM_BYTES:
             raise TelegramError(f"{len(datagram)} bytes long, at most {MAX_TELEGRAM_BYTES} are allowed")
+        datagram = datagram.rstrip(b"\0")
         # without declarations there are no entities to expand and no encodings to guess
         if not datagram.isascii() or b"<!" in datagram or b"<?" in datagram:
             raise TelegramError(f"only plain ASCII elements are allowed, got {datagram[:80]!r}")
