@@ -16,6 +16,7 @@ from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
 from deltaq_emulator.krc import Krc
+from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
 from deltaq_emulator.shell import Address, Emulator
@@ -126,7 +127,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             # nothing that stands now is garbage: no need to look at it again in every collection
             gc.collect()
             gc.freeze()
-            emulator.run(lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server))
+            real_time = ask_for_real_time()
+            emulator.run(
+                lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server, real_time)
+            )
         finally:
             emulator.close()
     except DeltaqError as error:
@@ -135,8 +139,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _announce(robot: str, krc: Krc, server: Address) -> None:
+def _announce(robot: str, krc: Krc, server: Address, real_time: bool) -> None:
     print(f"ready: {robot} sends to {server[0]}:{server[1]} every {krc.cycle_s * 1e3:g} ms", flush=True)
+    if not real_time:
+        print("no real-time priority: the system does not allow it to this user", flush=True)
 
 
 if __name__ == "__main__":

@@ -74,6 +74,7 @@ class KrcSettings(BaseModel):
     t1_speed_m_s: Positive = 0.25
     """Largest speed of the tool in T1."""
     mode: Mode = Mode.AUT
+    """Operating mode in which it is switched on."""
     ipoc_step: Annotated[int, Field(ge=1, le=1000)] | Literal["ms"] | None = None
     """By how much the time stamp grows in a cycle: a number, or the cycle in ms; none: as the cell's
     `driver.ipoc_step` says, or else by the cycle in ms. A KR C2 with RSI 2.3 was seen to count by 1."""
