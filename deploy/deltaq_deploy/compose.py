@@ -81,7 +81,7 @@ def _container(service: Service, cell_name: str) -> dict[str, Any]:
     }
     if Path(cell_name).is_absolute():
         container["volumes"] = [f"{cell_name}:{cell_name}:ro"]
-    if service.role in (Role.ROBOT_SERVER, Role.SIM, Role.HLI):
+    if service.role in (Role.EMULATOR, Role.ROBOT_SERVER, Role.SIM, Role.HLI):
         container["cap_add"] = ["SYS_NICE"]  # for real-time priority
     if service.needs:
         container["depends_on"] = {name: {"condition": "service_healthy"} for name in service.needs}

@@ -23,6 +23,9 @@ from deltaq_cell.load import load_cell
 from deltaq_controllers.criteria import TABLE as CRITERIA
 from deltaq_deploy.cli.app import app
 from deltaq_deploy.services import cell_services, demo_controllers, recorder
+from deltaq_emulator import states as krc_states
+from deltaq_emulator.catalogue import TEXTS
+from deltaq_emulator.settings import KrcSettings
 from deltaq_protocol import guarded, messages
 from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.reasons import EXPLANATIONS
@@ -41,6 +44,7 @@ def pages() -> dict[str, str]:
         "messages.md": _messages(),
         "reasons.md": _reasons(),
         "phases.md": _phases(),
+        "krc.md": _krc(),
         "criteria.md": _criteria(),
         "cell.md": _cell(),
         "services.md": _services(),
@@ -123,16 +127,67 @@ def _phases() -> str:
     )
 
 
-def _texts_of_members(members: type[Enum]) -> list[str]:
-    """The text that stands below each member of a table in its source."""
+def _krc() -> str:
+    states, events = list(krc_states.KrcState), list(krc_states.KrcEvent)
+    arrows = [
+        f"    s{states.index(state)} --> s{states.index(to)}: {event}"
+        for (state, event), to in krc_states.TRANSITIONS.items()
+    ]
+    names = [f"    s{number}: {state}" for number, state in enumerate(states)]
+    rows = ((f"`{state}`", f"`{event}`", f"`{to}`") for (state, event), to in krc_states.TRANSITIONS.items())
+    explained = [
+        _table((kind, "what it is"), ((f"`{each}`", text) for each, text in zip(of, texts, strict=True)))
+        for kind, of, texts in (
+            ("state", states, _texts_of_members(krc_states.KrcState)),
+            ("event", events, _texts_of_members(krc_states.KrcEvent)),
+        )
+    ]
+    settings = (
+        (f"`{name}`", f"`{_type_name(field.annotation)}`", _bounds(field), _default(field), text)
+        for (name, field), text in zip(
+            KrcSettings.model_fields.items(), _texts_of_members(KrcSettings, fields=True), strict=True
+        )
+    )
+    messages = ((f"`{code}`", text) for code, text in TEXTS.items())
+    return "\n\n".join(
+        [
+            "# The emulated KRC",
+            "[What it models, from which source, and what it does not](../explanation/the-emulator.md).",
+            "## States",
+            "\n".join(
+                [
+                    "```mermaid",
+                    "stateDiagram-v2",
+                    *names,
+                    f"    [*] --> s{states.index(states[0])}",
+                    *arrows,
+                    "```",
+                ]
+            ),
+            explained[0],
+            explained[1],
+            _table(("state", "event", "next state"), rows),
+            "## Settings",
+            "Of `python -m deltaq_emulator --settings FILE.yaml`; defaults are the maker's where they are known.",
+            _table(("setting", "type", "bounds", "default", "meaning"), settings),
+            "## Messages on the pendant",
+            "Codes that begin with KSS are the maker's numbers; the wording is not.",
+            _table(("code", "text"), messages),
+        ]
+    )
+
+
+def _texts_of_members(members: type[Enum] | type[BaseModel], fields: bool = False) -> list[str]:
+    """The text that stands below each member of a table in its source; of `fields` those without one have none."""
     body = ast.parse(inspect.getsource(members)).body[0]
     assert isinstance(body, ast.ClassDef)  # that is what it was given
-    texts = [
-        node.value.value
-        for node in body.body[1:]
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    ]
-    return [str(text) for text in texts]
+    texts: list[str] = []
+    for node in body.body[1:]:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            texts[len(texts) - fields :] = [" ".join(str(node.value.value).split())]
+        elif fields and isinstance(node, ast.AnnAssign):
+            texts.append("")
+    return texts
 
 
 def _cell() -> str:

@@ -14,12 +14,14 @@ import numpy as np
 from deltaq_cell.description import Array, RsiDriver
 from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
+from deltaq_emulator.context import NOTHING, Context, read_context
 from deltaq_emulator.krc import Krc
+from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
 from deltaq_emulator.shell import Address, Emulator
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.rsi import load_ethernet_xml
+from deltaq_protocol.rsi import AxisMap, load_ethernet_xml
 
 
 def _address(text: str) -> Address:
@@ -39,16 +41,34 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--settings", type=Path, default=SHIPPED, metavar="FILE.yaml", help="of the controller"
     )
+    parser.add_argument(
+        "--context",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="RSI context (.rsi.xml, .rsix) or KRL program (.src) whose limits count instead of the settings'; "
+        "may be given more than once",
+    )
     parser.add_argument("--server", type=_address, metavar="HOST:PORT", help="instead of the cell's driver")
     parser.add_argument(
         "--panel", type=_address, metavar="HOST:PORT", help="instead of the cell's control_port"
     )
+    parser.add_argument("--address", metavar="HOST", help="the controller's own, for a second one beside it")
     parser.add_argument("--seed", type=int, default=0, help="of injected network faults")
     return parser.parse_args(argv)
 
 
-def build(cell_name: str, robot_name: str, settings: KrcSettings) -> tuple[Krc, RsiDriver]:
+def build(
+    cell_name: str, robot_name: str, settings: KrcSettings, context: Context = NOTHING
+) -> tuple[Krc, RsiDriver]:
     """The controller of one robot of a cell, at its home, and the driver that tells where it speaks.
+
+    Args:
+        cell_name: name of a cell, or path of its file.
+        robot_name: name of the robot in it.
+        settings: of the controller.
+        context: what the files of its RSI application say, which counts more.
 
     Raises:
         DeltaqError: if the cell, its robot or a file that it names cannot be used.
@@ -72,6 +92,8 @@ def build(cell_name: str, robot_name: str, settings: KrcSettings) -> tuple[Krc, 
     def forward(q: Array) -> Array:
         return np.asarray(T_base_world @ model.forward(q))
 
+    settings = context.settings(settings)
+    axes = AxisMap.of(robot.joint_names, robot.units, robot.driver.krc)
     krc = Krc(
         robot,
         cell.cycle_s,
@@ -80,6 +102,7 @@ def build(cell_name: str, robot_name: str, settings: KrcSettings) -> tuple[Krc, 
         robot.home,
         forward,
         settings,
+        limits=context.limits(axes, settings),
     )
     return krc, robot.driver
 
@@ -91,19 +114,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda received, _frame: stop_signals.append(received))
     try:
-        krc, driver = build(arguments.cell, arguments.robot, KrcSettings.load(arguments.settings))
+        settings, context = KrcSettings.load(arguments.settings), read_context(arguments.context)
+        krc, driver = build(arguments.cell, arguments.robot, settings, context)
         server = arguments.server or (driver.address, driver.port)
         panel = arguments.panel
         if panel is None and driver.control_port is not None:
             panel = (driver.address, driver.control_port)
-        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed)
+        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed, arguments.address)
         try:
             if arguments.record is not None:
                 emulator.recorder.start(arguments.record)
             # nothing that stands now is garbage: no need to look at it again in every collection
             gc.collect()
             gc.freeze()
-            emulator.run(lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server))
+            real_time = ask_for_real_time()
+            emulator.run(
+                lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server, real_time)
+            )
         finally:
             emulator.close()
     except DeltaqError as error:
@@ -112,8 +139,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _announce(robot: str, krc: Krc, server: Address) -> None:
+def _announce(robot: str, krc: Krc, server: Address, real_time: bool) -> None:
     print(f"ready: {robot} sends to {server[0]}:{server[1]} every {krc.cycle_s * 1e3:g} ms", flush=True)
+    if not real_time:
+        print("no real-time priority: the system does not allow it to this user", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ class Code(StrEnum):
 
     CORRECTION_MONITOR = "KSS29000"
     LATE_PACKETS = "KSS29002"
+    LATE_SHARE = "late_share"
     SOFTWARE_LIMIT = "software_limit"
     GEAR_TORQUE = "gear_torque"
     KINETIC_ENERGY = "kinetic_energy"
@@ -18,11 +19,14 @@ class Code(StrEnum):
     DRIVES_OFF = "drives_off"
     MODE_CHANGED = "mode_changed"
     OPERATOR_STOP = "operator_stop"
+    CONFIRM_MOTION = "confirm_motion"
+    MOTION_ENDED = "motion_ended"
 
 
 TEXTS: dict[Code, str] = {
     Code.CORRECTION_MONITOR: "RSI: correction of {axis} is {value:.3f} {unit}, more than the monitored {bound:g}",
     Code.LATE_PACKETS: "RSI: {value:.0f} cycles without a valid reply, {bound:.0f} are permitted",
+    Code.LATE_SHARE: "RSI: {value:.1f} % of the last 1000 telegrams without a valid reply, {bound:g} % are permitted",
     Code.SOFTWARE_LIMIT: "Software limit switch {axis}: {value:.3f} {unit} asked for, the limit is {bound:.3f}",
     Code.GEAR_TORQUE: "Command gear torque {axis}: {value:.2f} {unit}/s^2 asked for, {bound:.2f} is possible",
     Code.KINETIC_ENERGY: "Maximum kinetic energy exceeded {axis}: {value:.2f} {unit}/s, allowed is {bound:.2f}",
@@ -30,12 +34,14 @@ TEXTS: dict[Code, str] = {
     Code.DRIVES_OFF: "Drives switched off by the operator",
     Code.MODE_CHANGED: "Operating mode changed to {axis}",
     Code.OPERATOR_STOP: "Program stopped by the operator",
+    Code.CONFIRM_MOTION: "Sensor corrections will move the robot: confirm",
+    Code.MOTION_ENDED: "RSI_MOVECORR was ended by the signal {axis}",
 }
 
 
 @dataclass(frozen=True)
 class KrcMessage:
-    """A message with its circumstances; `axis` is e.g. `A3`, values are in deg or mm for people."""
+    """A message with its circumstances; `axis` is e.g. `A3`, or a signal's TAG; values are in deg or mm for people."""
 
     code: Code
     axis: str = ""

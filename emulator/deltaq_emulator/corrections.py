@@ -8,50 +8,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from deltaq_cell.description import Array
-from deltaq_emulator.settings import KrcSettings
-from deltaq_protocol.rsi import AxisMap, KrcCodec, SensorTelegram
-
-
-def in_units(axes: AxisMap, degrees: float, millimetres: float) -> Array:
-    """(n,) bounds [rad or m] that are given for rotating axes in degrees and for linear ones in mm."""
-    return np.array([degrees if unit == "rad" else millimetres for unit in axes.units]) / axes.commanded
+from deltaq_emulator.limits import CorrectionLimits
+from deltaq_emulator.settings import Correction
+from deltaq_protocol.rsi import KrcCodec, SensorTelegram
 
 
 class Corrections:
-    """The correction object of the controller (AXISCORR and AXISCORREXT)."""
+    """The correction object of the controller (AXISCORR and AXISCORREXT), and the signals that come with it.
 
-    def __init__(self, codec: KrcCodec, axes: AxisMap, settings: KrcSettings) -> None:
+    Args:
+        codec: knows HOLDON of every element.
+        limits: where the total correction is cut off.
+    """
+
+    def __init__(self, codec: KrcCodec, limits: CorrectionLimits) -> None:
         self._hold_on = codec.hold_on
         self._output_hold_on = codec.output_hold_on
-        self._relative = settings.correction == "relative"
-        self._limit = in_units(axes, settings.correction_limit_deg, settings.correction_limit_mm)
+        self._stop_hold_on = codec.stop_hold_on
+        self._limits = limits
         self.outputs: dict[str, bool] = dict.fromkeys(codec.output_hold_on, False)
         """Digital outputs as they are."""
         self.clamped = 0
         """Cycles in which a correction was cut off at its limit."""
-        self.reset()
+        self.begin_session("absolute")
 
-    def reset(self) -> None:
-        """Begin a session: no correction."""
+    def begin_session(self, mode: Correction) -> None:
+        """Start from no correction."""
+        self._relative = mode == "relative"
         self._value = np.zeros(len(self._hold_on))
         self.total = np.zeros(len(self._hold_on))
         """(n,) sum of all corrections of this session [rad or m]."""
+        self._stop = False
+        self.stop_rose = False
+        """The signal that ends the motion came up in the last cycle."""
 
-    def apply(self, reply: SensorTelegram | None) -> Array:
-        """Take the reply of a cycle, or that there was none; returns the total correction."""
+    def take(self, reply: SensorTelegram | None) -> None:
+        """Take the reply of a cycle, or that there was none."""
         held = np.where(self._hold_on, self._value, 0.0)
         self._value = held if reply is None else np.where(reply.present, reply.correction, held)
-        asked = self.total + self._value if self._relative else self._value
-        self.total = np.clip(asked, -self._limit, self._limit)
-        self.clamped += bool((self.total != asked).any())
-        self._set_outputs({} if reply is None else reply.outputs)
-        return self.total
-
-    def _set_outputs(self, received: Mapping[str, bool]) -> None:
+        received = {} if reply is None else reply.outputs
         for name, hold_on in self._output_hold_on.items():
             self.outputs[name] = received.get(name, self.outputs[name] if hold_on else False)
+        before = self._stop
+        told = None if reply is None else reply.stop
+        self._stop = (before and self._stop_hold_on) if told is None else told
+        self.stop_rose = self._stop and not before
+
+    def move(self) -> Array:
+        """One cycle of RSI_MOVECORR: returns the (n,) total correction [rad or m]."""
+        asked = self.total + self._value if self._relative else self._value
+        self.total = np.clip(asked, self._limits.lower, self._limits.upper)
+        self.clamped += bool((self.total != asked).any())
+        return self.total

@@ -27,10 +27,33 @@ class LinkFaults(BaseModel):
     """Share that is overtaken by the next one."""
     corrupt: Probability = 0.0
     """Share that has bytes changed, or its end cut off."""
+    flip: Probability = 0.0
+    """Share in which one digit becomes another: a telegram that reads well and says something else."""
+    truncate: Probability = 0.0
+    """Share that has its end cut off."""
     delay_s: Seconds = 0.0
     """How long each one takes."""
     jitter_s: Seconds = 0.0
     """How much longer each one takes at most, evenly distributed."""
+
+
+class Forgery(BaseModel):
+    """A telegram that somebody else sends to the PC right after the controller's own, from a socket of his own.
+
+    With nothing but an address it is the same telegram from a second sender; with a shift of the IPOC it is a second
+    controller, or the beginning of a new session.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    address: Annotated[str, Field(pattern=r"^127(\.[0-9]{1,3}){3}$")] = "127.0.0.1"
+    """Where it is sent from; only addresses of the loopback, on a port that the system chooses."""
+    ipoc_shift: Annotated[int, Field(gt=-(2**32), lt=2**32)] = 0
+    """By how much its IPOC is off."""
+    offset_deg: Annotated[float, Field(ge=-3600, le=3600)] = 0.0
+    """By how much every rotating axis is off in it."""
+    programmed_too: bool = False
+    """Whether the programmed position (ASPos) is off as well."""
 
 
 class FaultyLink:
@@ -46,7 +69,8 @@ class FaultyLink:
 
     def __init__(self, seed: int = 0) -> None:
         self.faults = LinkFaults()
-        self.counts = dict.fromkeys(("passed", "dropped", "duplicated", "reordered", "corrupted"), 0)
+        kinds = ("passed", "dropped", "duplicated", "reordered", "corrupted", "flipped", "truncated")
+        self.counts = dict.fromkeys(kinds, 0)
         self._random = random.Random(seed)
         self._queue: list[tuple[float, int, bytes]] = []
         self._number = 0
@@ -61,6 +85,13 @@ class FaultyLink:
         if draw() < faults.corrupt:
             datagram = self._damaged(datagram)
             self.counts["corrupted"] += 1
+        # nothing is drawn for what is not asked for, so that the runs of a seed stay what they were
+        if faults.flip and draw() < faults.flip:
+            datagram = self._with_another_digit(datagram)
+            self.counts["flipped"] += 1
+        if faults.truncate and draw() < faults.truncate:
+            datagram = datagram[: self._random.randrange(len(datagram) or 1)]
+            self.counts["truncated"] += 1
         due_s = now_s + faults.delay_s + draw() * faults.jitter_s
         if draw() < faults.reorder:
             self._overtaken.append((due_s, datagram))
@@ -91,6 +122,14 @@ class FaultyLink:
         # the number keeps the order of datagrams that are due at the same time
         heapq.heappush(self._queue, (due_s, self._number, datagram))
         self._number += 1
+
+    def _with_another_digit(self, datagram: bytes) -> bytes:
+        places = [place for place, byte in enumerate(datagram) if 0x30 <= byte <= 0x39]
+        if not places:
+            return datagram
+        place = self._random.choice(places)
+        other = (datagram[place] - 0x30 + self._random.randint(1, 9)) % 10
+        return datagram[:place] + b"%d" % other + datagram[place + 1 :]
 
     def _damaged(self, datagram: bytes) -> bytes:
         if not datagram:

@@ -6,49 +6,30 @@ returns the telegram to send; `receive` takes whatever comes until the next `tic
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from deltaq_cell.description import Array, RobotDescription, RsiDriver
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.corrections import Corrections
+from deltaq_emulator.drives import Drives
+from deltaq_emulator.faults import Forgery
+from deltaq_emulator.late_budget import LateBudget
+from deltaq_emulator.limits import CorrectionLimits
 from deltaq_emulator.monitors import Monitors
 from deltaq_emulator.profiles import Profile
 from deltaq_emulator.replies import ReplyJudge
-from deltaq_emulator.servo import Servo
-from deltaq_emulator.settings import KrcSettings, Mode, SettingsError
-from deltaq_emulator.states import KrcEvent, KrcState, NotNowError, after
+from deltaq_emulator.sample import Sample
+from deltaq_emulator.settings import Correction, KrcSettings, Mode, SettingsError
+from deltaq_emulator.states import TELEGRAMS_GO_OUT, KrcEvent, KrcState, NotNowError, after
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcCodec, KrcReport
 from deltaq_protocol.rsi.pose import pose_from_matrix
 
 START_CYCLES = 10
 """How long a program needs from its start to RSI_ON, at least."""
-REST_TOLERANCE = 1e-5
-"""A robot nearer to its setpoint than this has come to rest [rad or m]."""
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One cycle of the emulated robot, for recorders and judges.
-
-    Attributes:
-        cycle: cycles since the controller was switched on.
-        q: (n,) actual joints at the beginning of the cycle [rad or m].
-        q_setpoint: (n,) where the drives are sent during the cycle, corrections included [rad or m].
-        message: what is on the pendant, if anything.
-        counters: datagrams and cycles by class, see `deltaq_emulator.replies.Reply`, and `clamped`, `sent`,
-            `delay` (the telegram's element), `late_counted` (against the budget).
-    """
-
-    cycle: int
-    ipoc: int
-    q: Array
-    q_setpoint: Array
-    state: KrcState
-    message: str | None
-    counters: Mapping[str, int]
+IPOC_RANGE = 2**32
 
 
 class Krc:
@@ -62,7 +43,8 @@ class Krc:
         q_start: (n,) where the robot stands [rad or m].
         forward: (n,) joints to the (4, 4) pose of the tool in the robot's base.
         settings: limits, budgets, operating mode.
-        start: switch the drives on and start RSI at once.
+        start: switch the drives on and start the program at once.
+        limits: of the corrections, axis by axis; those of the settings if not given.
 
     Raises:
         EthernetConfigError: if the configuration does not fit the robot.
@@ -79,34 +61,39 @@ class Krc:
         forward: Callable[[Array], Array],
         settings: KrcSettings | None = None,
         start: bool = True,
+        limits: CorrectionLimits | None = None,
     ) -> None:
         self.robot = robot
         self.cycle_s = cycle_s
         self.settings = settings or KrcSettings()
         self._profile = profile
         self._forward = forward
-        self._axes = AxisMap.of(robot.joint_names, robot.units, profile.name)
+        axes = AxisMap.of(robot.joint_names, robot.units, profile.name)
         driver = robot.driver
         assert isinstance(driver, RsiDriver)  # a robot without RSI has no controller to emulate
-        self._codec = KrcCodec(config, self._axes, driver.inputs, driver.outputs, self.settings.precision)
-        self._judge = ReplyJudge(
-            self._codec,
-            profile.reply_within * cycle_s,
-            self.settings.late_budget,
-            self.settings.late_count,
-            self.settings.count_from,
+        self._driver = driver
+        self._codec = KrcCodec(
+            config, axes, driver.inputs, driver.outputs, self.settings.precision, driver.stop
         )
-        self._corrections = Corrections(self._codec, self._axes, self.settings)
-        self._monitors = Monitors(robot, self._axes, self.settings, cycle_s)
+        self._budget = LateBudget(
+            self.settings.late_count or profile.late_count,
+            self.settings.late_budget,
+            self.settings.late_percent,
+        )
+        self._judge = ReplyJudge(
+            self._codec, profile.reply_within * cycle_s, self._budget, self.settings.count_from
+        )
+        limits = limits or CorrectionLimits.of(axes, self.settings)
+        self._corrections = Corrections(self._codec, limits)
+        self._monitors = Monitors(robot, axes, self.settings, cycle_s, limits.monitor)
         within = (self._monitors.lower <= q_start) & (q_start <= self._monitors.upper)
         if not within.all():
             raise SettingsError(
                 f"the robot cannot start at {q_start}: allowed is between {robot.lower} and {robot.upper} "
                 "(rad or m)"
             )
-        self._servo = Servo(q_start, robot.servo_lag, cycle_s)
-        self._setpoint = q_start.copy()
-        self._setpoint_step = np.zeros_like(q_start)
+        self._drives = Drives(robot, cycle_s, q_start, self._monitors.lower, self._monitors.upper)
+        self._revolute = np.array([unit == "rad" for unit in robot.units])
         self._start = q_start.copy()
         self._tool = forward(q_start)
         self._tool_start = self._tool
@@ -114,6 +101,8 @@ class Krc:
         """Digital inputs, as the operator or the emulated world sets them."""
         self.mode = self.settings.mode
         """Operating mode."""
+        self.correction: Correction = self.settings.correction
+        """What the program calls RSI_ON with."""
         self.message: KrcMessage | None = None
         """What is on the pendant."""
         self.text = ""
@@ -121,8 +110,9 @@ class Krc:
         self._state = KrcState.DRIVES_OFF
         self._cycle = 0
         self._sent = 0
-        self._step_ms = round(cycle_s * 1000)
-        self._ipoc = (self.settings.ipoc_start - self._step_ms) % 2**32
+        step = self.settings.ipoc_step or driver.ipoc_step or "ms"
+        self._ipoc_step = round(cycle_s * 1000) if step == "ms" else step
+        self._ipoc = (self.settings.ipoc_start - self._ipoc_step) % IPOC_RANGE
         self._starting: int | None = None
         self._frozen = 0
         if start:
@@ -147,22 +137,27 @@ class Krc:
 
     # --- cycles -------------------------------------------------------------------------------------------
 
-    def tick(self) -> bytes | None:
-        """Begin a cycle; returns the telegram to send, or None when RSI is not running."""
+    def tick(self, excused: bool = False) -> bytes | None:
+        """Begin a cycle; returns the telegram to send, or None when RSI is off.
+
+        Args:
+            excused: the machine held the controller itself up during the last cycle: a reply that is missing does not
+                count against the PC.
+        """
         self._cycle += 1
-        self._ipoc = (self._ipoc + self._step_ms) % 2**32
+        self._ipoc = (self._ipoc + self._ipoc_step) % IPOC_RANGE
         self._move()
         telegram = None
         if self._frozen > 0:
             self._frozen -= 1
-            self._setpoint_step = np.zeros_like(self._setpoint)
+            self._drives.stand()
         else:
-            if self._state is KrcState.RSI_RUNNING:
-                self._close_cycle()
+            if self._state in TELEGRAMS_GO_OUT:
+                self._close_cycle(excused)
             if self._state is not KrcState.RSI_RUNNING:
-                self._come_to_rest()
-                self._start_if_asked()
-            if self._state is KrcState.RSI_RUNNING:
+                self._drives.brake()
+                self._go_on()
+            if self._state in TELEGRAMS_GO_OUT:
                 telegram = self._telegram()
         self._sample = self._make_sample()
         return telegram
@@ -172,25 +167,30 @@ class Krc:
         self._judge.judge(datagram, age_s)
 
     def _move(self) -> None:
-        before, tool_before = self._servo.q, self._tool
-        self._servo.advance(self._setpoint)
-        self._tool = self._forward(self._servo.q)
+        tool_before = self._tool
+        dq = self._drives.advance()
+        self._tool = self._forward(self._drives.q)
         tool_m = float(np.linalg.norm(self._tool[:3, 3] - tool_before[:3, 3]))
-        self._fail(self._monitors.of_motion(self._servo.q - before, tool_m, self.mode))
+        self._fail(self._monitors.of_motion(dq, tool_m, self.mode))
 
-    def _close_cycle(self) -> None:
+    def _close_cycle(self, excused: bool) -> None:
         if not self._judge.waiting:
             return
-        reply = self._judge.close_cycle()
+        reply = self._judge.close_cycle(excused)
         if reply is not None and reply.text:
             self.text = reply.text
-        setpoint = self._start + self._corrections.apply(reply)
+        self._corrections.take(reply)
+        self._fail(self._budget.exceeded)
+        if self._state is not KrcState.RSI_RUNNING:
+            return
+        if self._corrections.stop_rose:
+            self._state = after(self._state, KrcEvent.END_MOTION)
+            self.message = KrcMessage(Code.MOTION_ENDED, self._driver.stop or "")
+            return
+        setpoint = self._start + self._corrections.move()
         message = self._monitors.of_setpoint(setpoint, self._corrections.total)
-        if self._judge.over_budget:
-            message = KrcMessage(Code.LATE_PACKETS, "", self._judge.late_counted, self.settings.late_budget)
         if message is None:
-            self._setpoint_step = setpoint - self._setpoint
-            self._setpoint = setpoint
+            self._drives.send_to(setpoint)
         else:
             self._fail(message)
 
@@ -200,16 +200,17 @@ class Krc:
         self._sent += 1
         if first and self._profile.ipoc_only_first:
             return self._codec.encode_ipoc_only(self._ipoc)
-        return self._codec.encode(
-            KrcReport(
-                self._ipoc,
-                self._servo.q,
-                self._start,
-                pose_from_matrix(self._tool),
-                pose_from_matrix(self._tool_start),
-                self._judge.delay,
-                self.inputs,
-            )
+        return self._codec.encode(self._report())
+
+    def _report(self) -> KrcReport:
+        return KrcReport(
+            self._ipoc,
+            self._drives.q,
+            self._start,
+            pose_from_matrix(self._tool),
+            pose_from_matrix(self._tool_start),
+            self._judge.delay,
+            self.inputs,
         )
 
     def _make_sample(self) -> Sample:
@@ -218,45 +219,43 @@ class Krc:
             "clamped": self._corrections.clamped,
             "sent": self._sent,
             "delay": self._judge.delay,
-            "late_counted": self._judge.late_counted,
+            "late_counted": self._budget.counted,
         }
         message = None if self.message is None else str(self.message)
-        return Sample(self._cycle, self._ipoc, self._servo.q, self._setpoint, self._state, message, counters)
+        return Sample(
+            self._cycle, self._ipoc, self._drives.q, self._drives.setpoint, self._state, message, counters
+        )
 
-    # --- starting and stopping ----------------------------------------------------------------------------
+    # --- the program --------------------------------------------------------------------------------------
 
     def _begin_session(self) -> None:
+        """RSI_ON, and RSI_MOVECORR behind it."""
         self._state = after(self._state, KrcEvent.START)
         self._starting = None
-        self.message = None
-        self._start = self._setpoint.copy()
-        self._setpoint_step = np.zeros_like(self._start)
+        self._drives.stand()
+        self._start = self._drives.setpoint.copy()
         self._tool_start = self._forward(self._start)
         self._judge.begin_session()
         self._monitors.begin_session(self._start)
-        self._corrections.reset()
+        self._corrections.begin_session(self.correction)
+        if self.mode is Mode.T1:
+            self.message = KrcMessage(Code.CONFIRM_MOTION)
+        else:
+            self.confirm()
 
-    def _start_if_asked(self) -> None:
-        if self._starting is None:
+    def _go_on(self) -> None:
+        """What the program does when the robot rests."""
+        if self._starting is not None:
+            self._starting = max(self._starting - 1, 0)
+        if not self._drives.at_rest:
             return
-        self._starting = max(self._starting - 1, 0)
-        at_rest = (np.abs(self._servo.q - self._setpoint) < REST_TOLERANCE).all()
-        if self._starting == 0 and at_rest and not self._setpoint_step.any():
+        if self._state is KrcState.MOTION_ENDED:
+            self._state = after(self._state, KrcEvent.END)
+        elif self._starting == 0:
             self._begin_session()
 
-    def _come_to_rest(self) -> None:
-        """Brake each axis at its own limit, as the drives do when RSI is gone."""
-        if not self._setpoint_step.any():
-            return
-        brake = self.robot.max_acceleration * self.cycle_s**2
-        speed = np.maximum(np.abs(self._setpoint_step) - brake, 0.0)
-        setpoint = self._setpoint + np.sign(self._setpoint_step) * speed
-        setpoint = np.clip(setpoint, self._monitors.lower, self._monitors.upper)
-        self._setpoint_step = setpoint - self._setpoint
-        self._setpoint = setpoint
-
     def _fail(self, message: KrcMessage | None) -> None:
-        if message is not None and self._state is KrcState.RSI_RUNNING:
+        if message is not None and self._state in TELEGRAMS_GO_OUT:
             self._state = after(self._state, KrcEvent.FAULT)
             self.message = message
 
@@ -268,7 +267,7 @@ class Krc:
 
     def set_mode(self, mode: Mode) -> None:
         """Turn the key: a running program stops."""
-        running = self._state is KrcState.RSI_RUNNING
+        running = self._state in TELEGRAMS_GO_OUT
         self._operate(KrcEvent.CHANGE_MODE, None)
         self.mode = mode
         if running:
@@ -283,15 +282,24 @@ class Krc:
         self._operate(KrcEvent.ACKNOWLEDGE, None)
         self.message = None
 
-    def restart(self) -> None:
+    def confirm(self) -> None:
+        """Confirm that corrections may move the robot, as T1 demands."""
+        self._state = after(self._state, KrcEvent.CONFIRM)
+        self.message = None
+
+    def restart(self, correction: Correction | None = None) -> None:
         """Start the program again, from where the robot comes to rest; RSI runs some cycles later.
+
+        Args:
+            correction: start the program that calls RSI_ON with this; none: the one that ran last.
 
         Raises:
             NotNowError: if a message has to be acknowledged first or the drives are off.
         """
-        if self._state is KrcState.RSI_RUNNING:
+        if self._state in TELEGRAMS_GO_OUT:
             self.stop()
         after(self._state, KrcEvent.START)
+        self.correction = correction or self.correction
         self._starting = START_CYCLES
 
     def _operate(self, event: KrcEvent, code: Code | None) -> None:
@@ -316,6 +324,18 @@ class Krc:
         """Fall silent for a number of cycles, then go on as if nothing had been."""
         self._frozen = cycles
 
-    def shift_ipoc(self, milliseconds: int) -> None:
+    def shift_ipoc(self, by: int) -> None:
         """Let the time stamp jump, forward or back."""
-        self._ipoc = (self._ipoc + milliseconds) % 2**32
+        self._ipoc = (self._ipoc + by) % IPOC_RANGE
+
+    def forged(self, forgery: Forgery) -> bytes:
+        """What somebody else could send who knows this cycle's telegram."""
+        report = self._report()
+        shift = math.radians(forgery.offset_deg)
+        return self._codec.encode(
+            report._replace(
+                ipoc=(report.ipoc + forgery.ipoc_shift) % IPOC_RANGE,
+                q=report.q + shift * self._revolute,
+                q_programmed=report.q_programmed + forgery.programmed_too * shift * self._revolute,
+            )
+        )

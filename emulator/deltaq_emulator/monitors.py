@@ -8,7 +8,7 @@ import numpy as np
 
 from deltaq_cell.description import Array, RobotDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
-from deltaq_emulator.corrections import in_units
+from deltaq_emulator.limits import in_units
 from deltaq_emulator.settings import KrcSettings, Mode
 from deltaq_protocol.rsi import AxisMap
 
@@ -19,12 +19,22 @@ LIMIT_TOLERANCE = 1e-5
 
 
 class Monitors:
-    """The controller's own limits of one robot."""
+    """The controller's own limits of one robot.
 
-    def __init__(self, robot: RobotDescription, axes: AxisMap, settings: KrcSettings, cycle_s: float) -> None:
+    Args:
+        robot: software limit switches, speeds and accelerations.
+        axes: its axes, for messages.
+        settings: how far each may be exceeded.
+        cycle_s: duration of a cycle [s].
+        correction: (n,) total correction at which RSI is stopped [rad or m].
+    """
+
+    def __init__(
+        self, robot: RobotDescription, axes: AxisMap, settings: KrcSettings, cycle_s: float, correction: Array
+    ) -> None:
         self._axes = axes
         self._cycle_s = cycle_s
-        self._correction = in_units(axes, settings.monitor_limit_deg, settings.monitor_limit_mm)
+        self._correction = correction
         self.lower = robot.lower - LIMIT_TOLERANCE
         """(n,) software limit switches [rad or m]."""
         self.upper = robot.upper + LIMIT_TOLERANCE

@@ -3,12 +3,15 @@
 | request | what |
 | --- | --- |
 | `{"op": "status"}` | nothing but the answer, which every request gets |
-| `{"op": "acknowledge"}`, `{"op": "restart"}`, `{"op": "stop"}` | what the pendant's keys do |
+| `{"op": "acknowledge"}`, `{"op": "confirm"}`, `{"op": "stop"}` | what the pendant's keys do |
+| `{"op": "restart"}` | start the program again |
+| `{"op": "restart", "correction": "relative"}` | start one that calls RSI_ON(#RELATIVE), or `"absolute"` |
 | `{"op": "mode", "mode": "T1"}` | T1, T2 or AUT |
 | `{"op": "drives", "on": false}` | switch the drives |
 | `{"op": "input", "name": "gripper_closed", "value": true}` | set a digital input |
 | `{"op": "fault", "link": "from_pc", "drop": 0.1}` | faults of the network: `to_pc`, `from_pc` or `both` ways |
 | `{"op": "fault", "freeze_cycles": 20}`, `{"op": "fault", "ipoc_shift_ms": -24}` | of the controller |
+| `{"op": "fault", "forge": [{"ipoc_shift": 7000}, {"offset_deg": 1.4}]}` | others send, after each telegram, these |
 | `{"op": "fault"}` | no more faults |
 | `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
 | `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | be told once all this holds |
@@ -27,14 +30,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from deltaq_emulator.faults import FaultyLink, LinkFaults
-from deltaq_emulator.krc import REST_TOLERANCE, Krc
+from deltaq_emulator.drives import REST_TOLERANCE
+from deltaq_emulator.faults import FaultyLink, Forgery, LinkFaults
+from deltaq_emulator.krc import Krc
 from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.settings import Mode
+from deltaq_emulator.settings import Correction, Mode
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError
 
 MAX_REQUEST_BYTES = 4096
+MAX_FORGERIES = 16
+"""Forged telegrams a cycle."""
 MAX_AWAITED = 64
 """Requests whose answer may be awaited at one time."""
 
@@ -44,7 +50,12 @@ class _Request(BaseModel):
 
 
 class _Simple(_Request):
-    op: Literal["status", "acknowledge", "restart", "stop"]
+    op: Literal["status", "acknowledge", "confirm", "stop"]
+
+
+class _Restart(_Request):
+    op: Literal["restart"]
+    correction: Correction | None = None
 
 
 class _SetMode(_Request):
@@ -68,6 +79,7 @@ class _Fault(LinkFaults):
     link: Literal["to_pc", "from_pc", "both"] = "both"
     freeze_cycles: Annotated[int, Field(ge=0, le=100_000)] | None = None
     ipoc_shift_ms: Annotated[int, Field(gt=-(2**32), lt=2**32)] | None = None
+    forge: Annotated[tuple[Forgery, ...], Field(max_length=MAX_FORGERIES)] = ()
 
 
 class _Record(_Request):
@@ -95,7 +107,7 @@ class _Awaiting:
 
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[
-        _Simple | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
+        _Simple | _Restart | _SetMode | _SetDrives | _SetInput | _Fault | _Record | _Await,
         Field(discriminator="op"),
     ]
 )
@@ -127,6 +139,8 @@ class Panel:
         self._recorder = recorder
         self._shell_counts = shell_counts
         self._awaiting: list[_Awaiting] = []
+        self.forgeries: tuple[Forgery, ...] = ()
+        """What others send to the PC after each telegram."""
 
     def take(self, datagram: bytes, answer: Callable[[bytes], None]) -> None:
         """Do what a request says; whatever it is, `answer` is called once and nothing raised.
@@ -162,6 +176,7 @@ class Panel:
             "robot": self._robot,
             "state": self._krc.state,
             "mode": self._krc.mode,
+            "correction": self._krc.correction,
             "message": None if self._krc.message is None else str(self._krc.message),
             "text": self._krc.text,
             "cycle": sample.cycle,
@@ -175,6 +190,7 @@ class Panel:
                 name: link.faults.model_dump() | {"counts": dict(link.counts)}
                 for name, link in self._links.items()
             },
+            "forged": [forgery.model_dump() for forgery in self.forgeries],
             "record": None if self._recorder.path is None else str(self._recorder.path),
             "record_error": self._recorder.error,
         }
@@ -213,8 +229,10 @@ class Panel:
         match request:
             case _Simple(op="acknowledge"):
                 self._krc.acknowledge()
-            case _Simple(op="restart"):
-                self._krc.restart()
+            case _Simple(op="confirm"):
+                self._krc.confirm()
+            case _Restart():
+                self._krc.restart(request.correction)
             case _Simple(op="stop"):
                 self._krc.stop()
             case _SetMode():
@@ -236,11 +254,13 @@ class Panel:
         if fault.ipoc_shift_ms is not None:
             self._krc.shift_ipoc(fault.ipoc_shift_ms)
         of_link = fault.model_dump(include=set(LinkFaults.model_fields))
-        one_shot_only = fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms"} and not (
-            fault.model_fields_set & set(LinkFaults.model_fields)
-        )
-        if one_shot_only:
+        lasting = {*LinkFaults.model_fields, "forge"}
+        if (
+            fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms"}
+            and not fault.model_fields_set & lasting
+        ):
             return
+        self.forgeries = fault.forge
         for name, link in self._links.items():
             if fault.link in (name, "both"):
                 link.faults = LinkFaults(**of_link)

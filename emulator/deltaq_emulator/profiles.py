@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from deltaq_emulator.late_budget import LateRule
 from deltaq_emulator.settings import SettingsError
 from deltaq_protocol.rsi.axes import Krc
 
@@ -17,17 +18,19 @@ class Profile:
         cycles_s: sensor cycles it can run.
         reply_within: share of the cycle in which a reply has to arrive.
         ipoc_only_first: the first telegram after RSI started has nothing but its IPOC.
+        late_count: which late replies count against its budget.
     """
 
     name: Krc
     cycles_s: tuple[float, ...]
     reply_within: float
     ipoc_only_first: bool
+    late_count: LateRule
 
 
 PROFILES: dict[str, Profile] = {
-    "krc2": Profile("krc2", (0.012,), 10.5 / 12.0, True),
-    "krc4": Profile("krc4", (0.004, 0.012), 1.0, False),
+    "krc2": Profile("krc2", (0.012,), 10.5 / 12.0, True, "share"),
+    "krc4": Profile("krc4", (0.004, 0.012), 1.0, False, "consecutive"),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TextIO
 
-from deltaq_emulator.krc import Sample
+from deltaq_emulator.sample import Sample
 from deltaq_protocol.errors import DeltaqError
 
 

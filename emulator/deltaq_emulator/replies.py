@@ -6,10 +6,13 @@ from collections import OrderedDict
 from enum import StrEnum
 from typing import Literal
 
+from deltaq_emulator.late_budget import LateBudget
 from deltaq_protocol.rsi import KrcCodec, SensorTelegram, TelegramError
 
 HISTORY = 256
 """Telegrams that a reply can still be recognised as late or double for."""
+MAX_EXCUSED = 100
+"""Cycles in a row for which a missing reply may be excused; a PC that is silent for longer is late."""
 _RING = 2**32
 
 
@@ -31,6 +34,8 @@ class Reply(StrEnum):
     """Nothing at all came in a cycle."""
     UNANSWERED = "unanswered"
     """A cycle in which nothing valid came, whatever the reason: what the element Delay counts."""
+    EXCUSED = "excused"
+    """One of those in which the machine held the controller itself up: no fault of the PC's."""
 
 
 class ReplyJudge:
@@ -39,8 +44,7 @@ class ReplyJudge:
     Args:
         codec: reads the datagrams.
         reply_within_s: age at which a reply no longer counts.
-        late_budget: cycles without a valid reply that are permitted.
-        late_count: whether consecutive ones or all of a session count.
+        budget: counts the cycles without one.
         count_from: whether to begin with the first reply of a session or its start.
     """
 
@@ -48,14 +52,12 @@ class ReplyJudge:
         self,
         codec: KrcCodec,
         reply_within_s: float,
-        late_budget: int,
-        late_count: Literal["consecutive", "total"],
+        budget: LateBudget,
         count_from: Literal["first_reply", "start"],
     ) -> None:
         self._codec = codec
         self._reply_within_s = reply_within_s
-        self._late_budget = late_budget
-        self._late_count = late_count
+        self._budget = budget
         self._count_from = count_from
         self.counts: dict[str, int] = {reply.value: 0 for reply in Reply}
         """Datagrams and cycles by class, since the controller was switched on."""
@@ -67,16 +69,11 @@ class ReplyJudge:
         self._current: int | None = None
         self._accepted: SensorTelegram | None = None
         self._anything_came = False
+        self._excused = 0
         self._counting = self._count_from == "start"
+        self._budget.begin_session()
         self.delay = 0
         """Cycles of this session without a valid reply."""
-        self.late_counted = 0
-        """Cycles that count against the budget."""
-
-    @property
-    def over_budget(self) -> bool:
-        """More late cycles than are permitted."""
-        return self.late_counted > self._late_budget
 
     @property
     def waiting(self) -> bool:
@@ -121,18 +118,26 @@ class ReplyJudge:
             return Reply.LATE
         return Reply.ACCEPTED
 
-    def close_cycle(self) -> SensorTelegram | None:
-        """End a cycle: its valid reply, or None, which counts as late."""
+    def close_cycle(self, excused: bool = False) -> SensorTelegram | None:
+        """End a cycle: its valid reply, or None, which counts as late.
+
+        Args:
+            excused: the controller itself was held up, so that a missing reply is not the PC's fault: it counts in
+                the element Delay and not against the budget, `MAX_EXCUSED` times in a row.
+        """
         reply, self._accepted = self._accepted, None
         came, self._anything_came = self._anything_came, False
         if reply is not None:
             self._counting = True
-            if self._late_count == "consecutive":
-                self.late_counted = 0
-            return reply
-        self.counts[Reply.UNANSWERED] += 1
-        if not came:
-            self.counts[Reply.MISSING] += 1
-        self.delay += 1
-        self.late_counted += self._counting
-        return None
+            self._excused = 0
+        else:
+            self.counts[Reply.UNANSWERED] += 1
+            self.counts[Reply.MISSING] += not came
+            self.delay += 1
+            if excused and self._excused < MAX_EXCUSED:
+                self.counts[Reply.EXCUSED] += 1
+                self._excused += 1
+                return None
+        if self._counting:
+            self._budget.cycle(late=reply is None)
+        return reply

@@ -10,11 +10,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from deltaq_emulator.late_budget import LateRule
 from deltaq_protocol.errors import DeltaqError
 
 SHIPPED = Path(__file__).with_name("krc_settings.yaml")
 """The settings that the emulator uses unless it is given others."""
 
+Correction = Literal["absolute", "relative"]
+"""What RSI_ON is called with."""
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -35,8 +38,9 @@ class KrcSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    correction: Literal["absolute", "relative"] = "absolute"
-    """RSI_ON(#ABSOLUTE): offset from where RSI started; RSI_ON(#RELATIVE): increment a cycle."""
+    correction: Correction = "absolute"
+    """RSI_ON(#ABSOLUTE): offset from where RSI started; RSI_ON(#RELATIVE): increment a cycle, so that a correction that
+    stays the same is a constant velocity."""
     correction_limit_deg: Positive = 5.0
     """AXISCORR: a rotating axis is corrected by no more than this in total; the rest is cut off."""
     correction_limit_mm: Positive = 5.0
@@ -46,9 +50,12 @@ class KrcSettings(BaseModel):
     monitor_limit_mm: Positive = 6.0
     """The same for a linear axis."""
     late_budget: Annotated[int, Field(ge=0)] = 10
-    """Cycles without a valid reply that are permitted; one more stops RSI (KSS29002)."""
-    late_count: Literal["consecutive", "total"] = "consecutive"
-    """Which cycles count against the budget; the maker's documents do not tell."""
+    """Timeout: cycles without a valid reply that are permitted; one more stops RSI (KSS29002)."""
+    late_percent: Annotated[float, Field(ge=0, le=100)] = 10.0
+    """maxLatePackages: the same for a KR C2, as a share of the last 1000 telegrams; the default is a stand-in."""
+    late_count: LateRule | None = None
+    """Which cycles count against the budget; none: as the generation does, a KR C2 the share, others consecutive ones.
+    The maker's documents do not tell whether those count that are consecutive or all."""
     count_from: Literal["first_reply", "start"] = "first_reply"
     """Start counting against the budget when the PC has replied once, or with the first telegram as a real
     controller does. There the operator starts the program once the PC is up; here nobody does."""
@@ -67,6 +74,10 @@ class KrcSettings(BaseModel):
     t1_speed_m_s: Positive = 0.25
     """Largest speed of the tool in T1."""
     mode: Mode = Mode.AUT
+    """Operating mode in which it is switched on."""
+    ipoc_step: Annotated[int, Field(ge=1, le=1000)] | Literal["ms"] | None = None
+    """By how much the time stamp grows in a cycle: a number, or the cycle in ms; none: as the cell's
+    `driver.ipoc_step` says, or else by the cycle in ms. A KR C2 with RSI 2.3 was seen to count by 1."""
     ipoc_start: Annotated[int, Field(ge=0, lt=2**32)] = 4208163634
     """Time stamp of the first telegram; a real controller's is any number."""
 

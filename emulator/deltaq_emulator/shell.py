@@ -2,7 +2,7 @@
 
 The loop keeps absolute deadlines: it sends each cycle whatever came back, as a real controller does. Where the machine
 holds it up for longer than a cycle the emulated time stands still instead of catching up in a burst, and the
-slip is counted.
+slip is counted. A reply that is missing beside a cycle that this process itself began late is not held against the PC.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
+from deltaq_emulator.strangers import Strangers
 from deltaq_protocol.errors import DeltaqError
 
 MAX_READ = 64
 """Datagrams read in one go, so that a flood cannot hold up the cycle."""
 MAX_DATAGRAM = 65535
+LATE_START = 0.25
+"""A cycle that begins later than this share of a cycle has been held up by the machine."""
 
 Address = tuple[str, int]
 
@@ -39,29 +42,41 @@ class Emulator:
         server: where the Robot Server listens.
         panel: where the operator's requests are taken, or None.
         seed: of the network's faults.
+        address: of the controller itself, which telegrams come from; None: as the system chooses.
 
     Raises:
         SocketError: if an address cannot be resolved or is taken.
     """
 
     def __init__(
-        self, robot: str, krc: Krc, server: Address, panel: Address | None = None, seed: int = 0
+        self,
+        robot: str,
+        krc: Krc,
+        server: Address,
+        panel: Address | None = None,
+        seed: int = 0,
+        address: str | None = None,
     ) -> None:
         self._krc = krc
         self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
         self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q))
-        self.counts = {"slipped": 0, "send_errors": 0}
-        """Cycles that the machine held up, and telegrams that could not be sent."""
-        self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, lambda: self.counts)
+        self.counts = {"slipped": 0, "late_starts": 0, "latest_start_us": 0, "send_errors": 0}
+        """Cycles that were lost because the machine held this process up; cycles that began late, and how late the
+        latest of them [µs]; telegrams that could not be sent."""
+        self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, self._all_counts)
         self._sent_at = 0.0
         self._link = _udp_socket()
+        self._strangers = Strangers(server)
         self._panel_socket = None if panel is None else _udp_socket()
         try:
+            if address is not None:
+                self._link.bind((address, 0))
             # connected: a controller takes replies from its sensor only
             self._link.connect(server)
         except OSError as error:
             self.close()
-            raise SocketError(f"cannot send to {server[0]}:{server[1]}: {error}") from error
+            sender = "" if address is None else f"from {address} "
+            raise SocketError(f"cannot send {sender}to {server[0]}:{server[1]}: {error}") from error
         if self._panel_socket is not None and panel is not None:
             try:
                 self._panel_socket.bind(panel)
@@ -69,9 +84,13 @@ class Emulator:
                 self.close()
                 raise SocketError(f"cannot listen on {panel[0]}:{panel[1]}: {error}") from error
 
+    def _all_counts(self) -> dict[str, int]:
+        return self.counts | {"forgeries_lost": self._strangers.lost}
+
     def close(self) -> None:
         """Close sockets and the record."""
         self._link.close()
+        self._strangers.close()
         if self._panel_socket is not None:
             self._panel_socket.close()
         self.recorder.stop()
@@ -79,18 +98,23 @@ class Emulator:
     def run(self, stopping: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
         """Send and receive until `stopping()`; `ready` is called once, when the first cycle has begun."""
         deadline, slipped_s = time.monotonic(), 0.0
-        first = True
+        first, held_up = True, False
         while not stopping():
             now = time.monotonic()
-            if now - deadline > self._krc.cycle_s:
-                slipped_s += now - deadline
+            late_s = now - deadline
+            if late_s > self._krc.cycle_s:
+                slipped_s += late_s
                 self.counts["slipped"] = int(slipped_s / self._krc.cycle_s)
                 deadline = now
-            telegram = self._krc.tick()
+            held_up_before, held_up = held_up, late_s > LATE_START * self._krc.cycle_s
+            self._count_start(late_s, held_up)
+            # begun late itself, or held up while the PC's reply was to come
+            telegram = self._krc.tick(excused=held_up_before or held_up)
             self._sent_at = now
             if telegram is not None:
                 self._to_pc.put(now, telegram)
                 self._send(now)
+                self._strangers.send(self._krc, self._panel.forgeries)
             self.recorder.row(self._krc.sample)
             self._panel.cycle_passed()
             if first:
@@ -98,6 +122,10 @@ class Emulator:
                 ready()
             deadline += self._krc.cycle_s
             self._receive_until(deadline)
+
+    def _count_start(self, late_s: float, held_up: bool) -> None:
+        self.counts["late_starts"] += held_up
+        self.counts["latest_start_us"] = max(self.counts["latest_start_us"], round(late_s * 1e6))
 
     def _receive_until(self, deadline: float) -> None:
         sockets = [self._link] if self._panel_socket is None else [self._link, self._panel_socket]

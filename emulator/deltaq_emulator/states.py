@@ -1,4 +1,8 @@
-"""States of the emulated controller and what leads from one to another."""
+"""States of the emulated controller and its program, and what leads from one to another.
+
+The program is the one that every RSI application begins with: RSI_ON, RSI_MOVECORR, RSI_OFF. `docs/reference/krc.md`
+is drawn from this table.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,15 @@ class KrcState(StrEnum):
     """State of the controller."""
 
     DRIVES_OFF = "drives off"
+    """No program runs."""
     READY = "ready"
+    """The drives are on, and no program runs."""
+    RSI_ON = "RSI on"
+    """RSI_ON has been executed and RSI_MOVECORR has not: telegrams go to and fro, and no correction moves the robot."""
     RSI_RUNNING = "RSI running"
+    """RSI_MOVECORR is being executed: corrections move the robot."""
+    MOTION_ENDED = "motion ended"
+    """The PC ended RSI_MOVECORR: the drives come to rest along their own ramps, and telegrams go on until RSI_OFF."""
     STOPPED = "stopped"
     """A fault stopped the program; its message waits for the operator's acknowledgement."""
 
@@ -21,12 +32,39 @@ class KrcEvent(StrEnum):
     """What can happen to it."""
 
     DRIVES_ON = "drives on"
+    """The operator switches the drives on."""
     DRIVES_OFF = "drives off"
+    """The operator switches the drives off."""
     START = "start"
+    """The operator starts the program, and it has come as far as RSI_ON."""
+    CONFIRM = "confirm"
+    """RSI_MOVECORR begins: in T1 when the operator has confirmed its warning, else at once."""
+    END_MOTION = "end motion"
+    """The signal that the cell names in `driver.stop` rises."""
+    END = "end"
+    """The robot rests after the motion was ended, and the program has come to RSI_OFF and its end."""
     STOP = "stop"
+    """The operator stops the program."""
     FAULT = "fault"
+    """A limit was exceeded, or too many replies were late."""
     ACKNOWLEDGE = "acknowledge"
+    """The operator acknowledges the message of a fault."""
     CHANGE_MODE = "change mode"
+    """The operator turns the key."""
+
+
+TELEGRAMS_GO_OUT = frozenset({KrcState.RSI_ON, KrcState.RSI_RUNNING, KrcState.MOTION_ENDED})
+"""States in which the controller sends telegrams and waits for replies."""
+
+
+def _program_runs(state: KrcState) -> dict[tuple[KrcState, KrcEvent], KrcState]:
+    """What ends the program wherever it is."""
+    return {
+        (state, KrcEvent.STOP): KrcState.READY,
+        (state, KrcEvent.FAULT): KrcState.STOPPED,
+        (state, KrcEvent.DRIVES_OFF): KrcState.DRIVES_OFF,
+        (state, KrcEvent.CHANGE_MODE): KrcState.READY,
+    }
 
 
 TRANSITIONS: dict[tuple[KrcState, KrcEvent], KrcState] = {
@@ -34,12 +72,14 @@ TRANSITIONS: dict[tuple[KrcState, KrcEvent], KrcState] = {
     (KrcState.DRIVES_OFF, KrcEvent.CHANGE_MODE): KrcState.DRIVES_OFF,
     (KrcState.READY, KrcEvent.DRIVES_OFF): KrcState.DRIVES_OFF,
     (KrcState.READY, KrcEvent.CHANGE_MODE): KrcState.READY,
-    (KrcState.READY, KrcEvent.START): KrcState.RSI_RUNNING,
+    (KrcState.READY, KrcEvent.START): KrcState.RSI_ON,
     (KrcState.READY, KrcEvent.STOP): KrcState.READY,
-    (KrcState.RSI_RUNNING, KrcEvent.STOP): KrcState.READY,
-    (KrcState.RSI_RUNNING, KrcEvent.FAULT): KrcState.STOPPED,
-    (KrcState.RSI_RUNNING, KrcEvent.DRIVES_OFF): KrcState.DRIVES_OFF,
-    (KrcState.RSI_RUNNING, KrcEvent.CHANGE_MODE): KrcState.READY,
+    (KrcState.RSI_ON, KrcEvent.CONFIRM): KrcState.RSI_RUNNING,
+    **_program_runs(KrcState.RSI_ON),
+    (KrcState.RSI_RUNNING, KrcEvent.END_MOTION): KrcState.MOTION_ENDED,
+    **_program_runs(KrcState.RSI_RUNNING),
+    (KrcState.MOTION_ENDED, KrcEvent.END): KrcState.READY,
+    **_program_runs(KrcState.MOTION_ENDED),
     (KrcState.STOPPED, KrcEvent.ACKNOWLEDGE): KrcState.READY,
     (KrcState.STOPPED, KrcEvent.CHANGE_MODE): KrcState.STOPPED,
 }

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import RSIPI
-from private_cell import write_private_cell
+from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.description import RobotDescription, RsiDriver
 from deltaq_cell.load import find_cell, load_cell, resolve_near
@@ -87,6 +87,16 @@ def pc(emulated: Emulated) -> Iterator[socket.socket]:
         yield sock
 
 
+def silent(sock: socket.socket) -> bool:
+    """Whether nothing more comes within the socket's timeout, apart from what is under way."""
+    try:
+        for _ in range(1000):
+            sock.recv(4096)
+    except TimeoutError:
+        return True
+    return False
+
+
 @pytest.mark.parametrize("replies", ["none", "garbage"])
 def test_telegrams_go_out_at_the_fixed_rate_whatever_comes_back(tmp_path: Path, replies: str) -> None:
     with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
@@ -154,6 +164,20 @@ def test_a_sensor_that_falls_silent_stops_rsi_until_the_operator_starts_it_again
             ipoc = emulated.codec.decode(sock.recv(4096)).ipoc
 
 
+def test_a_stall_of_the_machine_is_told_apart_from_a_late_pc(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path, "lab-4ms"), "fr") as emulated, pc(emulated) as sock:
+        datagram, krc = sock.recvfrom(4096)
+        sock.sendto(emulated.codec.encode(emulated.codec.decode(datagram).ipoc, np.zeros(6)), krc)
+        emulated.process.send_signal(signal.SIGSTOP)
+        sock.settimeout(0.5)
+        assert silent(sock)
+        emulated.process.send_signal(signal.SIGCONT)
+        counters = emulated.until(cycles=1)["counters"]
+        assert counters["slipped"] >= 0.4 / 0.004
+        assert counters["late_starts"] >= 1
+        assert counters["latest_start_us"] >= 400_000
+
+
 def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> None:
     with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
         sock.recv(4096)
@@ -165,6 +189,34 @@ def test_faults_of_the_network_are_injected_while_it_runs(tmp_path: Path) -> Non
         assert corrupted["faults"]["to_pc"]["counts"]["corrupted"] >= 5
         assert emulated.ask(op="fault")["faults"]["to_pc"]["drop"] == 0.0
         assert emulated.ask(op="explode")["ok"] is False
+
+
+def test_others_send_to_the_pc_from_addresses_of_their_own(tmp_path: Path) -> None:
+    with running(write_private_cell(tmp_path), "fr") as emulated, pc(emulated) as sock:
+        _, krc = sock.recvfrom(4096)
+        forge = [{"address": "127.0.0.3"}, {"ipoc_shift": 5_000_000}]
+        assert emulated.ask(op="fault", forge=forge)["ok"]
+        from_whom: dict[tuple[str, int], set[int]] = {}
+        while len(from_whom) < 3 or min(map(len, from_whom.values())) < 5:
+            datagram, sender = sock.recvfrom(4096)
+            from_whom.setdefault(sender, set()).add(emulated.codec.decode(datagram).ipoc)
+        (twin,) = (sender for sender in from_whom if sender[0] == "127.0.0.3")
+        (far,) = set(from_whom) - {krc, twin}
+        assert from_whom[twin] <= from_whom[krc]
+        assert from_whom[far] <= {(ipoc + 5_000_000) % 2**32 for ipoc in from_whom[krc]}
+        status = emulated.ask(op="fault")
+        assert (status["forged"], status["counters"]["forgeries_lost"]) == ([], 0)
+
+
+def test_a_second_controller_sends_from_an_address_of_its_own(tmp_path: Path) -> None:
+    cell = write_private_cell(tmp_path)
+    panel = f"127.0.0.1:{free_ports(1)[0]}"
+    with running(cell, "fr") as emulated, pc(emulated) as sock:
+        senders = {sock.recvfrom(4096)[1][0]}
+        with running(cell, "fr", "--address", "127.0.0.7", "--panel", panel):
+            while len(senders) < 2:
+                senders.add(sock.recvfrom(4096)[1][0])
+        assert senders == {"127.0.0.1", "127.0.0.7"}
 
 
 def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
@@ -179,6 +231,11 @@ def test_an_interrupt_ends_it_cleanly(tmp_path: Path) -> None:
         (["--cell", "lab", "--robot", "xr"], "cell 'lab' has no robot 'xr'; it has fr, gr"),
         (["--cell", "lap", "--robot", "fr"], "did you mean 'lab'?"),
         (["--cell", "lab", "--robot", "fr", "--settings", "none.yaml"], "none.yaml: cannot be read"),
+        (["--cell", "lab", "--robot", "fr", "--context", "none.rsi.xml"], "none.rsi.xml: cannot be read"),
+        (
+            ["--cell", "lab", "--robot", "fr", "--address", "192.0.2.1"],
+            "cannot send from 192.0.2.1 to 127.0.0.1:",
+        ),
         (["--cell", "lab", "--robot", "fr", "--server", "here"], "'here' is not HOST:PORT"),
     ],
 )
@@ -206,7 +263,8 @@ def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_ow
     )
     assert f">{driver.port}<" in ours.read_text()
     text = cell.read_text().replace(
-        f"driver: {{port: {driver.port},", f"driver: {{ethernet_xml: {ours}, krc: krc4, port: {driver.port},"
+        f"driver: {{port: {driver.port},",
+        f"driver: {{ethernet_xml: {ours}, krc: krc4, stop: null, port: {driver.port},",
     )
     cell.write_text(text)
     with running(cell, "fr") as emulated:

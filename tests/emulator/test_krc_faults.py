@@ -85,6 +85,41 @@ def test_corrupted_datagrams_arrive_changed() -> None:
     assert link.counts["corrupted"] == 2
 
 
+def test_a_flipped_digit_leaves_a_telegram_that_reads_well_and_differs_in_that_digit() -> None:
+    link = FaultyLink(seed=4)
+    link.faults = LinkFaults(flip=1.0)
+    sent = b'<AIPos A1="12.3456"/>'
+    for _ in range(200):
+        link.put(0.0, sent)
+        (arrived,) = link.take(0.0)
+        (place,) = (number for number, (old, new) in enumerate(zip(sent, arrived, strict=True)) if old != new)
+        assert sent[place : place + 1].isdigit()
+        assert arrived[place : place + 1].isdigit()
+    link.put(0.0, b"<none/>")
+    assert link.take(0.0) == [b"<none/>"]
+    assert link.counts["flipped"] == 201
+
+
+def test_a_truncated_datagram_is_the_beginning_of_what_was_sent() -> None:
+    link = FaultyLink(seed=4)
+    link.faults = LinkFaults(truncate=1.0)
+    for sent in [b"<Sen/>"] * 50 + [b""]:
+        link.put(0.0, sent)
+        (arrived,) = link.take(0.0)
+        assert sent.startswith(arrived)
+        assert len(arrived) < max(len(sent), 1)
+    assert link.counts["truncated"] == 51
+
+
+def test_faults_that_are_not_asked_for_take_nothing_from_the_random_numbers_of_a_seed() -> None:
+    runs = []
+    for extra in ({}, {"flip": 0.0, "truncate": 0.0}):
+        link = FaultyLink(seed=9)
+        link.faults = LinkFaults(drop=0.2, corrupt=0.2, **extra)
+        runs.append(through(link, 100))
+    assert runs[0] == runs[1]
+
+
 @given(st.integers(0, 2**32), st.floats(0, 1), st.floats(0, 1), st.floats(0, 1), st.floats(0, 1))
 def test_one_seed_is_one_run(
     seed: int, drop: float, duplicate: float, reorder: float, corrupt: float

@@ -124,6 +124,8 @@ def test_one_lost_telegram_at_a_degree_a_cycle_stops_nothing_and_at_twice_that_i
 def test_t1_allows_the_tool_a_quarter_of_a_metre_a_second() -> None:
     for mode, speed_m_s, stops in ((Mode.T1, 0.24, False), (Mode.T1, 0.26, True), (Mode.AUT, 0.26, False)):
         bench = Bench(("e1", "a1"), mode=mode)
+        if mode is Mode.T1:
+            bench.krc.confirm()
         speeds = np.minimum(np.arange(100) * 0.02, speed_m_s)
         bench.drive([position, 0.0] for position in np.cumsum(speeds) * CYCLE_S)
         assert (bench.krc.state is KrcState.STOPPED) is stops

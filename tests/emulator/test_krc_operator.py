@@ -215,6 +215,31 @@ def test_the_panel_sets_and_clears_faults() -> None:
     assert ask(panel, op="fault")["faults"]["from_pc"]["drop"] == 0.0
 
 
+def test_the_panel_lets_others_forge_telegrams_until_it_is_told_to_stop() -> None:
+    bench = Bench(precision=4)
+    panel = make_panel(bench)
+    forge = [{"address": "127.0.0.9", "ipoc_shift": 7000}, {"offset_deg": 1.4}]
+    assert [each["ipoc_shift"] for each in ask(panel, op="fault", forge=forge)["forged"]] == [7000, 0]
+    truth = bench.cycle(0.001)
+    far, near = (bench.pc.decode(bench.krc.forged(forgery)) for forgery in panel.forgeries)
+    assert (far.ipoc, near.ipoc) == (truth.ipoc + 7000, truth.ipoc)
+    assert far.q == pytest.approx(truth.q)
+    assert np.rad2deg(near.q - truth.q) == pytest.approx([1.4] * 6, abs=1e-3)
+    assert near.q_programmed == pytest.approx(truth.q_programmed)
+    assert ask(panel, op="fault", freeze_cycles=1)["forged"] != []
+    assert ask(panel, op="fault")["forged"] == []
+
+
+def test_a_forgery_leaves_linear_axes_where_they_are_and_may_move_the_programmed_position_too() -> None:
+    bench = Bench(("e1", "a1"))
+    panel = make_panel(bench)
+    ask(panel, op="fault", forge=[{"offset_deg": 2, "programmed_too": True}])
+    bench.cycle()
+    forged = bench.pc.decode(bench.krc.forged(panel.forgeries[0]))
+    assert np.rad2deg(forged.q) == pytest.approx([0.0, 2.0], abs=1e-3)
+    assert np.rad2deg(forged.q_programmed) == pytest.approx([0.0, 2.0], abs=1e-3)
+
+
 def test_what_is_awaited_is_answered_in_the_cycle_in_which_it_comes() -> None:
     bench = Bench(late_budget=8)
     panel = make_panel(bench)
@@ -279,6 +304,10 @@ def test_more_waiting_than_there_is_room_for_is_refused() -> None:
         (b'{"op": "await", "state": "asleep"}', "await.state: Input should be 'drives off'"),
         (b'{"op": "await", "within_s": 0}', "await.within_s: Input should be greater than 0"),
         (b'{"op": "fault", "drop": 2}', "less than or equal to 1"),
+        (b'{"op": "fault", "forge": [{"address": "10.0.0.1"}]}', "String should match pattern"),
+        (b'{"op": "fault", "forge": [{}, 7]}', "fault.forge.1: Input should be"),
+        (b'{"op": "restart", "correction": "both"}', "Input should be 'absolute' or 'relative'"),
+        (b'{"op": "confirm"}', "'confirm' is not possible while RSI running"),
         (b'{"op": "fault", "dropp": 1}', "Extra inputs are not permitted"),
         (b'{"op": "input", "name": "door", "value": true}', "no digital input 'door'; this robot has closed"),
         (b'{"op": "record", "path": "/nowhere/at/all.csv"}', "cannot be written"),

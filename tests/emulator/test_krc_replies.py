@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from krc_bench import Bench
 
-from deltaq_emulator.replies import HISTORY
+from deltaq_emulator.replies import HISTORY, MAX_EXCUSED
 from deltaq_emulator.states import KrcState
 
 
@@ -117,6 +117,29 @@ def test_the_time_stamp_steps_by_the_cycle_in_milliseconds(cycle_s: float, step:
     assert np.diff([bench.cycle().ipoc for _ in range(4)]).tolist() == [step] * 3
 
 
+@pytest.mark.parametrize(
+    ("setting", "cell", "step"),
+    [(None, None, 12), (1, None, 1), (None, 1, 1), (1, 12, 1), ("ms", 1, 12), (7, None, 7)],
+)
+def test_the_time_stamp_steps_as_the_settings_say_or_else_the_cell(
+    setting: int | str | None, cell: int | None, step: int
+) -> None:
+    bench = Bench(ipoc_step=setting, driver={"ipoc_step": cell})
+    assert np.diff([bench.cycle().ipoc for _ in range(4)]).tolist() == [step] * 3
+    bench.krc.tick()
+    assert bench.krc.sample.counters["accepted"] == 4
+
+
+def test_a_time_stamp_that_counts_cycles_wraps_at_32_bit_and_tells_late_from_future() -> None:
+    bench = Bench(ipoc_step=1, ipoc_start=2**32 - 2)
+    assert [bench.cycle().ipoc for _ in range(4)] == [2**32 - 2, 2**32 - 1, 0, 1]
+    bench.silent(2)
+    bench.krc.receive(bench.reply(2))
+    bench.krc.receive(bench.reply(4))
+    counts = {name: bench.krc._judge.counts[name] for name in ("accepted", "late", "future")}
+    assert counts == {"accepted": 4, "late": 1, "future": 1}
+
+
 def test_one_cycle_more_than_the_budget_stops_rsi_with_kss29002() -> None:
     bench = Bench(late_budget=3)
     bench.cycle()
@@ -143,6 +166,47 @@ def test_the_budget_counts_from_the_first_reply_or_from_the_start(count_from: st
     bench = Bench(late_budget=3, count_from=count_from)
     bench.silent(20)
     assert (bench.krc.state is KrcState.STOPPED) is stops
+
+
+@pytest.mark.parametrize(("krc", "message"), [("krc2", "RSI: 1.1 % of the last 1000"), ("krc4", "KSS29002")])
+def test_each_generation_has_its_own_budget_unless_the_settings_choose(krc: str, message: str) -> None:
+    """A share of one percent, or three in a row: what is lost one by one is too much for the former only."""
+    bench = Bench(krc=krc, late_budget=3, late_percent=1)
+    for _ in range(10):
+        bench.cycle()
+        bench.silent()
+    assert bench.krc.state is KrcState.RSI_RUNNING
+    bench.silent(2)
+    assert (bench.krc.state is KrcState.STOPPED) is (krc == "krc2")
+    bench.silent(5)
+    assert bench.krc.sample.message is not None
+    assert bench.krc.sample.message.startswith(message)
+
+
+@pytest.mark.parametrize("krc", ["krc2", "krc4"])
+def test_a_reply_that_is_missing_because_the_controller_was_held_up_does_not_count_against_the_pc(
+    krc: str,
+) -> None:
+    bench = Bench(krc=krc, late_budget=3, late_percent=0.3)
+    bench.cycle()
+    for _ in range(20):
+        bench.krc.tick(excused=True)
+    assert bench.krc.state is KrcState.RSI_RUNNING
+    counters = bench.krc.sample.counters
+    assert (counters["excused"], counters["unanswered"], counters["late_counted"]) == (19, 19, 0)
+    assert bench.cycle().delay == 20
+    bench.silent(6)
+    assert bench.krc.state is KrcState.STOPPED
+
+
+def test_a_pc_that_is_silent_for_long_is_late_however_often_the_controller_is_held_up() -> None:
+    bench = Bench(late_budget=3)
+    bench.cycle()
+    silent = 1
+    while bench.krc.tick(excused=True) is not None:
+        silent += 1
+        assert silent < 1000
+    assert silent == 1 + MAX_EXCUSED + 4
 
 
 @settings(max_examples=50)

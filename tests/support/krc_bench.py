@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from deltaq_cell.description import JointDescription, RobotDescription, RsiDriver, ServoLag
+from deltaq_emulator.context import NOTHING, Context
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import PROFILES
 from deltaq_emulator.settings import KrcSettings
@@ -43,11 +45,12 @@ def make_config(
         + element("DEF_EStr", "STRING", hold_on=0)
         + "".join(element(tag, index=i, hold_on=hold_on) for i, tag in enumerate(tags, start=1))
         + element("Do.O1", "BOOL", 20, hold_on)
+        + element("Stop", "BOOL", 21, hold_on)
         + "</ELEMENTS></RECEIVE></ROOT>"
     )
 
 
-def make_robot(joints: tuple[str, ...], servo_lag: ServoLag = NO_LAG) -> RobotDescription:
+def make_robot(joints: tuple[str, ...], servo_lag: ServoLag = NO_LAG, **driver: Any) -> RobotDescription:
     revolute = JointDescription(
         home_deg=0, lower_deg=-100, upper_deg=90, max_velocity_deg_s=156, max_acceleration_rad_s2=10
     )
@@ -63,6 +66,7 @@ def make_robot(joints: tuple[str, ...], servo_lag: ServoLag = NO_LAG) -> RobotDe
             ethernet_xml="none.xml",
             inputs={"closed": "Di.I1"},
             outputs={"gripper": "Do.O1"},
+            **({"stop": "Stop"} | driver),
         ),
         joints={joint: revolute if joint[0] == "a" else prismatic for joint in joints},
         servo_lag=servo_lag,
@@ -89,13 +93,16 @@ class Bench:
         servo_lag: ServoLag = NO_LAG,
         cycle_s: float = CYCLE_S,
         q_start: np.ndarray | None = None,
+        driver: Mapping[str, Any] = MappingProxyType({}),
+        context: Context = NOTHING,
         **settings: Any,
     ) -> None:
         self.config = make_config(joints, hold_on)
-        self.robot = make_robot(joints, servo_lag)
+        self.robot = make_robot(joints, servo_lag, **driver)
         self.profile = PROFILES[krc]
         axes = AxisMap.of(self.robot.joint_names, self.robot.units, self.profile.name)
         self.pc = SensorCodec(self.config, axes, self.robot.driver.inputs, self.robot.driver.outputs)
+        krc_settings = context.settings(KrcSettings(**(WIDE_OPEN | settings)))
         self.krc = Krc(
             self.robot,
             cycle_s,
@@ -103,16 +110,18 @@ class Bench:
             self.profile,
             np.zeros(len(joints)) if q_start is None else q_start,
             forward,
-            KrcSettings(**(WIDE_OPEN | settings)),
+            krc_settings,
+            limits=context.limits(axes, krc_settings),
         )
         self.n = len(joints)
 
-    def cycle(self, correction: object = 0.0, **outputs: bool) -> KrcTelegram:
+    def cycle(self, correction: object = 0.0, stop: bool = False, **outputs: bool) -> KrcTelegram:
         """A cycle with a telegram and its reply; a number is the correction of every joint."""
         datagram = self.krc.tick()
         assert datagram is not None, self.krc.message
         telegram = self.pc.decode(datagram)
-        self.krc.receive(self.reply(telegram.ipoc, correction, **outputs))
+        reply = self.reply(telegram.ipoc, correction, **outputs)
+        self.krc.receive(reply.replace(b"<Stop>0", b"<Stop>%d" % stop))
         return telegram
 
     def drive(self, corrections: Iterable[object]) -> int:

@@ -21,7 +21,9 @@ _WAYS_BACK: dict[str, tuple[dict[str, Any], ...]] = {
     KrcState.DRIVES_OFF: ({"op": "drives", "on": True}, {"op": "restart"}),
     KrcState.STOPPED: ({"op": "acknowledge"}, {"op": "restart"}),
     KrcState.READY: ({"op": "restart"},),
+    KrcState.RSI_ON: ({"op": "confirm"},),
     KrcState.RSI_RUNNING: (),
+    KrcState.MOTION_ENDED: ({"op": "restart"},),
 }
 
 

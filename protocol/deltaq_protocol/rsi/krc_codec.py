@@ -28,7 +28,10 @@ from deltaq_protocol.rsi.layout import (
 MAX_TELEGRAM_BYTES = 4096
 MAX_PRECISION = 9
 
-_NUMBER = re.compile(NUMBER)
+# what C's strtod reads of it: a nought before the point may be missing
+_NUMBER = re.compile(rf"{NUMBER}|[-+]?\.[0-9]{{1,16}}(?:[eE][-+]?[0-9]{{1,2}})?")
+_STOP = "driver.stop"
+"""Beside the names of outputs, and like none of them."""
 _POSE_SCALE = (MM_PER_M,) * 3 + (DEG_PER_RAD,) * 3
 # where the value of a field comes from, as rows of one table of lists
 _Q, _Q_PROGRAMMED, _POSE, _POSE_PROGRAMMED, _DELAY, _INPUTS, _ZERO, _ZERO_COUNT, _EMPTY = range(9)
@@ -63,6 +66,7 @@ class SensorTelegram(NamedTuple):
         present: (n,) which joints the reply had a correction for.
         outputs: the digital outputs that the reply had.
         text: for the pendant.
+        stop: the signal that ends the motion; None if the reply did not have it.
     """
 
     type: str
@@ -71,6 +75,7 @@ class SensorTelegram(NamedTuple):
     present: NDArray[np.bool_]
     outputs: dict[str, bool]
     text: str
+    stop: bool | None
 
 
 class KrcCodec:
@@ -84,6 +89,7 @@ class KrcCodec:
         inputs: per name of a digital input the TAG of its BOOL of SEND.
         outputs: per name of a digital output the TAG of its BOOL of RECEIVE.
         precision: decimals of a DOUBLE in a telegram of the controller.
+        stop: TAG of the BOOL of RECEIVE that ends the motion, if there is one.
 
     Attributes:
         axes: as given.
@@ -99,6 +105,7 @@ class KrcCodec:
         inputs: Mapping[str, str] = MappingProxyType({}),
         outputs: Mapping[str, str] = MappingProxyType({}),
         precision: int = 4,
+        stop: str | None = None,
     ) -> None:
         self.config = config
         self.axes = axes
@@ -107,11 +114,16 @@ class KrcCodec:
         self._corrections = [corrections[axis] for axis in axes.axes]
         self._per_commanded = 1.0 / axes.commanded
         self._expected = receive_fields(config)
-        self._digital = digital_fields(config, "RECEIVE", self._expected, outputs)
+        # the signal that ends the motion is none of the outputs, and may not be one of them either
+        named = dict(outputs) if stop is None else dict(outputs) | {_STOP: stop}
+        self._digital = digital_fields(config, "RECEIVE", self._expected, named)
+        self._stop = self._digital.pop(_STOP, None)
         self.hold_on = np.array([field.element.hold_on for field in self._corrections])
         """(n,) HOLDON of each joint's correction."""
         self.output_hold_on = {name: field.element.hold_on for name, field in self._digital.items()}
         """HOLDON of each digital output."""
+        self.stop_hold_on = self._stop is not None and self._stop.element.hold_on
+        """HOLDON of the signal that ends the motion."""
         self._compile_encoder(precision)
 
     def _compile_encoder(self, precision: int) -> None:
@@ -166,7 +178,7 @@ class KrcCodec:
         return b'<Rob Type="KUKA"><IPOC>%d</IPOC></Rob>' % ipoc
 
     def decode(self, datagram: bytes) -> SensorTelegram:
-        """Read a reply; elements may come in any order, and unknown ones are passed over.
+        """Read a reply; elements may come in any order, unknown ones are passed over, and so is the end of a C string.
 
         Raises:
             TelegramError: if it is no reply of this configuration, with what is wrong.
@@ -189,15 +201,24 @@ class KrcCodec:
             for name, field in self._digital.items()
             if (text := self._text(elements, field)) is not None
         }
-        text = (root.findtext("EStr") or "").strip()
+        stop = None
+        if self._stop is not None and (text := self._text(elements, self._stop)) is not None:
+            stop = self._number(self._stop, text) != 0.0
         return SensorTelegram(
-            root.get("Type", ""), int(ipoc_text), correction * self._per_commanded, present, outputs, text
+            root.get("Type", ""),
+            int(ipoc_text),
+            correction * self._per_commanded,
+            present,
+            outputs,
+            (root.findtext("EStr") or "").strip(),
+            stop,
         )
 
     @staticmethod
     def _parse(datagram: bytes) -> ET.Element:
         if len(datagram) > MAX_TELEGRAM_BYTES:
             raise TelegramError(f"{len(datagram)} bytes long, at most {MAX_TELEGRAM_BYTES} are allowed")
+        datagram = datagram.rstrip(b"\0")
         # without declarations there are no entities to expand and no encodings to guess
         if not datagram.isascii() or b"<!" in datagram or b"<?" in datagram:
             raise TelegramError(f"only plain ASCII elements are allowed, got {datagram[:80]!r}")
