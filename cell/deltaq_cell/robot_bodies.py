@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
-from deltaq_cell.hull import reproducible_hull
+from deltaq_cell.hull import hull_corners, hull_shape
 from deltaq_cell.models import RobotModelError, Urdf, collision_names
 
 
@@ -55,8 +56,7 @@ def collision_geometry(
         link, index = body.name.rsplit("_", 1)  # pinocchio numbers the bodies of a link
         body.name = f"{robot}/{names[link][int(index)]}"
         if hasattr(body.geometry, "buildConvexHull"):
-            body.geometry.buildConvexHull(True, "Qt")
-            body.geometry = reproducible_hull(body.geometry.convex)
+            body.geometry = hull_shape(hull_corners(np.array(body.geometry.vertices())))
         bodies.append(body)
     geometry = pin.GeometryModel()
     for body in sorted([*bodies, *bolted], key=lambda body: int(body.parentJoint)):
