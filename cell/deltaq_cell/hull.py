@@ -151,8 +151,9 @@ def _normals_of(hull: Any) -> Array:
     outward = np.sign(np.einsum("ij,ij->i", normals, a - corners.mean(axis=0)))
     kept = length > 1e-9 * length.max()
     normals = normals[kept] * (outward[kept] / length[kept])[:, None]
-    distinct: Array = np.unique(np.round(normals, 2), axis=0)
-    return distinct / np.linalg.norm(distinct, axis=1)[:, None]
+    distinct = np.unique(np.round(normals, 2), axis=0)
+    unit: Array = distinct / np.linalg.norm(distinct, axis=1)[:, None]
+    return unit
 
 
 def _points(points: Array | Corners) -> Any:

@@ -261,9 +261,12 @@ def test_the_shipped_cells_are_found_by_name() -> None:
 def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> None:
     program = (
         "import sys\n"
-        "from deltaq_cell.summary import description_message\n"
-        "message = description_message('lab-4ms')\n"
-        "assert set(message.urdf) == {'fr', 'gr'} and message.cycle_s == 0.004\n"
+        "from deltaq_cell.load import load_cell\n"
+        "from deltaq_cell.models import load_urdf\n"
+        "from deltaq_cell.summary import robot_summary\n"
+        "cell = load_cell('lab-4ms')\n"
+        "assert cell.cycle_s == 0.004 and load_urdf(cell.robots['fr'].model).text\n"
+        "assert robot_summary(cell.robots['fr'], cell.cycle_s).units[0] == 'rad'\n"
         "heavy = {'pinocchio', 'coal', 'deltaq_deploy'} & set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
     )

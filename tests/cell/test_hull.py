@@ -78,7 +78,7 @@ def test_a_hull_around_a_long_slanted_tube_follows_it():
     angle = np.linspace(0, 2 * np.pi, 60)
     ring = np.stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), np.zeros(60)], axis=1)
     turn = np.array([[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]])
-    tube = np.vstack([ring, ring + (0, 0, 1.0)]) @ turn.T
+    tube = np.vstack([ring, ring + np.array([0, 0, 1.0])]) @ turn.T
     assert beyond(tube, hull_corners(tube)) <= 1e-9
     assert hull_shape(hull_corners(tube)).computeVolume() < 1.2 * hull_of(tube).computeVolume()
 
