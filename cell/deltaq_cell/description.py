@@ -24,6 +24,10 @@ JointName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z
 Endpoint = Annotated[str, Field(pattern=r"^tcp/[^/\s]+:\d{1,5}$")]
 
 
+MOST_ROBOTS = 8
+"""In one cell: one thread decides for all, and pairs of robots grow with the square."""
+
+
 class Description(BaseModel):
     """Base: immutable, and a field that is not known is an error."""
 
@@ -362,7 +366,7 @@ class CellDescription(Description):
     cell: Name
     cycle_s: Annotated[float, Field(ge=0.001, le=0.1)]
     """The robots' own sample time."""
-    robots: Annotated[dict[Name, RobotDescription], Field(min_length=1, max_length=2)]
+    robots: Annotated[dict[Name, RobotDescription], Field(min_length=1, max_length=MOST_ROBOTS)]
     structure: dict[Name, Body] = {}
     gate: GateDescription = GateDescription()
     contacts: dict[Name, ContactDescription] = {}
