@@ -75,6 +75,9 @@ class RobotModel:
         self.geometry = collision_geometry(
             source, name, self._T_world_base, description.locked_joints, hulls or {}, self._bolted_bodies()
         )
+        if not self.geometry.ngeoms:
+            text = f"{source.source}: no link has a collision body, so that nothing could be kept clear of the robot"
+            raise RobotModelError(text, ("model",))
         self.hulls: dict[str, Corners] = hulls_of(self.geometry, name)
 
     @property

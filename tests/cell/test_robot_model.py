@@ -1,5 +1,7 @@
 """`RobotModel`: Jacobians, poses, bodies, and what it says when a description does not fit its model."""
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -192,6 +194,11 @@ def joints_without(*names: str) -> dict[str, object]:
             {"joints": SCARA_JOINTS},
             SCARA.format(kind="revolute").replace('<sphere radius="0.1"/>', '<mesh filename="package://gone/a.obj"/>'),
             "link 'slide': no file 'package://gone/a.obj': .* set ROS_PACKAGE_PATH",
+        ),
+        (
+            {"joints": SCARA_JOINTS},
+            re.sub("<collision.*?</collision>", "", SCARA.format(kind="revolute")),
+            "no link has a collision body",
         ),
         ({"attachments": {"link_3": {"shape": BOX, "link": "link_3"}}}, None, "two bodies are named 'fr/link_3'"),
     ],
