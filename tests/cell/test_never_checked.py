@@ -19,7 +19,7 @@ LINKS = ("one", "two", "three")
 
 
 def chain(radius: float = 0.12, gap: float = 0.1) -> str:
-    """Three balls in a row, turned about their own vertical axes: the first and the last touch if `2 radius > 2 gap`."""
+    """Three balls in a row, each turned about its own middle: the first and the last touch if `radius > gap`."""
     links = "".join(f'<link name="{name}">{BALL.format(radius=radius)}</link>' for name in LINKS)
     joints = "".join(
         f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
@@ -89,7 +89,7 @@ def test_a_link_of_several_bodies_stands_for_all_of_them() -> None:
 
 def test_a_body_that_is_not_there_is_refused_with_its_place() -> None:
     model = RobotModel(describe("kr16", never_checked=[["base", "link_3"], ["base", "link3"]]), "fr")
-    with pytest.raises(RobotModelError, match="no body 'link3'.*did you mean 'link_3'") as caught:
+    with pytest.raises(RobotModelError, match=r"no body 'link3'.*did you mean 'link_3'") as caught:
         _ = model.never_checked
     assert caught.value.field == ("never_checked", "1", "1")
 

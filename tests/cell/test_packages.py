@@ -92,5 +92,5 @@ def test_a_relative_name_without_a_folder_is_not_looked_for_where_the_process_ha
 def test_a_robots_model_may_be_named_by_its_package() -> None:
     urdf = load_urdf("package://deltaq_cell/robots/kr16/kr16.urdf")
     assert urdf.text == load_urdf("kr16").text
-    with pytest.raises(RobotModelError, match="no file 'package://gone/arm.urdf'"):
+    with pytest.raises(RobotModelError, match=r"no file 'package://gone/arm\.urdf'"):
         load_urdf("package://gone/arm.urdf")

@@ -1,4 +1,4 @@
-"""Robots that are not deltaq's: a small arm with meshes in a ROS package of its own, alone or several around a table."""
+"""Robots that are not deltaq's: a small arm with meshes in a ROS package, alone or several in a circle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ JOINTS = """
 
 
 def write_package(folder: Path) -> Path:
-    """Write the package `toy_arm` below a folder; its mesh is a barrel of many corners, one of its visuals is missing."""
+    """Write the package `toy_arm` below a folder; its mesh is a barrel of many corners, a visual one is missing."""
     angle = np.linspace(0, 2 * np.pi, 25)[:-1]
     rings = [
         np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(24, z)], axis=1)
