@@ -1,4 +1,4 @@
-"""Robots that are not deltaq's, through the whole stack in virtual time: three keep clear of each other, and it replays."""
+"""Robots that are not deltaq's in virtual time: three keep clear of each other, and what they did replays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deltaq_experiments.replay import replay
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_services.recorder.reader import Recording
 
-CYCLES = 250
+CYCLES = 120
 BETWEEN = np.linspace(0.0, 1.0, 5)[1:]
 """Where between two setpoints the oracle measures, which the gate does not know of."""
 
@@ -55,7 +55,7 @@ class Attackers:
         }
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int) -> None:
     stack = Lockstep(circle)
     attackers = Attackers(stack, seed)
