@@ -18,6 +18,7 @@ from deltaq_experiments.lockstep import Lockstep
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_experiments.recorded import lockstep
 from deltaq_experiments.replay import replay
+from deltaq_experiments.replay_plot import panels_of
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_services.recorder.reader import Recording
 
@@ -131,6 +132,9 @@ def test_a_recording_replays_to_the_bit_where_the_robots_files_are_gone(tmp_path
     assert result.verdicts > 100
     assert result.fingerprint == result.recorded_fingerprint
     assert result.notices == []
+    panels = panels_of(Recording.open(tmp_path / "run.mcap"))
+    assert [panel.caption for panel in panels] == [f"Tool of arm_{k}, from where it began" for k in (0, 1)]
+    assert max(np.ptp(line.values) for line in panels[0].lines) > 0.05
 
 
 def test_a_recording_without_hulls_is_refused_by_the_mesh_that_is_not_found(tmp_path: Path) -> None:
