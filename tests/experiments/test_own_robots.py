@@ -19,7 +19,8 @@ from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_experiments.recorded import lockstep
 from deltaq_experiments.replay import replay
 from deltaq_experiments.replay_plot import panels_of
-from deltaq_protocol.messages import Outcome, Phase
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.recorder.reader import Recording
 
 CYCLES = 120
@@ -45,9 +46,9 @@ class Attackers:
         """(n,) by robot [rad or m]."""
         for name, robot in self._stack.cell.robots.items():
             if cycle % 40 == 0:
-                middle = self._random.normal([0.0, 1.4, 0.3], [0.3, 0.3, 0.1])
+                middle = self._random.normal([0.0, 1.4, 0.3], [0.15, 0.2, 0.08])
                 away = self._random.uniform(robot.lower, robot.upper)
-                self._aims[name] = middle if self._random.random() < 0.8 else away
+                self._aims[name] = middle if cycle == 0 or self._random.random() < 0.7 else away
         arms, cycle_s = self._stack.arms, self._stack.cell.description.cycle_s
         most = {name: robot.max_velocity * cycle_s for name, robot in self._stack.cell.robots.items()}
         return {
@@ -58,7 +59,8 @@ class Attackers:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int) -> None:
-    stack = Lockstep(circle)
+    leaning_in = np.array([0.0, 0.5, 0.2])
+    stack = Lockstep(circle, {f"arm_{number}": leaning_in for number in range(3)})
     attackers = Attackers(stack, seed)
     stop_m = stack.cell.description.gate.stop_distance_m
     oracles = {
@@ -66,7 +68,7 @@ def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int
         for pair in combinations(stack.arms, 2)
     }
     nearest = dict.fromkeys(oracles, np.inf)
-    outcomes = set()
+    bound = set()
     stack.run_until_ready()
     for name in stack.arms:
         stack.acquire(name, "test")
@@ -76,14 +78,14 @@ def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int
         for name, dq in attackers.increments(cycle).items():
             verdict = stack.ask(name, dq)
             assert verdict is not None
-            outcomes.add(verdict.outcome)
+            if verdict.pair and any(reason.code is ReasonCode.CLEARANCE for reason in verdict.reasons):
+                bound.add(frozenset(body.split("/")[0] for body in verdict.pair))
         for share in BETWEEN:
             q = {name: before[name] + share * (arm.q - before[name]) for name, arm in stack.arms.items()}
             for pair, oracle in oracles.items():
                 nearest[pair] = min(nearest[pair], oracle.between_robots({n: q[n] for n in pair}).distance_m)
     assert all(distance >= stop_m for distance in nearest.values()), nearest
-    assert min(nearest.values()) < stop_m + 0.02  # they did try
-    assert {Outcome.ADMITTED, Outcome.SCALED, Outcome.HELD} <= outcomes
+    assert any(pair <= set(stack.arms) and len(pair) == 2 for pair in bound), bound  # they did try
 
 
 def test_the_nearest_pair_is_found_whichever_robots_it_belongs_to(circle: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -20,6 +21,8 @@ from private_cell import free_ports
 
 from deltaq_cell.load import load_cell
 from deltaq_cell.packages import find_file
+from deltaq_protocol import connect
+from deltaq_protocol.client import Cell
 
 pytestmark = pytest.mark.live
 
@@ -97,6 +100,17 @@ def test_the_guide_leads_from_two_published_urdfs_to_a_replayed_motion(tmp_path:
     assert replayed["fingerprint"] == replayed["recorded_fingerprint"]
 
 
+async def turn(running: Cell, robot: str) -> None:
+    """Turn the first joint of a robot by a twentieth of a radian, through the gate."""
+    async with running.lease(robot) as leased:
+        start = None
+        async for state in leased.states():
+            start = start or state
+            if abs(state.q[0] - start.q[0]) > 0.05:
+                return
+            await leased.move([0.004, 0.0, 0.0])
+
+
 async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,17 +130,8 @@ async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their
             async with json_client(cell.tcp_port) as client:
                 described = await client.ask("description", type="describe")
                 assert set(described["hulls"]) == set(cell.robots) == {"arm_0", "arm_1", "arm_2"}
-                for robot in cell.robots:
-                    assert (await client.ask("lease", type="lease", robot=robot, action="acquire"))["granted"]
-                start: dict[str, list[float]] = {}
-                seq, turned = dict.fromkeys(cell.robots, 0), dict.fromkeys(cell.robots, 0.0)
-                while min(turned.values()) < 0.05:
-                    state = await client.receive("state")
-                    robot = state["robot"]
-                    turned[robot] = abs(state["q"][0] - start.setdefault(robot, state["q"])[0])
-                    seq[robot] += 1
-                    dq = [0.004, 0.0, 0.0]
-                    client.send(type="increment", robot=robot, seq=seq[robot], cycle=state["cycle"], dq=dq)
+            async with connect(cell.hli, "test") as running:
+                await asyncio.gather(*(turn(running, robot) for robot in cell.robots))
             status = json.loads(
                 subprocess.check_output(
                     [DELTAQ, "status", "--cell", str(file), "--json"], text=True, timeout=60
