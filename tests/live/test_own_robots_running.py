@@ -132,34 +132,32 @@ async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their
                 assert set(described["hulls"]) == set(cell.robots) == {"arm_0", "arm_1", "arm_2"}
             async with connect(cell.hli, "test") as running:
                 await asyncio.gather(*(turn(running, robot) for robot in cell.robots))
-            status = json.loads(
-                subprocess.check_output(
-                    [DELTAQ, "status", "--cell", str(file), "--json"], text=True, timeout=60
-                )
-            )
-            assert set(status["robots"]) == set(cell.robots)
-            assert status["nearest"] is not None
-            script = tmp_path / "task.yaml"
-            script.write_text("- {duration_s: 0.5, mode: joint, move: {lift_deg_s: 10, Reach_mm_s: 20}}\n")
-            drive = [
-                DELTAQ,
-                "drive",
-                "--robot",
-                "arm_2",
-                "--cell",
-                str(file),
-                "--script",
-                str(script),
-                "--json",
-            ]
-            driven = json.loads(subprocess.check_output(drive, text=True, timeout=60))
-            assert driven["gate"]["admitted"] > 0
         finally:
             recorder.send_signal(signal.SIGTERM)
             recorder.communicate(timeout=60)
+        status = json.loads(
+            subprocess.check_output([DELTAQ, "status", "--cell", str(file), "--json"], text=True, timeout=60)
+        )
+        assert set(status["robots"]) == set(cell.robots)
+        assert status["nearest"] is not None
+        script = tmp_path / "task.yaml"
+        script.write_text("- {duration_s: 0.5, mode: joint, move: {lift_deg_s: 10, Reach_mm_s: 20}}\n")
+        drive = [
+            DELTAQ,
+            "drive",
+            "--robot",
+            "arm_2",
+            "--cell",
+            str(file),
+            "--script",
+            str(script),
+            "--json",
+        ]
+        driven = json.loads(subprocess.check_output(drive, text=True, timeout=60))
+        assert driven["gate"]["admitted"] > 0
     replayed = json.loads(
         subprocess.check_output(
-            [DELTAQ, "replay", str(tmp_path / "run.mcap"), "--json"], text=True, timeout=60
+            [DELTAQ, "replay", str(tmp_path / "run.mcap"), "--json"], text=True, timeout=120
         )
     )
     assert replayed["good"]
