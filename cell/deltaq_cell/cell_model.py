@@ -2,17 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import pinocchio as pin
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.hull import Corners
 from deltaq_cell.load import cell_text, load_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.structure import structure_geometry
 from deltaq_cell.summary import robot_summary
 from deltaq_protocol import messages
+from deltaq_protocol.codec import pack, to_line
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.session import MAX_ZENOH_MESSAGE_BYTES
+
+MOST_TOLD_BYTES = MAX_ZENOH_MESSAGE_BYTES - 64 * 1024
+"""Longest description that clients can be told, as msgpack and as a line of JSON."""
+
+
+class LongDescriptionError(DeltaqError):
+    """A cell's description is too long for its clients."""
+
+
+def robots_told(
+    description: CellDescription, urdf: Mapping[str, str], hulls: Mapping[str, Mapping[str, Corners]]
+) -> dict[str, RobotModel]:
+    """Models of a cell's robots from what was told or recorded of them; no file of the user's is needed.
+
+    Args:
+        description: of the cell.
+        urdf: URDF text by robot.
+        hulls: by robot and body; a mesh without is looked for among the packages that are installed here.
+
+    Raises:
+        RobotModelError: a mesh that came without its hull is not found.
+    """
+    return {
+        name: RobotModel(robot, name, urdf=urdf[name], hulls=hulls.get(name))
+        for name, robot in description.robots.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -49,12 +80,30 @@ class CellModel:
         return cls(description, robots, tuple(structure_geometry(description)), yaml)
 
     def description_message(self) -> messages.Description:
-        """Everything a client needs to model the cell, as the HLI answers it."""
+        """Everything a client needs to model the cell, as the HLI answers it.
+
+        Visual meshes are left out: they are megabytes, and nothing is decided by them; the gate sees the hulls.
+
+        Raises:
+            LongDescriptionError: it is longer than a message can be.
+        """
         cell = self.description
-        return messages.Description(
+        message = messages.Description(
             cell=cell.cell,
             cycle_s=cell.cycle_s,
             robots={name: robot_summary(robot, cell.cycle_s) for name, robot in cell.robots.items()},
             yaml=self.yaml,
             urdf={name: robot.urdf for name, robot in self.robots.items()},
+            hulls={name: robot.hulls for name, robot in self.robots.items()},
         )
+        length = max(len(pack(message)), len(to_line(message)))
+        if length > MOST_TOLD_BYTES:
+            parts = {f"the URDF of {name}": len(text) for name, text in message.urdf.items()} | {
+                "the YAML": len(message.yaml)
+            }
+            longest = max(parts, key=lambda part: parts[part])
+            raise LongDescriptionError(
+                f"the description of cell {cell.cell} is {length} bytes long, and clients can be told "
+                f"{MOST_TOLD_BYTES}; the longest part is {longest} with {parts[longest]}"
+            )
+        return message

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_cell.cell_model import MOST_TOLD_BYTES, CellModel, LongDescriptionError
 from deltaq_cell.description import CellDescription, RobotDescription, RsiDriver
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_located
 from deltaq_cell.located import Located, shown
 from deltaq_cell.models import RobotModelError, nearest_name
+from deltaq_cell.never_checked import SAMPLES, Pair, Why, farthest_apart, ordered, samples
 from deltaq_cell.problems import CellError, Problem, Severity
 from deltaq_cell.proximity import Proximity
 from deltaq_cell.robot import RobotModel
@@ -36,10 +37,12 @@ class Report:
     Attributes:
         cell: the name or path that was checked.
         problems: errors and warnings, in the order of the file.
+        never_checked: by robot, pairs of its bodies that no check looks at, and why.
     """
 
     cell: str
     problems: tuple[Problem, ...]
+    never_checked: dict[str, dict[Pair, Why]]
 
     @property
     def errors(self) -> tuple[Problem, ...]:
@@ -59,7 +62,11 @@ class Report:
     def as_dict(self) -> dict[str, Any]:
         """The report as JSON takes it."""
         problems = [problem.as_dict() for problem in self.problems]
-        return {"cell": self.cell, "ok": self.ok, "problems": problems}
+        left_out = {
+            robot: [{"pair": list(pair), "why": why} for pair, why in pairs.items()]
+            for robot, pairs in self.never_checked.items()
+        }
+        return {"cell": self.cell, "ok": self.ok, "problems": problems, "never_checked": left_out}
 
 
 def check_cell(name_or_path: str | Path) -> Report:
@@ -68,10 +75,10 @@ def check_cell(name_or_path: str | Path) -> Report:
         path = find_cell(name_or_path)
         description, tree = load_located(path)
     except CellError as error:
-        return Report(str(name_or_path), error.problems)
+        return Report(str(name_or_path), error.problems, {})
     check = _Check(path, description, tree)
     problems = sorted(check.problems(), key=lambda problem: (problem.file, problem.line))
-    return Report(str(name_or_path), tuple(problems))
+    return Report(str(name_or_path), tuple(problems), check.never_checked)
 
 
 class _Check:
@@ -81,6 +88,7 @@ class _Check:
         self.path = path
         self.cell = description
         self.tree = tree
+        self.never_checked: dict[str, dict[Pair, Why]] = {}
 
     def problems(self) -> Iterator[Problem]:
         yield from self.ports()
@@ -91,10 +99,12 @@ class _Check:
             yield from self.cycle(name, robot)
             yield from self.krc_files(name, robot)
             try:
-                models[name] = RobotModel(robot, name)
+                model = RobotModel(robot, name)
+                self.never_checked[name] = model.never_checked
+                models[name] = model
             except RobotModelError as error:
-                field = ("robots", name, *error.field)
-                yield self.at(field, str(error), suggestion=error.suggestion)
+                place = ("robots", name, *(int(part) if part.isdigit() else part for part in error.field))
+                yield self.at(place, str(error), suggestion=error.suggestion)
                 continue
             yield from self.limits(models[name])
             yield from self.tolerances(models[name])
@@ -102,6 +112,7 @@ class _Check:
             cell = CellModel.of(self.cell, models)
             yield from self.contacts(cell)
             yield from self.homes(cell)
+            yield from self.told(cell)
 
     def at(
         self,
@@ -249,11 +260,33 @@ class _Check:
             distance = round(proximity.least(group), 4)
             if distance < group.stop_distance_m:
                 one, other = group.nearest().pair
+                remedy = _remedy(cell.robots[name], ordered(one, other), group.stop_distance_m)
                 message = (
                     f"at home {one} and {other} are {distance:g} m apart, nearer than the stop distance of "
-                    f"{group.stop_distance_m:g} m; choose another home, or name what the robot stands on in mounted_on"
+                    f"{group.stop_distance_m:g} m; {remedy}"
                 )
                 yield self.at(("robots", name, "joints"), message, distance, group.stop_distance_m)
+
+    def told(self, cell: CellModel) -> Iterator[Problem]:
+        """The description is no longer than clients can be told."""
+        try:
+            cell.description_message()
+        except LongDescriptionError as error:
+            yield self.at(("robots",), str(error), bound=MOST_TOLD_BYTES)
+
+
+def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
+    """What to do about two bodies that are too near at home."""
+    if not all(name.startswith(f"{robot.name}/") for name in pair):
+        return "choose another home, or name what the robot stands on in mounted_on"
+    drawn = samples(robot.lower, robot.upper)
+    farthest = farthest_apart(robot.model, list(robot.geometry.geometryObjects), [pair], drawn, stop_m)[pair]
+    if farthest > stop_m:
+        return "choose another home"
+    return (
+        f"in none of {SAMPLES} configurations within the joint limits are they farther apart than {farthest:.3f} m: "
+        "lower gate.self_stop_distance_m, or, if they cannot touch, name them in never_checked"
+    )
 
 
 def _lever(robot: RobotModel, joint: int) -> float:

@@ -19,7 +19,13 @@ Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
+JointName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")]
+"""As its URDF names it."""
 Endpoint = Annotated[str, Field(pattern=r"^tcp/[^/\s]+:\d{1,5}$")]
+
+
+MOST_ROBOTS = 8
+"""In one cell: one thread decides for all, and pairs of robots grow with the square."""
 
 
 class Description(BaseModel):
@@ -227,12 +233,14 @@ class RobotDescription(Description):
     """One robot of the cell."""
 
     model: str
-    """A model's name (`kr16`, `kr16_gantry`) or the path of a URDF file."""
+    """A model's name (`kr16`), the path of a URDF file, or `package://` and a path within a package."""
     server: Endpoint
     """Where its Robot Server listens for SIM and HLI."""
     driver: Driver
-    joints: dict[Name, JointDescription]
-    """In the joint order of the model; prismatic joints come first."""
+    joints: dict[JointName, JointDescription]
+    """In the joint order of the model."""
+    locked_joints: dict[JointName, FiniteFloat] = {}
+    """Joints of the model that this cell holds still, a gripper's say, and where: in rad or m, as in the URDF."""
     base: Pose = Pose()
     tool: Tool = Tool()
     hands: dict[Name, Hand] = {}
@@ -241,6 +249,8 @@ class RobotDescription(Description):
     attachments: dict[Name, Attachment] = {}
     mounted_on: tuple[str, ...] = ()
     """Bodies of the structure that the robot's base stands on or hangs from; never checked against it."""
+    never_checked: tuple[tuple[str, str], ...] = ()
+    """Links or bodies of the robot that cannot touch, or always do; `deltaq check` lists what is left out and why."""
     servo_lag: ServoLag = ServoLag()
     outputs: tuple[Name, ...] = ()
     inputs: tuple[Name, ...] = ()
@@ -380,7 +390,7 @@ class CellDescription(Description):
     cell: Name
     cycle_s: Annotated[float, Field(ge=0.001, le=0.1)]
     """The robots' own sample time."""
-    robots: Annotated[dict[Name, RobotDescription], Field(min_length=1, max_length=2)]
+    robots: Annotated[dict[Name, RobotDescription], Field(min_length=1, max_length=MOST_ROBOTS)]
     structure: dict[Name, Body] = {}
     gate: GateDescription = GateDescription()
     contacts: dict[Name, ContactDescription] = {}

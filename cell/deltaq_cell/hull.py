@@ -2,52 +2,166 @@
 
 coal looks for the farthest corner of a large hull from where its last search ended, so a distance depends, in
 its last digits, on the queries before it, and a recording would not replay to the bit. Up to 32 corners it looks
-at all of them. Hulls with more are replaced by a polytope of 14 faces around them.
+at all of them. A mesh whose hull has more is taken for a polytope of at most 32 corners around it.
+
+A hull is told to others as its corners. The same corners in the same order measure alike to the last bit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations, product
-from typing import Any
+from typing import Any, TypeAlias
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_protocol.errors import DeltaqError
+
 Array = NDArray[np.float64]
+Corners: TypeAlias = tuple[tuple[float, float, float], ...]
+"""Corners of a hull in the frame of its body [m]."""
 
 MOST_CORNERS = 32
 """coal's bound between searching all corners and walking from one to the next."""
 
-_CUBE = [sign * axis for sign in (-1.0, 1.0) for axis in np.eye(3)]
-_OCTAHEDRON = [np.array(signs) / np.sqrt(3.0) for signs in product((-1.0, 1.0), repeat=3)]
-_FACES = np.array([*_CUBE, *_OCTAHEDRON])
-"""Outward normals: of a cube, and of an octahedron that cuts its corners off."""
+_FLAT = 1e-6
+"""Points that spread across a plane by less than this share of their spread within it are taken to lie in it."""
+
+_CLOSE = 1e-6
+"""A polytope that reaches beyond its points by no more than this share of their size needs no further face."""
+
+_ROOM = 2e-9
+"""Faces are moved out by this share of the size, more than rounding takes away."""
 
 
-def reproducible_hull(hull: Any) -> Any:
-    """The same hull if it is small, else one around it of at most 24 corners.
+class HullError(DeltaqError):
+    """Points that no convex hull with a volume can be made of."""
+
+
+def hull_corners(points: Array) -> Corners:
+    """Corners of the convex hull of (k, 3) `points`, or of a polytope of at most 32 corners around it.
+
+    Raises:
+        HullError: the points lie in a plane, or some are not finite.
+    """
+    hull = _convex_hull(points)
+    corners = _points_of(hull)
+    return _as_told(corners if len(corners) <= MOST_CORNERS else _around(corners, _normals_of(hull)))
+
+
+def hull_shape(corners: Corners) -> Any:
+    """The `coal.Convex` with these corners, in this order.
+
+    Raises:
+        HullError: there are more than 32, or they are not the corners of a convex body.
+    """
+    if len(corners) > MOST_CORNERS:
+        raise HullError(
+            f"a hull has {len(corners)} corners, at most {MOST_CORNERS} are measured alike always"
+        )
+    hull = _convex_hull(np.array(corners, dtype=np.float64).reshape(-1, 3))
+    if hull.num_points != len(corners):
+        raise HullError(f"of {len(corners)} corners of a hull only {hull.num_points} are on its outside")
+    order = {corner: index for index, corner in enumerate(corners)}
+    numbers = [order[corner] for corner in _as_told(_points_of(hull))]
+    faces = coal.StdVec_Triangle()
+    for face in _faces_of(hull):
+        faces.append(coal.Triangle(*(numbers[corner] for corner in face)))
+    return coal.Convex(_points(corners), faces)
+
+
+def _around(points: Array, normals: Array) -> Array:
+    """(m, 3) corners, m <= 32, of a polytope that holds all (k, 3) `points`.
+
+    It begins as a box, and is cut where it reaches farthest beyond the points, as long as the corners allow.
 
     Args:
-        hull: `coal.Convex`.
+        points: to be held.
+        normals: (n, 3) outward ones of their hull, which cut best.
     """
-    corners = np.array([hull.point(index) for index in range(hull.num_points)])
-    if len(corners) <= MOST_CORNERS:
-        return hull
-    points = coal.StdVec_Vec3s()
-    for corner in around(corners):
-        points.append(corner)
-    return coal.Convex.convexHull(points, True, "Qt")
-
-
-def around(points: Array) -> Array:
-    """(m, 3) corners, m <= 24, of the smallest polytope with these 14 faces that holds (k, 3) `points`."""
-    offsets = (points @ _FACES.T).max(axis=0)
-    triples = np.array(list(combinations(range(len(_FACES)), 3)))
-    normals = _FACES[triples]
-    meets = np.abs(np.linalg.det(normals)) > 1e-9
-    corners = np.linalg.solve(normals[meets], offsets[triples[meets]][..., None])[..., 0]
+    directions = np.vstack([_DIRECTIONS, normals])
+    middle = (points.max(axis=0) + points.min(axis=0)) / 2
     size = float(np.ptp(points, axis=0).max())
-    inside = np.all(corners @ _FACES.T <= offsets + 1e-9 * size, axis=1)
-    kept: Array = np.unique(np.round(corners[inside] / size, 9), axis=0) * size
-    return kept
+    reach = (((points - middle) / size) @ directions.T).max(axis=0) + _ROOM
+    faces = list(range(_BOX_FACES))
+    corners = _corners(directions[faces], reach[faces])
+    while True:
+        beyond = (corners @ directions.T).max(axis=0) - reach
+        faces.append(int(np.argmax(beyond)))
+        cut = _corners(directions[faces], reach[faces])
+        if len(cut) > MOST_CORNERS or beyond.max() < _CLOSE:
+            found: Array = corners * size + middle
+            return found
+        corners = cut
+
+
+def _corners(normals: Array, reach: Array) -> Array:
+    """(m, 3) corners of the polytope of all x with `normals @ x <= reach`."""
+    triples = np.array(list(combinations(range(len(normals)), 3)))
+    meets = np.abs(np.linalg.det(normals[triples])) > 1e-6
+    points = np.linalg.solve(normals[triples[meets]], reach[triples[meets]][..., None])[..., 0]
+    inside = np.all(points @ normals.T <= reach + 1e-10, axis=1)
+    corners: Array = np.unique(np.round(points[inside], 9) + 0.0, axis=0)
+    return corners
+
+
+def _directions() -> Array:
+    box = [sign * axis for axis in np.eye(3) for sign in (-1.0, 1.0)]
+    steps = (-1.0, -0.5, 0.0, 0.5, 1.0)
+    others = [
+        step for step in product(steps, repeat=3) if max(map(abs, step)) == 1 and np.count_nonzero(step) > 1
+    ]
+    normals = np.array([*box, *others])
+    unit: Array = normals / np.linalg.norm(normals, axis=1)[:, None]
+    return unit
+
+
+_BOX_FACES = 6
+_DIRECTIONS = _directions()
+"""A box's normals first, then those that cut its edges and corners."""
+
+
+def _convex_hull(points: Array) -> Any:
+    if len(points) < 4 or not np.all(np.isfinite(points)):
+        raise HullError(f"no convex hull of {len(points)} points: it takes four, and finite numbers")
+    greatest, _, least = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if least <= _FLAT * greatest:  # asked before, since qhull does not survive it
+        raise HullError(
+            f"no convex hull of {len(points)} points that lie in a plane; give the body a thickness"
+        )
+    return coal.Convex.convexHull(_points(points), True, "Qt")
+
+
+def _points_of(hull: Any) -> Array:
+    return np.array([hull.point(index) for index in range(hull.num_points)])
+
+
+def _faces_of(hull: Any) -> list[list[int]]:
+    return [[hull.polygons(face)[corner] for corner in range(3)] for face in range(hull.num_polygons)]
+
+
+def _normals_of(hull: Any) -> Array:
+    """(n, 3) outward unit normals of a hull's faces, nearly equal ones once."""
+    corners = _points_of(hull)
+    a, b, c = corners[np.array(_faces_of(hull))].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    outward = np.sign(np.einsum("ij,ij->i", normals, a - corners.mean(axis=0)))
+    kept = length > 1e-9 * length.max()
+    normals = normals[kept] * (outward[kept] / length[kept])[:, None]
+    distinct = np.unique(np.round(normals, 2), axis=0)
+    unit: Array = distinct / np.linalg.norm(distinct, axis=1)[:, None]
+    return unit
+
+
+def _points(points: Array | Corners) -> Any:
+    vector = coal.StdVec_Vec3s()
+    for point in points:
+        vector.append(np.array(point, dtype=np.float64))
+    return vector
+
+
+def _as_told(points: Array | Sequence[Any]) -> Corners:
+    return tuple((float(x), float(y), float(z)) for x, y, z in points)

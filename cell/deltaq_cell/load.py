@@ -22,6 +22,9 @@ __all__ = ["cell_text", "find_cell", "load_cell", "load_located", "parse_cell", 
 EXTENDS = "extends"
 """Key at the top of a cell file: another cell (by path beside it, or by name) that this one changes."""
 
+REMOVABLE = ("robots", "structure", "contacts")
+"""Sections in which a cell that extends another takes something out by setting it to null."""
+
 
 def load_cell(name_or_path: str | Path) -> CellDescription:
     """Load the description of a cell.
@@ -80,7 +83,7 @@ def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, Loca
         raise _extends_error(base_name, f"'{base_name.value}': {error.problems[0].message}") from None
     if base.resolve() in (*seen, path.resolve()):
         raise _extends_error(base_name, f"'{base_name.value}' extends this file in turn")
-    return text, merge(_read_with_bases(base, (*seen, path.resolve()))[1], tree), True
+    return text, merge(_read_with_bases(base, (*seen, path.resolve()))[1], tree, REMOVABLE), True
 
 
 def _find_base(path: Path, name: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,6 +13,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+from deltaq_cell.models import nearest_name
 from deltaq_cell.problems import CellError, Problem
 
 MAX_BYTES = 1 << 20
@@ -56,14 +58,43 @@ class Located:
         return node, tuple(trail)
 
 
-def merge(base: Located, over: Located) -> Located:
-    """Deep merge: mappings are merged key by key, anything else of `over` takes the place of `base`."""
+def merge(base: Located, over: Located, removable: Collection[str] = ()) -> Located:
+    """Deep merge: mappings are merged key by key, anything else of `over` takes the place of `base`.
+
+    Args:
+        base: what is changed.
+        over: the changes.
+        removable: keys of `base` below which null takes out what `base` has under that name.
+
+    Raises:
+        CellError: there is nothing of the name that null shall take out.
+    """
     if not (isinstance(base.value, dict) and isinstance(over.value, dict)):
         return over
     merged = dict(base.value)
     for key, child in over.value.items():
+        if key in removable and isinstance(child.value, dict):
+            merged[key], child = _without(key, merged.get(key), child)
         merged[key] = merge(merged[key], child) if key in merged else child
     return Located(merged, over.file, over.line)
+
+
+def _without(section: str, base: Located | None, over: Located) -> tuple[Located, Located]:
+    """A section without what is null in its changes, and the changes without those nulls."""
+    assert isinstance(over.value, dict)  # the caller saw to it
+    had = base.value if base is not None and isinstance(base.value, dict) else {}
+    gone = {key: child for key, child in over.value.items() if child.value is None}
+    for key, child in gone.items():
+        if key not in had:
+            near = nearest_name(key, had)
+            message = f"nothing of that name to take out; there is {', '.join(had) or 'nothing'}"
+            message += f"; did you mean '{near}'?" if near else ""
+            field = f"{section}.{key}"
+            raise CellError([Problem(child.file, child.line, field, message, suggestion=near)])
+    kept = {key: child for key, child in had.items() if key not in gone}
+    changes = {key: child for key, child in over.value.items() if key not in gone}
+    place = over if base is None else base
+    return Located(kept, place.file, place.line), Located(changes, over.file, over.line)
 
 
 def read(path: Path) -> tuple[str, Located]:

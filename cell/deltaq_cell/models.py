@@ -1,4 +1,4 @@
-"""Robot models by name or path: their URDF text, without loading any kinematics."""
+"""Robot models by name or path: their URDF text, without loading any kinematics or meshes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from deltaq_cell.packages import SCHEMES, find_file
 from deltaq_protocol.errors import DeltaqError
 
 SHIPPED: dict[str, str] = {
@@ -42,54 +43,66 @@ def nearest_name(name: str, allowed: Iterable[str]) -> str | None:
 
 @dataclass(frozen=True)
 class Urdf:
-    """A robot's URDF, and where its meshes are found.
+    """A robot's URDF.
 
     Attributes:
-        text: the XML.
+        text: the XML, as it was written.
         source: the file it came from, for messages; `<text>` where it came as text.
-        package_dirs: folders in which `package://` paths are looked up.
+        folder: of that file, from which its meshes are looked for; None where it came as text.
     """
 
     text: str
     source: str
-    package_dirs: tuple[Path, ...]
+    folder: Path | None
+
+    def tree(self) -> ElementTree.Element:
+        """The XML, to be changed at will.
+
+        Raises:
+            RobotModelError: the text is no XML.
+        """
+        try:
+            return ElementTree.fromstring(self.text)
+        except ElementTree.ParseError as error:
+            raise RobotModelError(f"{self.source}: not a URDF model: {error}", ("model",)) from None
 
 
 def load_urdf(model: str | Path) -> Urdf:
     """Find a robot's URDF.
 
     Args:
-        model: name of a shipped model (`kr16`) or path of a URDF file. In a file, mesh names without a scheme
-            are taken from its folder, and `package://` is looked up in its folder and those above it.
+        model: name of a shipped model (`kr16`), path of a URDF file, or `package://` and a path within a package
+            (see `deltaq_cell.packages.find_file`).
 
     Raises:
-        RobotModelError: no such model or file, or it is no XML.
+        RobotModelError: no such model or file, or it is no text.
     """
-    shipped = SHIPPED.get(str(model))
-    path = ROBOTS / shipped if shipped else Path(model)
+    path = _model_file(str(model))
+    try:
+        return Urdf(path.read_text(encoding="utf-8"), str(path), path.resolve().parent)
+    except UnicodeDecodeError as error:
+        raise RobotModelError(f"{path}: not a URDF model: {error}", ("model",)) from None
+
+
+def urdf_from_text(text: str) -> Urdf:
+    """A URDF that came as text, e.g. over the wire; only meshes of packages that are installed here are found."""
+    return Urdf(text, "<text>", None)
+
+
+def _model_file(model: str) -> Path:
+    if model.startswith(SCHEMES):
+        try:
+            return find_file(model)
+        except FileNotFoundError as error:
+            raise RobotModelError(str(error), ("model",)) from None
+    path = ROBOTS / SHIPPED[model] if model in SHIPPED else Path(model)
     if not path.is_file():
         raise RobotModelError(
             f"no robot model '{model}': it is neither a file nor one of {', '.join(sorted(SHIPPED))}",
             ("model",),
-            nearest_name(str(model), SHIPPED),
+            nearest_name(model, SHIPPED),
         )
-    try:
-        text = path.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
-    except (UnicodeDecodeError, ElementTree.ParseError) as error:
-        raise RobotModelError(f"{path}: not a URDF file: {error}", ("model",)) from None
-    folder = path.resolve().parent
-    relative = [mesh for mesh in root.iter("mesh") if "://" not in mesh.get("filename", "")]
-    if relative:
-        for mesh in relative:
-            mesh.set("filename", str(folder / mesh.get("filename", "")))
-        text = ElementTree.tostring(root, encoding="unicode")
-    return Urdf(text, str(path), (ROBOTS.parents[1], folder, *folder.parents))
-
-
-def urdf_from_text(text: str) -> Urdf:
-    """A URDF that came as text, e.g. over the wire; only the meshes that come with deltaq are found."""
-    return Urdf(text, "<text>", (ROBOTS.parents[1],))
+    return path
 
 
 def collision_names(urdf: Urdf) -> dict[str, list[str]]:
@@ -100,12 +113,8 @@ def collision_names(urdf: Urdf) -> dict[str, list[str]]:
     Raises:
         RobotModelError: the text is no XML.
     """
-    try:
-        root = ElementTree.fromstring(urdf.text)
-    except ElementTree.ParseError as error:
-        raise RobotModelError(f"{urdf.source}: not a URDF file: {error}") from None
     names: dict[str, list[str]] = {}
-    for link in root.iter("link"):
+    for link in urdf.tree().iter("link"):
         bodies = link.findall("collision")
         link_name = link.get("name", "")
         names[link_name] = [

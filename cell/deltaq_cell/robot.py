@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -9,9 +10,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from deltaq_cell.description import Array, Pose, RobotDescription
-from deltaq_cell.models import RobotModelError, load_urdf, nearest_name, urdf_from_text
-from deltaq_cell.robot_bodies import collision_geometry, parse_geometry
+from deltaq_cell.hull import Corners
+from deltaq_cell.models import RobotModelError, collision_names, load_urdf, nearest_name, urdf_from_text
+from deltaq_cell.never_checked import Pair, Why, never_checked
+from deltaq_cell.robot_bodies import collision_geometry, hulls_of
 from deltaq_cell.structure import body_geometry, placement
+from deltaq_cell.urdf_parsing import MissingMeshError, parse_geometry, parse_model
 from deltaq_protocol.messages import ToolPose
 
 FLANGE_LINKS = ("flange", "tool0")
@@ -31,6 +35,7 @@ class RobotModel:
         description: the robot as its cell describes it.
         name: the robot's name in the cell; its bodies' names begin with it (`fr/link_5`).
         urdf: URDF text to use in place of `description.model`, e.g. one that came over the wire.
+        hulls: hulls that came with it: of bodies whose meshes need not be found, by name without the robot's.
 
     Attributes:
         description: as given.
@@ -39,6 +44,7 @@ class RobotModel:
         model: `pinocchio.Model`; its world is the cell's world (the base pose is part of it).
         geometry: `pinocchio.GeometryModel` of the collision bodies, in the order of the joints that move them.
             Meshes are taken for their convex hulls.
+        hulls: corners of those hulls, by the body's name without the robot's.
         hands: names of the frames that the robot works with: its hands', or `tool` alone.
         T_world_base: (4, 4) pose of the robot's root link.
 
@@ -46,7 +52,13 @@ class RobotModel:
         RobotModelError: the model is not found, or does not fit the description.
     """
 
-    def __init__(self, description: RobotDescription, name: str, urdf: str | None = None) -> None:
+    def __init__(
+        self,
+        description: RobotDescription,
+        name: str,
+        urdf: str | None = None,
+        hulls: Mapping[str, Corners] | None = None,
+    ) -> None:
         self.description = description
         self.name = name
         source = load_urdf(description.model) if urdf is None else urdf_from_text(urdf)
@@ -54,16 +66,19 @@ class RobotModel:
         self._source = source
         self._T_world_base = placement(description.base)
         self.T_world_base: Array = _frozen(self._T_world_base.homogeneous)
-        try:
-            self.model = pin.buildModelFromXML(source.text)
-        except ValueError as error:
-            raise RobotModelError(f"{source.source}: not a URDF model: {error}", ("model",)) from None
+        self.model = parse_model(source, description.locked_joints)
         self._check_joints()
         self._bake_base_pose()
         self.hands: tuple[str, ...] = tuple(description.hands) or ("tool",)
         self._frames = self._carried_frames()
         self._data = self.model.createData()
-        self.geometry = collision_geometry(source, name, self._T_world_base, self._bolted_bodies())
+        self.geometry = collision_geometry(
+            source, name, self._T_world_base, description.locked_joints, hulls or {}, self._bolted_bodies()
+        )
+        if not self.geometry.ngeoms:
+            text = f"{source.source}: no link has a collision body, so that nothing could be kept clear of the robot"
+            raise RobotModelError(text, ("model",))
+        self.hulls: dict[str, Corners] = hulls_of(self.geometry, name)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -153,31 +168,35 @@ class RobotModel:
         pin.forwardKinematics(self.model, self._data, self._checked(q))
         return np.array([self._data.oMi[joint].translation for joint in range(1, self.model.njoints)])
 
-    def never_checked_pairs(self, structure: bool = True) -> frozenset[tuple[str, str]]:
-        """Pairs of body names that touch by construction, and so are never checked; each pair is sorted.
+    def never_checked_pairs(self, structure: bool = True) -> frozenset[Pair]:
+        """Pairs of body names that are never checked, each sorted; `structure` as `never_checked` has it."""
+        return frozenset(
+            pair for pair, why in self.never_checked.items() if structure or why is not Why.MOUNTED
+        )
 
-        They are two bodies of one link (or of links that are fixed to one another), two bodies of links that one
-        joint joins, and, if `structure`, the robot's mount with the bodies it is mounted on. The mount is
-        what stands still, or, where nothing of the robot does (a portal on rails), what the first joint moves.
+    @cached_property
+    def never_checked(self) -> dict[Pair, Why]:
+        """Pairs of body names that are never checked, each sorted, and why.
+
+        Raises:
+            RobotModelError: the cell names a body that the robot does not have.
         """
-        pairs = set()
-        bodies = [(body.name, int(body.parentJoint)) for body in self.geometry.geometryObjects]
-        for i, (first, first_joint) in enumerate(bodies):
-            for second, second_joint in bodies[i + 1 :]:
-                low, high = sorted((first_joint, second_joint))
-                if low == high or int(self.model.parents[high]) == low:
-                    pairs.add(_sorted(first, second))
-        if structure and bodies:
-            mount = min(joint for _, joint in bodies)
-            for body, joint in bodies:
-                if joint == mount:
-                    pairs |= {_sorted(body, f"structure/{name}") for name in self.description.mounted_on}
-        return frozenset(pairs)
+        links = collision_names(self._source)
+        return never_checked(
+            self.model, list(self.geometry.geometryObjects), links, self.description, self.name
+        )
 
     @cached_property
     def visual(self) -> pin.GeometryModel:
-        """`pinocchio.GeometryModel` of the visual bodies, attachments and tool bodies included."""
-        visual = parse_geometry(self._source, pin.GeometryType.VISUAL, self._T_world_base)
+        """`pinocchio.GeometryModel` of the visual bodies, attachments and tool bodies included.
+
+        Visual meshes do not travel with a description. Where one is not found here, the hulls are shown.
+        """
+        locked = self.description.locked_joints
+        try:
+            visual = parse_geometry(self._source, pin.GeometryType.VISUAL, self._T_world_base, locked)
+        except MissingMeshError:
+            return self.geometry
         for body in self._bolted_bodies():
             visual.addGeometryObject(body)
         return visual
@@ -299,10 +318,6 @@ class RobotModel:
                 f"got shape {vector.shape}"
             )
         return vector
-
-
-def _sorted(first: str, second: str) -> tuple[str, str]:
-    return (first, second) if first <= second else (second, first)
 
 
 def _frozen(array: Array) -> Array:

@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
+import coal
+import numpy as np
 import pinocchio as pin
 
-from deltaq_cell.hull import reproducible_hull
+from deltaq_cell.hull import Corners, HullError, hull_corners, hull_shape
 from deltaq_cell.models import RobotModelError, Urdf, collision_names
-
-
-def parse_geometry(urdf: Urdf, kind: Any, T_world_base: pin.SE3) -> pin.GeometryModel:
-    """The bodies of a URDF, those that no joint moves placed in the world.
-
-    Args:
-        urdf: the robot's URDF.
-        kind: `pinocchio.GeometryType.COLLISION` or `VISUAL`.
-        T_world_base: pose of the robot's root link.
-
-    Raises:
-        RobotModelError: a mesh is not found or not readable.
-    """
-    # a model of its own: the parser wants the model as it was parsed, without the base pose or frames of ours
-    model = pin.buildModelFromXML(urdf.text)
-    folders = [str(folder) for folder in urdf.package_dirs]
-    try:
-        geometry = pin.buildGeomFromUrdfString(model, urdf.text, kind, package_dirs=folders)
-    except ValueError as error:
-        raise RobotModelError(f"{urdf.source}: its bodies cannot be read: {error}", ("model",)) from None
-    for body in geometry.geometryObjects:
-        if body.parentJoint == 0:
-            body.placement = T_world_base * body.placement
-    return geometry
+from deltaq_cell.urdf_parsing import parse_geometry
 
 
 def collision_geometry(
-    urdf: Urdf, robot: str, T_world_base: pin.SE3, bolted: list[pin.GeometryObject]
+    urdf: Urdf,
+    robot: str,
+    T_world_base: pin.SE3,
+    locked: Mapping[str, float],
+    hulls: Mapping[str, Corners],
+    bolted: list[pin.GeometryObject],
 ) -> pin.GeometryModel:
     """All collision bodies of a robot in the order of the joints that move them; meshes become convex hulls.
 
@@ -43,20 +27,28 @@ def collision_geometry(
         urdf: the robot's URDF; its bodies are named `robot/link`, or `robot/link_body` where a link has several.
         robot: the robot's name.
         T_world_base: pose of its root link.
+        locked: joints that do not move, and where they stay [rad or m].
+        hulls: of bodies whose meshes need not be read, by name without the robot's.
         bolted: attachments and tool bodies.
 
     Raises:
-        RobotModelError: a mesh cannot be read, or two bodies have one name.
+        RobotModelError: a mesh cannot be read or has no hull, or two bodies have one name.
     """
     names = collision_names(urdf)
-    parsed = parse_geometry(urdf, pin.GeometryType.COLLISION, T_world_base)
     bodies = []
-    for body in parsed.geometryObjects:
+    for body in parse_geometry(urdf, pin.GeometryType.COLLISION, T_world_base, locked, hulls).geometryObjects:
         link, index = body.name.rsplit("_", 1)  # pinocchio numbers the bodies of a link
-        body.name = f"{robot}/{names[link][int(index)]}"
-        if hasattr(body.geometry, "buildConvexHull"):
-            body.geometry.buildConvexHull(True, "Qt")
-            body.geometry = reproducible_hull(body.geometry.convex)
+        name = names[link][int(index)]
+        try:
+            if name in hulls:
+                body.geometry = hull_shape(hulls[name])
+            elif hasattr(body.geometry, "buildConvexHull"):
+                body.geometry = hull_shape(hull_corners(np.array(body.geometry.vertices())))
+        except HullError as error:
+            raise RobotModelError(
+                f"{urdf.source}: link '{link}', body '{name}': {error}", ("model",)
+            ) from None
+        body.name = f"{robot}/{name}"
         bodies.append(body)
     geometry = pin.GeometryModel()
     for body in sorted([*bodies, *bolted], key=lambda body: int(body.parentJoint)):
@@ -67,3 +59,15 @@ def collision_geometry(
             )
         geometry.addGeometryObject(body)
     return geometry
+
+
+def hulls_of(geometry: pin.GeometryModel, robot: str) -> dict[str, Corners]:
+    """Corners of the hulls that were made of meshes, by the body's name without the robot's."""
+    return {
+        body.name.removeprefix(f"{robot}/"): tuple(
+            (float(x), float(y), float(z))
+            for x, y, z in (body.geometry.point(index) for index in range(body.geometry.num_points))
+        )
+        for body in geometry.geometryObjects
+        if isinstance(body.geometry, coal.Convex)
+    }

@@ -75,8 +75,9 @@ class Screen:
         self._around = surroundings
         counts = [len(group.pairs) for group in groups]
         self._starts = np.cumsum([0, *counts[:-1]], dtype=np.intp)
-        self._first = np.array([surroundings.place_of(a) for group in groups for a, _ in group.pairs])
-        self._second = np.array([surroundings.place_of(b) for group in groups for _, b in group.pairs])
+        pairs = [pair for group in groups for pair in group.pairs]  # a robot may have none to be checked
+        self._first = np.array([surroundings.place_of(one) for one, _ in pairs], dtype=np.intp)
+        self._second = np.array([surroundings.place_of(other) for _, other in pairs], dtype=np.intp)
         self._touch = surroundings.radius[self._first] + surroundings.radius[self._second]
         self._half = surroundings.half[self._first] + surroundings.half[self._second]
         self._stop = np.array([group.stop_distance_m for group in groups])

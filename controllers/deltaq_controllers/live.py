@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import Controller, ControllerError, RobotView, View
@@ -36,7 +36,7 @@ PATIENCE_CYCLES = 4
 def robot_models(description: Description) -> dict[str, RobotModel]:
     """Models of all robots of a cell, from what its HLI tells; no file is needed."""
     cell = parse_cell(description.yaml, f"description of cell {description.cell}")
-    return {name: RobotModel(robot, name, urdf=description.urdf[name]) for name, robot in cell.robots.items()}
+    return robots_told(cell, description.urdf, description.hulls)
 
 
 def cell_model(description: Description) -> CellModel:

@@ -1,4 +1,7 @@
-"""The paper's Fig. 9 of a recording: how well the camera kept the leader in view, and where the gate stepped in."""
+"""A picture of a recording, with where the gate stepped in.
+
+Of the paper's two robots it is Fig. 9, how well the camera kept the leader in view; of others, where their tools went.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 
 from deltaq_experiments.figures import draw
 from deltaq_experiments.live import trace_of
-from deltaq_experiments.panels import Marks, Panel
+from deltaq_experiments.panels import Line, Marks, Panel
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.tracking import panels
 from deltaq_protocol import topics
@@ -25,7 +28,7 @@ def plot(path: Path, picture: Path) -> list[str]:
         What of the recording could not be read.
 
     Raises:
-        DeltaqError: it is no recording of a camera and a leader, or the picture cannot be written.
+        DeltaqError: it is no recording of deltaq, or the picture cannot be written.
     """
     recording = Recording.open(path)
     draw(
@@ -37,33 +40,44 @@ def plot(path: Path, picture: Path) -> list[str]:
 
 
 def panels_of(recording: Recording) -> tuple[Panel, ...]:
-    """View angle error with the gate's interventions, view distance, and the leader's path.
+    """View angle error with the gate's interventions, view distance, and the leader's path; or the tools' paths.
 
     Raises:
-        DeltaqError: the recording has no states of the robots that the paper's experiments have.
+        DeltaqError: the recording has no states.
     """
     states: list[RobotState] = []
+    times: list[float] = []
     begin_ns: int | None = None
-    bound: dict[str, list[float]] = {FOLLOWER: [], LEADER: []}
+    bound: dict[str, list[float]] = {}
     for item in recording.messages((topics.STATE, topics.GATE_VERDICT)):
         begin_ns = item.time_ns if begin_ns is None else begin_ns
         if isinstance(item.message, RobotState):
             states.append(item.message)
+            times.append((item.time_ns - begin_ns) / 1e9)
         elif isinstance(item.message, Verdict) and item.message.outcome is not Outcome.ADMITTED:
             bound.setdefault(item.message.robot, []).append((item.time_ns - begin_ns) / 1e9)
-    missing = {FOLLOWER, LEADER} - {state.robot for state in states}
-    if missing:
-        raise DeltaqError(
-            f"{recording.path} has no states of {' and '.join(sorted(missing))}: the figure shows a camera on "
-            f"{FOLLOWER} that follows {LEADER}"
-        )
+    if not states:
+        raise DeltaqError(f"{recording.path} has no states of any robot: there is nothing to draw")
+    marks = {
+        name: Marks(f"gate bound {name}", np.array(at), np.ones(len(at), dtype=bool))
+        for name, at in bound.items()
+    }
     cell = recording.cell()
+    camera = cell.robots[FOLLOWER].description.camera if FOLLOWER in cell.robots else None
+    if camera is None or not {FOLLOWER, LEADER} <= {state.robot for state in states}:
+        return tuple(_tool_path(name, states, times, marks) for name in cell.robots)
     trace = trace_of(states, (FOLLOWER, LEADER), {})
     views = trace.views(camera_controller(cell), FOLLOWER, LEADER)
     first, *others = panels(cell, trace, views[:, 0], views[:, 1])
-    marks = tuple(
-        Marks(f"gate bound {name}", np.array(times), np.ones(len(times), dtype=bool))
-        for name, times in bound.items()
-        if times
+    return (replace(first, marks=tuple(marks[name] for name in (FOLLOWER, LEADER) if name in marks)), *others)
+
+
+def _tool_path(robot: str, states: list[RobotState], times: list[float], marks: dict[str, Marks]) -> Panel:
+    """Where the tool of a robot went [m], and when the gate bound it."""
+    own = [(at, state.tool.position) for at, state in zip(times, states, strict=True) if state.robot == robot]
+    clock, places = np.array([at for at, _ in own]), np.array([place for _, place in own]).reshape(-1, 3)
+    moved = places - places[:1]
+    lines = tuple(Line(axis, clock, moved[:, k]) for k, axis in enumerate("xyz"))
+    return Panel(
+        f"Tool of {robot}, from where it began", "m", lines, (marks[robot],) if robot in marks else ()
     )
-    return (replace(first, marks=marks), *others)

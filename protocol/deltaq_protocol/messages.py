@@ -266,7 +266,11 @@ class Welcome(Message):
 
 
 class Description(Message):
-    """Everything a client needs to model the cell: the YAML text and each robot's URDF text."""
+    """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
+
+    `hulls` holds what the gate takes the collision meshes of a URDF for: by robot and body, the corners of
+    a convex hull in the frame of the body [m]. Visual meshes are not sent.
+    """
 
     type: Literal["description"] = "description"
     protocol: int = PROTOCOL_VERSION
@@ -275,6 +279,7 @@ class Description(Message):
     robots: dict[str, RobotSummary]
     yaml: str
     urdf: dict[str, str]
+    hulls: dict[str, dict[str, tuple[Vector3, ...]]] = {}
 
 
 class Error(Message):

@@ -244,6 +244,71 @@ def test_an_extension_of_a_broken_file_points_into_that_file(tmp_path: Path) -> 
     assert only(write(tmp_path, "extends: base.yaml\n")).file == "base.yaml"
 
 
+REMOVED = """\
+extends: base.yaml
+structure: {pipe: null, post: {shape: {kind: sphere, radius_m: 0.1}}}
+robots:
+  gr: null
+contacts: {touch: null}
+"""
+TWO_ROBOTS = MINI.replace(
+    "structure:\n",
+    "  gr: {model: kr16, server: 'tcp/127.0.0.1:7452', driver: {kind: kinematic}, joints: {a1: {home_m: 0, lower_m: 0,"
+    " upper_m: 1, max_velocity_m_s: 1, max_acceleration_m_s2: 1}}}\n"
+    "contacts: {touch: {bodies: [fr/link_6], against: [structure/pipe]}}\nstructure:\n",
+)
+
+
+def test_a_cell_takes_out_what_it_inherits_by_null(tmp_path: Path) -> None:
+    write(tmp_path, TWO_ROBOTS, "base.yaml")
+    assert set(load_cell(tmp_path / "base.yaml").robots) == {"fr", "gr"}
+    cell = load_cell(write(tmp_path, REMOVED))
+    assert (set(cell.robots), set(cell.structure), set(cell.contacts)) == ({"fr"}, {"post"}, set())
+    assert parse_cell(cell_text(tmp_path / "lab.yaml")) == cell  # the text stands alone
+
+
+def test_what_was_taken_out_may_be_put_back_by_a_cell_that_extends_further(tmp_path: Path) -> None:
+    write(tmp_path, MINI, "base.yaml")
+    write(tmp_path, "extends: base.yaml\nstructure: {pipe: null}\n", "bare.yaml")
+    text = "extends: bare.yaml\nstructure: {pipe: {shape: {kind: sphere, radius_m: 0.2}}}\n"
+    pipe = load_cell(write(tmp_path, text)).structure["pipe"]
+    assert pipe.shape.kind == "sphere"
+    assert pipe.pose.position_m == (0, 0, 0)  # nothing of the old one is left
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "field", "message"),
+    [
+        (
+            "structure:\n  pipes: null\n",
+            3,
+            "structure.pipes",
+            "take out; there is pipe; did you mean 'pipe'?",
+        ),
+        ("contacts: {touch: null}\n", 2, "contacts.touch", "take out; there is nothing"),
+    ],
+)
+def test_what_is_not_there_cannot_be_taken_out(
+    tmp_path: Path, text: str, line: int, field: str, message: str
+) -> None:
+    write(tmp_path, MINI, "base.yaml")
+    problem = only(write(tmp_path, f"extends: base.yaml\n{text}"))
+    assert (problem.line, problem.field) == (line, field)
+    assert message in problem.message
+
+
+def test_null_where_nothing_is_inherited_is_an_error(tmp_path: Path) -> None:
+    problem = only(write(tmp_path, MINI.replace("gate:\n", "contacts: {touch: null}\ngate:\n")))
+    assert problem.field == "contacts.touch"
+
+
+def test_a_cell_has_at_most_eight_robots(tmp_path: Path) -> None:
+    robot = MINI.split("  fr:\n")[1].split("structure:")[0]
+    more = "".join(f"  r{number}:\n{robot}" for number in range(8))
+    (problem,) = problems(write(tmp_path, MINI.replace("structure:\n", more + "structure:\n")))
+    assert (problem.field, problem.bound) == ("robots", 8)
+
+
 def test_a_urdf_is_found_beside_the_cells_file(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text("<robot/>")
     cell = load_cell(write(tmp_path, MINI.replace("model: kr16", "model: arm.urdf")))
@@ -261,9 +326,12 @@ def test_the_shipped_cells_are_found_by_name() -> None:
 def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> None:
     program = (
         "import sys\n"
-        "from deltaq_cell.summary import description_message\n"
-        "message = description_message('lab-4ms')\n"
-        "assert set(message.urdf) == {'fr', 'gr'} and message.cycle_s == 0.004\n"
+        "from deltaq_cell.load import load_cell\n"
+        "from deltaq_cell.models import load_urdf\n"
+        "from deltaq_cell.summary import robot_summary\n"
+        "cell = load_cell('lab-4ms')\n"
+        "assert cell.cycle_s == 0.004 and load_urdf(cell.robots['fr'].model).text\n"
+        "assert robot_summary(cell.robots['fr'], cell.cycle_s).units[0] == 'rad'\n"
         "heavy = {'pinocchio', 'coal', 'deltaq_deploy'} & set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
     )

@@ -10,7 +10,6 @@ import pytest
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
-from deltaq_cell.summary import description_message
 
 
 @pytest.fixture(scope="module")
@@ -114,13 +113,13 @@ def test_the_gantrys_bodies_fill_the_labs_boxes(lab: CellModel) -> None:
 
 
 def test_a_client_can_model_the_cell_from_the_description_message_alone(lab: CellModel) -> None:
-    message = description_message("lab-4ms")
+    message = CellModel.load("lab-4ms").description_message()
     cell = parse_cell(message.yaml)
     for name, robot in lab.robots.items():
-        rebuilt = RobotModel(cell.robots[name], name, urdf=message.urdf[name])
+        rebuilt = RobotModel(cell.robots[name], name, urdf=message.urdf[name], hulls=message.hulls[name])
         np.testing.assert_allclose(rebuilt.forward(robot.home), robot.forward(robot.home), atol=1e-12)
         assert rebuilt.geometry.ngeoms == robot.geometry.ngeoms
     summary = message.robots["gr"]
     assert summary.units == ("m",) * 3 + ("rad",) * 6
     np.testing.assert_allclose(summary.max_increment, np.array(summary.max_velocity) * 0.004)
-    assert lab.description_message() == description_message("lab")
+    assert {name: len(hulls) for name, hulls in message.hulls.items()} == {"fr": 6, "gr": 6}

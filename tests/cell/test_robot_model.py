@@ -1,5 +1,7 @@
 """`RobotModel`: Jacobians, poses, bodies, and what it says when a description does not fit its model."""
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -181,7 +183,7 @@ def joints_without(*names: str) -> dict[str, object]:
         ({"model": "/nowhere/robot.urdf"}, None, "no robot model '/nowhere/robot.urdf'"),
         ({}, "<robot", "not a URDF model"),
         ({}, "no xml at all", "not a URDF model"),
-        ({"joints": SCARA_JOINTS}, SCARA.format(kind="continuous"), "'swing' is a .*only revolute"),
+        ({"joints": SCARA_JOINTS}, SCARA.format(kind="floating"), "'swing' is a .*only revolute"),
         ({"joints": SCARA_JOINTS | {"swing": SCARA_JOINTS["lift"]}}, SCARA.format(kind="revolute"), "given in m"),
         (
             {"attachments": {"box": {"shape": BOX, "link": "link_33"}}},
@@ -191,7 +193,12 @@ def joints_without(*names: str) -> dict[str, object]:
         (
             {"joints": SCARA_JOINTS},
             SCARA.format(kind="revolute").replace('<sphere radius="0.1"/>', '<mesh filename="package://gone/a.obj"/>'),
-            "its bodies cannot be read: .*gone/a.obj",
+            "link 'slide': no file 'package://gone/a.obj': .* set ROS_PACKAGE_PATH",
+        ),
+        (
+            {"joints": SCARA_JOINTS},
+            re.sub("<collision.*?</collision>", "", SCARA.format(kind="revolute")),
+            "no link has a collision body",
         ),
         ({"attachments": {"link_3": {"shape": BOX, "link": "link_3"}}}, None, "two bodies are named 'fr/link_3'"),
     ],

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.summary import description_message
 from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.modes.advisor import tracker_of
 
@@ -23,7 +22,9 @@ OTHERS = {"fr": LAB.robots["fr"].home}
 
 
 def advisor(**weights: float) -> AdvisorProcess:
-    return AdvisorProcess(description_message("lab"), tracker_of(GR), lambda: OTHERS, weights or None)
+    return AdvisorProcess(
+        CellModel.load("lab").description_message(), tracker_of(GR), lambda: OTHERS, weights or None
+    )
 
 
 def wait_for(advisor: AdvisorProcess, reached: Callable[[], bool]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from mcap.records import Attachment, Channel, DataEnd, Message, Metadata, Schema
@@ -11,9 +11,16 @@ from mcap.writer import Writer
 
 
 def rewrite(
-    source: Path, target: Path, change: Callable[[str, int, bytes], bytes | None], chunk_size: int = 2**20
-) -> None:
-    """Copy a recording; `change` takes topic, sequence number and payload and gives the payload, or None for none."""
+    source: Path,
+    target: Path,
+    change: Callable[[str, int, bytes], bytes | None] = lambda _topic, _number, data: data,
+    chunk_size: int = 2**20,
+    without: Collection[str] = (),
+) -> Path:
+    """Copy a recording; `change` takes topic, sequence number and payload and gives the payload, or None for none.
+
+    Attachments named in `without` are left out. Returns the copy.
+    """
     schemas: dict[int, int] = {}
     channels: dict[int, tuple[int, str]] = {}
     with source.open("rb") as file, target.open("wb") as out:
@@ -23,6 +30,8 @@ def rewrite(
             if isinstance(record, Metadata):
                 writer.add_metadata(record.name, record.metadata)
             elif isinstance(record, Attachment):
+                if record.name in without:
+                    continue
                 writer.add_attachment(0, 0, record.name, record.media_type, record.data)
             elif isinstance(record, Schema):
                 schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
@@ -39,3 +48,4 @@ def rewrite(
             elif isinstance(record, DataEnd):
                 break
         writer.finish()
+    return target

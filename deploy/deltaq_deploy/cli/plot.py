@@ -14,7 +14,7 @@ def plot(
         Path | None, typer.Option(help="Picture to write; beside the recording if not given.")
     ] = None,
 ) -> None:
-    """Draw the paper's figure of a recording: view angle error, view distance, and the leader's path."""
+    """Draw a recording: where the tools went; of a camera on fr that follows gr, the paper's figure."""
     from deltaq_deploy.cli.progress import progress_bar
     from deltaq_experiments.replay_plot import plot as draw
 

@@ -8,10 +8,7 @@ import os
 import signal
 import sys
 
-from deltaq_cell.description import CellDescription
-from deltaq_cell.load import load_cell
-from deltaq_cell.robot import RobotModel
-from deltaq_cell.summary import description_message
+from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_services.hli.shell import Hli
 from deltaq_services.process import arguments, ask_for_real_time, run
@@ -23,11 +20,11 @@ _REAL_TIME_PRIORITY = 9
 """Below the gate's: clients that keep the HLI busy shall not keep the gate from deciding."""
 
 
-async def _run(cell: CellDescription, told: Description) -> None:
-    models = {name: RobotModel(robot, name) for name, robot in cell.robots.items()}
+async def _run(model: CellModel, told: Description) -> None:
+    cell = model.description
 
     def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
-        return models[robot].tool_pose(q)
+        return model.robots[robot].tool_pose(q)
 
     loop = asyncio.get_running_loop()
     stopped = asyncio.Event()
@@ -46,7 +43,8 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
-    cell, told = load_cell(options.cell), description_message(options.cell)
+    cell = CellModel.load(options.cell)
+    told = cell.description_message()
     ask_for_real_time(_REAL_TIME_PRIORITY)
     asyncio.run(_run(cell, told))
 

@@ -14,8 +14,8 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from deltaq_cell.cell_model import robots_told
 from deltaq_cell.load import parse_cell
-from deltaq_cell.robot import RobotModel
 from deltaq_protocol.messages import Description, RobotState
 
 WORLD = "world"
@@ -30,9 +30,7 @@ class Frames:
 
     def __init__(self, description: Description) -> None:
         cell = parse_cell(description.yaml, "the cell's description")
-        self._robots = {
-            name: RobotModel(robot, name, urdf=description.urdf[name]) for name, robot in cell.robots.items()
-        }
+        self._robots = robots_told(cell, description.urdf, description.hulls)
         self._data = {name: robot.model.createData() for name, robot in self._robots.items()}
 
     def joint_states(self, state: RobotState, time_ns: int) -> Any:

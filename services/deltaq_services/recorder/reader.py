@@ -21,18 +21,20 @@ from mcap.records import Attachment, Channel, Chunk, Footer, McapRecord, Metadat
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap_protobuf.decoder import DecoderFactory
+from pydantic import TypeAdapter, ValidationError
 from zstandard import ZstdError
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_cell.cell_model import CellModel, robots_told
+from deltaq_cell.hull import Corners
 from deltaq_cell.load import parse_cell
-from deltaq_cell.robot import RobotModel
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Message
 from deltaq_protocol.topics import TOPICS, Topic
 from deltaq_services.recorder.protobuf import to_message
-from deltaq_services.recorder.writer import CELL_FILE, METADATA
+from deltaq_services.recorder.writer import CELL_FILE, HULLS_FILE, METADATA
 
+_HULLS: TypeAdapter[dict[str, dict[str, Corners]]] = TypeAdapter(dict[str, dict[str, Corners]])
 _LONGEST_RECORD = 64 * 1024 * 1024
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, OverflowError, MemoryError)
 """What the MCAP reader raises on bytes that are none of its own."""
@@ -70,6 +72,7 @@ class Recording:
         about: cell, cycle_s, protocol, robots and source.
         yaml: the cell's description.
         urdf: URDF text by robot.
+        hulls: what its meshes were taken for, by robot and body; empty in recordings of versions that kept none.
         notices: what could not be read; complete once `messages` has been read to the end.
     """
 
@@ -77,6 +80,7 @@ class Recording:
     about: dict[str, str] = field(default_factory=dict)
     yaml: str = ""
     urdf: dict[str, str] = field(default_factory=dict)
+    hulls: dict[str, dict[str, Corners]] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
 
     @classmethod
@@ -92,6 +96,8 @@ class Recording:
                 recording.about = dict(record.metadata)
             elif isinstance(record, Attachment) and record.name == CELL_FILE:
                 recording.yaml = _text(record, path)
+            elif isinstance(record, Attachment) and record.name == HULLS_FILE:
+                recording.hulls = _hulls(_text(record, path), path)
             elif isinstance(record, Attachment) and record.name.endswith(".urdf"):
                 recording.urdf[record.name.removesuffix(".urdf")] = _text(record, path)
             if recording.yaml and recording.about and set(recording.robots) <= set(recording.urdf):
@@ -119,9 +125,7 @@ class Recording:
             RobotModelError: a robot's meshes are not found.
         """
         description = parse_cell(self.yaml, str(self.path))
-        robots = {
-            name: RobotModel(robot, name, urdf=self.urdf[name]) for name, robot in description.robots.items()
-        }
+        robots = robots_told(description, self.urdf, self.hulls)
         return CellModel.of(description, robots, self.yaml)
 
     def messages(self, topics: Collection[Topic] = TOPICS) -> Iterator[Recorded]:
@@ -203,6 +207,15 @@ class Recording:
         if isinstance(error, EndOfFile) or position >= size:
             return f"the file is cut off at byte {size}: it was read as far as it goes"
         return f"the file is damaged before byte {position} of {size}, and was read up to there: {error}"
+
+
+def _hulls(text: str, path: Path) -> dict[str, dict[str, Corners]]:
+    try:
+        return _HULLS.validate_json(text)
+    except ValidationError as error:
+        raise UnreadableRecordingError(
+            f"{path}: its {HULLS_FILE} is damaged: {error.errors()[0]['msg']}"
+        ) from error
 
 
 def _text(attachment: Attachment, path: Path) -> str:

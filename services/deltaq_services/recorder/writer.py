@@ -7,6 +7,7 @@ all with its number as the MCAP sequence number. `deltaq replay` depends on that
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from deltaq_services.recorder.protobuf import recorded_schema
 
 METADATA = "deltaq"
 CELL_FILE = "cell.yaml"
+HULLS_FILE = "hulls.json"
 TRANSFORMS = "/tf"
 
 _CHUNK_BYTES = 256 * 1024
@@ -131,9 +133,13 @@ class RecordingWriter:
 
     def _begin(self, about: dict[str, str], description: Description) -> None:
         self._writer.add_metadata(METADATA, about)
-        texts = {CELL_FILE: description.yaml} | {f"{k}.urdf": v for k, v in description.urdf.items()}
-        for name, text in texts.items():
-            media_type = "application/yaml" if name == CELL_FILE else "application/xml"
+        # the hulls before the URDFs: who reads has enough with the last of those
+        texts = [
+            (CELL_FILE, "application/yaml", description.yaml),
+            (HULLS_FILE, "application/json", json.dumps(description.hulls)),
+            *((f"{name}.urdf", "application/xml", text) for name, text in description.urdf.items()),
+        ]
+        for name, media_type, text in texts:
             self._writer.add_attachment(0, 0, name, media_type, text.encode())
 
     def _put(self, topic: Topic, message: Message, time_ns: int, number: int) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Protocol
 
 import numpy as np
@@ -223,8 +224,7 @@ class Sim:
         for robot in known:
             self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
         lists = [self._proximity.alone[robot.name] for robot in known]
-        if len(known) > 1:
-            lists.append(self._proximity.between[known[0].name, known[1].name])
+        lists += [self._proximity.between[one.name, other.name] for one, other in combinations(known, 2)]
         looks = [self._proximity.look(groups, 0.0).tightest for groups in lists if groups]
         found = [near for near in looks if near is not None]
         return nearest_pair(min(found, key=lambda near: near.distance_m)) if found else None

@@ -7,6 +7,7 @@ and a real cell pass the same gate. Where services listen and how a robot is rea
 from __future__ import annotations
 
 import hashlib
+import json
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -61,8 +62,6 @@ def _configuration_hash(cell: CellModel) -> str:
         digest.update(name.encode())
         digest.update(robot.description.model_dump_json(exclude=_ELSEWHERE_OF_ROBOT).encode())
         digest.update(robot.urdf.encode())
-        for body in robot.geometry.geometryObjects:
-            mesh = Path(body.meshPath)
-            if mesh.is_file():
-                digest.update(mesh.read_bytes())
+        # not the meshes, since a replay has but their hulls
+        digest.update(json.dumps(robot.hulls).encode())
     return digest.hexdigest()[:16]

@@ -1,0 +1,169 @@
+"""Pairs of one robot's bodies that are never checked against each other, and why.
+
+Bodies of links that are fixed to one another, or that one joint joins, touch by construction. So may others, as
+every public URDF has some: hulls that reach into each other at home and wherever the joints are. They are found as
+MoveIt's setup assistant finds them, by sampling. What never touches in the samples is checked all the same: a
+sample proves nothing about the configurations between the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
+from itertools import combinations, product
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from deltaq_cell.description import RobotDescription
+from deltaq_cell.group import make_reproducible
+from deltaq_cell.models import RobotModelError, nearest_name
+
+Array = NDArray[np.float64]
+Pair: TypeAlias = tuple[str, str]
+
+SAMPLES = 1000
+"""Configurations in which a pair has to touch, besides home."""
+
+
+class Why(StrEnum):
+    """Why a pair of bodies is never checked."""
+
+    ONE_LINK = "they are on one link, or on links that are fixed to one another"
+    ADJACENT = "one joint joins their links"
+    MOUNTED = "the robot is mounted on it"
+    NAMED = "the cell names them in never_checked"
+    ALWAYS_TOUCH = f"they touch at home and at each of {SAMPLES} configurations drawn within the joint limits"
+
+
+def ordered(first: str, second: str) -> Pair:
+    """A pair of names in the order in which pairs are told."""
+    return (first, second) if first <= second else (second, first)
+
+
+def never_checked(
+    model: Any,
+    bodies: Sequence[Any],
+    links: Mapping[str, Sequence[str]],
+    description: RobotDescription,
+    robot: str,
+) -> dict[Pair, Why]:
+    """Pairs of body names that are never checked, and why.
+
+    The robot's mount is what stands still, or, where nothing of the robot does (a portal on rails), what the first
+    joint moves.
+
+    Args:
+        model: pinocchio's, in which the bodies are.
+        bodies: pinocchio geometry objects of the robot.
+        links: names of each link's bodies, without the robot's.
+        description: of the robot.
+        robot: its name, with which the bodies' names begin.
+
+    Raises:
+        RobotModelError: the description names a body that the robot does not have.
+    """
+    pairs = joined_pairs(model, bodies)
+    own = [body.name.removeprefix(f"{robot}/") for body in bodies]
+    for index, names in enumerate(description.never_checked):
+        first, second = (
+            [f"{robot}/{body}" for body in _named(name, own, links, robot, (index, side))]
+            for side, name in enumerate(names)
+        )
+        for pair in product(first, second):
+            pairs.setdefault(ordered(*pair), Why.NAMED)
+    pairs |= always_touching(model, bodies, pairs, description.home, description.lower, description.upper)
+    mount = min((int(body.parentJoint) for body in bodies), default=0)
+    for body in bodies:
+        if body.parentJoint == mount:
+            for name in description.mounted_on:
+                pairs[ordered(body.name, f"structure/{name}")] = Why.MOUNTED
+    return pairs
+
+
+def joined_pairs(model: Any, bodies: Sequence[Any]) -> dict[Pair, Why]:
+    """Pairs of bodies on one link, or on two links that one joint joins."""
+    found = {}
+    for first, second in combinations(bodies, 2):
+        low, high = sorted((int(first.parentJoint), int(second.parentJoint)))
+        if low == high:
+            found[ordered(first.name, second.name)] = Why.ONE_LINK
+        elif int(model.parents[high]) == low:
+            found[ordered(first.name, second.name)] = Why.ADJACENT
+    return found
+
+
+def farthest_apart(
+    model: Any, bodies: Sequence[Any], pairs: Iterable[Pair], configurations: Iterable[Array], enough_m: float
+) -> dict[Pair, float]:
+    """The greatest distance of each pair over some configurations [m]; of bodies that touch it is not above zero.
+
+    Args:
+        model: pinocchio's, in which the bodies are.
+        bodies: pinocchio geometry objects.
+        pairs: names of those to measure.
+        configurations: (n,) each.
+        enough_m: pairs are measured no further once they have been farther apart than this [m].
+    """
+    geometry = pin.GeometryModel()
+    index = {body.name: geometry.addGeometryObject(body) for body in bodies}
+    names = list(pairs)
+    for first, second in names:
+        geometry.addCollisionPair(pin.CollisionPair(index[first], index[second]))
+    data, geometry_data = model.createData(), geometry.createData()
+    make_reproducible(geometry_data)
+    greatest = np.full(len(names), -np.inf)
+    for q in configurations:
+        open_ = np.flatnonzero(greatest <= enough_m).tolist()
+        if not open_:
+            break
+        pin.updateGeometryPlacements(model, data, geometry, geometry_data, q)
+        for number in open_:
+            distance = pin.computeDistance(geometry, geometry_data, number).min_distance
+            greatest[number] = max(greatest[number], distance)
+    return dict(zip(names, greatest.tolist(), strict=True))
+
+
+def always_touching(
+    model: Any, bodies: Sequence[Any], left_out: Iterable[Pair], home: Array, lower: Array, upper: Array
+) -> dict[Pair, Why]:
+    """Pairs that touch at home and at every sample within the joint limits.
+
+    Args:
+        model: pinocchio's, in which the bodies are.
+        bodies: pinocchio geometry objects of one robot.
+        left_out: pairs that are not checked anyhow.
+        home: (n,) configuration.
+        lower: (n,) limits of the joints.
+        upper: likewise.
+    """
+    known = set(left_out)
+    pairs = [ordered(one.name, other.name) for one, other in combinations(bodies, 2)]
+    at_home = farthest_apart(model, bodies, [p for p in pairs if p not in known], [home], 0.0)
+    candidates = [pair for pair, distance in at_home.items() if distance <= 0.0]
+    if not candidates:  # as in every cell whose robots' links are apart at home: nothing is drawn
+        return {}
+    drawn = samples(lower, upper)
+    apart = farthest_apart(model, bodies, candidates, drawn, 0.0)
+    return {pair: Why.ALWAYS_TOUCH for pair, distance in apart.items() if distance <= 0.0}
+
+
+def _named(
+    name: str, own: list[str], links: Mapping[str, Sequence[str]], robot: str, place: tuple[int, int]
+) -> list[str]:
+    """The bodies that a name in `never_checked` means: one body, or all of a link."""
+    found = [body for body in own if body == name or body in links.get(name, ())]
+    if not found:
+        raise RobotModelError(
+            f"robot '{robot}' has no body '{name}', and no link of that name with one; it has {', '.join(own)}",
+            ("never_checked", *map(str, place)),
+            nearest_name(name, own),
+        )
+    return found
+
+
+def samples(lower: Array, upper: Array) -> Array:
+    """(`SAMPLES`, n) configurations within the limits, the same ones always."""
+    return np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))

@@ -1,0 +1,79 @@
+"""Files that a robot's model names: beside it, or in a package of ROS or of Python."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+SCHEMES = ("package://", "model://")
+ROS_PATH = "ROS_PACKAGE_PATH"
+AMENT_PATH = "AMENT_PREFIX_PATH"
+
+
+def find_file(name: str, folder: Path | None = None) -> Path:
+    """The file that a model means by a name.
+
+    `package://robot/meshes/arm.stl` is `meshes/arm.stl` in the folder of the package `robot`, which is looked for
+    above `folder`, in `$ROS_PACKAGE_PATH`, as `share/robot` of `$AMENT_PREFIX_PATH`, and among the Python packages
+    that are installed: those that are a module `robot`, and those that bring models along as `share/robot`, such as
+    example-robot-data. A name without a scheme is taken from `folder`.
+
+    Args:
+        name: as the model writes it.
+        folder: that of the model's own file; None where it came as text.
+
+    Raises:
+        FileNotFoundError: there is no such file; the message says where it was looked for, and what to set.
+    """
+    scheme = next((scheme for scheme in SCHEMES if name.startswith(scheme)), None)
+    if scheme is None:
+        return _beside(name.removeprefix("file://"), folder)
+    package, _, rest = name.removeprefix(scheme).partition("/")
+    tried = list(dict.fromkeys(_homes(package, folder)))
+    for home in tried:
+        if rest and (home / rest).is_file():
+            return home / rest
+    looked = ", ".join(str(home) for home in tried) or "no folder of that name"
+    raise FileNotFoundError(
+        f"no file '{name}': looked into {looked}; set {ROS_PATH} to the folder that holds '{package}', or "
+        f"{AMENT_PATH} to the prefix whose share/ does"
+    )
+
+
+def _beside(name: str, folder: Path | None) -> Path:
+    path = Path(name) if folder is None else folder / name
+    if path.is_file() and (folder is not None or path.is_absolute()):
+        return path
+    where = "it came without a folder to look in" if folder is None else f"looked for {path}"
+    raise FileNotFoundError(
+        f"no file '{name}': {where}; a name without package:// is taken from the model's folder"
+    )
+
+
+def _homes(package: str, folder: Path | None) -> Iterator[Path]:
+    """Folders that a package of that name can be, those first that are nearer to the model."""
+    if not package:
+        return
+    candidates: list[Path] = []
+    if folder is not None:
+        candidates += [above / package for above in (folder, *folder.parents)]
+    for entry in _entries(ROS_PATH):
+        candidates += [entry, entry / package] if entry.name == package else [entry / package]
+    candidates += [entry / "share" / package for entry in _entries(AMENT_PATH)]
+    candidates += _modules(package)
+    candidates += [Path(entry) / "cmeel.prefix" / "share" / package for entry in sys.path]
+    yield from (candidate for candidate in candidates if candidate.is_dir())
+
+
+def _entries(variable: str) -> list[Path]:
+    return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+
+
+def _modules(package: str) -> list[Path]:
+    if not package.isidentifier() or package == "__main__":
+        return []
+    spec = find_spec(package)  # of a top-level package, which is found without running it
+    return [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
