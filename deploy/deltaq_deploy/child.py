@@ -66,7 +66,7 @@ class Child:
         self._on_event = on_event
         self._on_line = on_line
         self._process = subprocess.Popen(
-            [*_tied_to_parent(), *command],
+            [*tied_to_parent(), *command],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -125,6 +125,7 @@ class Child:
         self._on_event(Exited(self.name, status))
 
 
-def _tied_to_parent() -> list[str]:
+def tied_to_parent() -> list[str]:
+    """What to put before a command so that it is terminated when the thread that starts it ends, however it ends."""
     setpriv = shutil.which("setpriv")  # part of util-linux
     return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []
