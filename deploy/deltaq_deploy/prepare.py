@@ -19,7 +19,9 @@ from deltaq_deploy.launcher import LaunchError
 COMPILER = ("-m", "deltaq_controllers.camera")
 COMPILES = "compiling "
 """What a line about a function that is being compiled begins with."""
-NOWHERE = "no folder for machine code can be written to: every start compiles anew; XDG_CACHE_HOME may name one"
+NOWHERE = (
+    "no folder for machine code can be written to: every start compiles anew; XDG_CACHE_HOME may name one"
+)
 
 
 @contextmanager
