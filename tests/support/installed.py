@@ -88,9 +88,9 @@ def _asked_for(wheel: Path, extra: str) -> Iterable[Distribution]:
     own = [line.removeprefix("Requires-Dist: ") for line in lines if line.startswith("Requires-Dist: ")]
     found: dict[str, Distribution] = {}
     visited: set[tuple[str, str]] = {("deltaq", extra)}
-    waiting = [("deltaq", extra, own)]
+    waiting = [(extra, own)]
     while waiting:
-        name, wanted, requirements = waiting.pop()
+        wanted, requirements = waiting.pop()
         for requirement in map(Requirement, requirements):
             if requirement.marker is not None and not requirement.marker.evaluate({"extra": wanted}):
                 continue
@@ -101,7 +101,7 @@ def _asked_for(wheel: Path, extra: str) -> Iterable[Distribution]:
                 if (needed, its) not in visited:
                     visited.add((needed, its))
                     more = own if needed == "deltaq" else found[needed].requires or []
-                    waiting.append((needed, its, more))
+                    waiting.append((its, more))
     return found.values()
 
 
