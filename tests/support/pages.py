@@ -23,6 +23,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,7 +101,9 @@ class Terminal:
         """Until it has printed what the page says."""
         seen = self._seen.wait(STARTS_WITHIN_S)
         if not seen or not any(self._step.argument in line for line in self._lines):
-            raise PageError(f"line {self._step.line}: {self._step.argument!r} was never printed, but\n{self._said()}")
+            raise PageError(
+                f"line {self._step.line}: {self._step.argument!r} was never printed, but\n{self._said()}"
+            )
 
     def interrupt(self) -> None:
         """Ctrl-C, as a terminal sends it: to all that runs there."""
@@ -121,17 +124,16 @@ class Terminal:
 
     def _read(self) -> None:
         assert self._process.stdout is not None  # a pipe was asked for
-        for line in self._process.stdout:
-            self._lines.append(line)
-            if self._step.argument in line:
-                self._seen.set()
+        with self._process.stdout as output:
+            for line in output:
+                self._lines.append(line)
+                if self._step.argument in line:
+                    self._seen.set()
         self._seen.set()  # nothing more will come
 
     def _signal(self, number: signal.Signals) -> None:
-        try:
+        with suppress(ProcessLookupError):  # it has ended
             os.killpg(self._process.pid, number)
-        except ProcessLookupError:
-            pass  # it has ended
 
     def _said(self) -> str:
         return "".join(self._lines)
