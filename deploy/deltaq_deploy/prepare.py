@@ -13,8 +13,8 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from deltaq_deploy.child import tied_to_parent
 from deltaq_deploy.launcher import LaunchError
+from deltaq_deploy.warden import Warden
 
 COMPILER = ("-m", "deltaq_controllers.camera")
 COMPILES = "compiling "
@@ -64,20 +64,24 @@ def compiled_ahead(
 
 
 def _compile(controllers: Sequence[str], on_function: Callable[[str], None]) -> None:
-    command = [*tied_to_parent(), sys.executable, *COMPILER, *controllers]
+    command = [sys.executable, *COMPILER, *controllers]
     said: list[str] = []
     # in a session of its own: Ctrl-C on the terminal is for who waits, and ends it from here
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
-        encoding="utf-8",
-        errors="replace",
-    ) as compiler:
+    with (
+        Warden() as warden,
+        subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            encoding="utf-8",
+            errors="replace",
+        ) as compiler,
+    ):
         assert compiler.stdout is not None  # a pipe was asked for
+        warden.keep(compiler.pid, compiler.stdout.fileno())
         try:
             for line in compiler.stdout:
                 said.append(line.rstrip("\n"))

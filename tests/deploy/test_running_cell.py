@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 from private_cell import write_private_cell
 
-
 pytestmark = pytest.mark.live
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
