@@ -7,15 +7,16 @@ that it calls; so it is kept in a folder named after the sources of all compiled
 
 from __future__ import annotations
 
-import hashlib
-import os
-import shutil
-from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
+
+from deltaq_controllers.machine_code import folder, folder_of
+
+__all__ = ["compiled", "folder_of", "told_of_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -35,40 +36,22 @@ def compiled(function: Function) -> Function:
         numba.config.CACHE_DIR = users_own
 
 
-def folder_of(package: Path, users_cache: Path) -> str:
-    """Where to keep the machine code of a package: beside the code, or else in the user's cache.
+@contextmanager
+def told_of_compiling(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call `tell` with the name of every function that is compiled within the block, before it is.
 
-    What was installed with code that cannot be written to is copied there.
-
-    Returns:
-        The folder; empty if neither can be written to: then every process compiles anew.
+    What is found on disk is not compiled, and not told.
     """
-    sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
-    version = hashlib.sha256(b"".join(source for source in sources if b"\n@compiled" in source)).hexdigest()
-    installed = package / "__pycache__" / f"compiled-{version[:16]}"
-    if _can_be_written(installed):
-        return str(installed)
-    if not users_cache.is_absolute():  # nobody's, or as XDG does not want it
-        return ""
-    own = users_cache / "deltaq" / installed.name
-    if installed.exists() and not own.exists():
-        with suppress(OSError):  # in part it is of use, too
-            shutil.copytree(installed, own)
-    return str(own) if _can_be_written(own) else ""
+
+    class Teller(event.Listener):  # type: ignore[misc] # numba ships no type information
+        def on_start(self, event: Any) -> None:
+            tell(event.data["dispatcher"].py_func.__qualname__)
+
+        def on_end(self, event: Any) -> None:
+            """Nothing is told of the end; numba asks for the method."""
+
+    with event.install_listener("numba:compile", Teller()):
+        yield
 
 
-def _can_be_written(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
-
-
-def _users_cache() -> Path:
-    with suppress(RuntimeError):  # a user without a home
-        return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    return Path()
-
-
-_FOLDER = folder_of(Path(__file__).parent, _users_cache())
+_FOLDER = folder()

@@ -5,17 +5,15 @@ from __future__ import annotations
 import importlib
 import os
 import platform
-import resource
-import shutil
 import sys
 import time
-from dataclasses import dataclass
-from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
 
 from deltaq_cell.description import CellDescription
+from deltaq_deploy.findings import Finding, Verdict
 from deltaq_deploy.launcher import LaunchError, check_ports
 from deltaq_deploy.rates import percentile
+from deltaq_deploy.real_time import examine_real_time
 from deltaq_deploy.services import cell_services
 
 NAPS = 100
@@ -24,32 +22,13 @@ PACKAGES = ("deltaq", "eclipse-zenoh", "msgpack", "numpy", "pydantic", "pin", "c
 BINDINGS = ("pinocchio", "coal")
 
 
-class Verdict(StrEnum):
-    """Good; works but not at its best; will not work."""
-
-    GOOD = "good"
-    FAIR = "fair"
-    BAD = "bad"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at; advice is empty where nothing needs to be done."""
-
-    what: str
-    found: str
-    verdict: Verdict
-    advice: str = ""
-
-
 def examine(cell: CellDescription, cell_name: str) -> list[Finding]:
     """Look at this machine with the eyes of one cell."""
     return [
         _python(),
         _cores(),
-        _real_time(),
+        *examine_real_time(),
         _clock(cell.cycle_s),
-        _setpriv(),
         *_ports(cell, cell_name),
         *_packages(),
         *_bindings(),
@@ -75,22 +54,6 @@ def _cores() -> Finding:
     )
 
 
-def _real_time() -> Finding:
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    except PermissionError:
-        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-        return Finding(
-            "real-time priority",
-            f"not allowed (rtprio limit {limit})",
-            Verdict.FAIR,
-            "allow it with an rtprio line in /etc/security/limits.d, or --cap-add SYS_NICE",
-        )
-    os.sched_setscheduler(0, *before)
-    return Finding("real-time priority", "allowed", Verdict.GOOD)
-
-
 def _clock(cycle_s: float) -> Finding:
     late = []
     for _ in range(NAPS):
@@ -104,18 +67,6 @@ def _clock(cycle_s: float) -> Finding:
         return Finding("clock", found, Verdict.GOOD)
     return Finding(
         "clock", found, Verdict.FAIR, f"a cycle is {cycle_s * 1e6:.0f} us: find out what else runs here"
-    )
-
-
-def _setpriv() -> Finding:
-    path = shutil.which("setpriv")
-    if path:
-        return Finding("setpriv", path, Verdict.GOOD)
-    return Finding(
-        "setpriv",
-        "missing",
-        Verdict.FAIR,
-        "install util-linux: services then end even if `deltaq up` is killed",
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import threading
@@ -42,7 +41,7 @@ class Child:
     """A running child process.
 
     It is the leader of its own session, so Ctrl-C on the terminal reaches the launcher alone, which then ends
-    its children in order. Should the launcher itself be killed, the kernel terminates the child.
+    its children in order. Should the launcher itself be killed, its warden does.
     """
 
     def __init__(
@@ -66,7 +65,7 @@ class Child:
         self._on_event = on_event
         self._on_line = on_line
         self._process = subprocess.Popen(
-            [*_tied_to_parent(), *command],
+            command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -75,7 +74,9 @@ class Child:
             encoding="utf-8",
             errors="replace",
         )
+        assert self._process.stdout is not None  # a pipe was asked for
         self.pid = self._process.pid
+        self.output = self._process.stdout.fileno()
         with contextlib.suppress(PermissionError, ProcessLookupError):
             os.setpriority(os.PRIO_PROCESS, self.pid, NICENESS)
         self._reader = threading.Thread(target=self._read, name=f"read {name}", daemon=True)
@@ -123,8 +124,3 @@ class Child:
         self._reader.join(timeout=1.0)
         self.exited.set()
         self._on_event(Exited(self.name, status))
-
-
-def _tied_to_parent() -> list[str]:
-    setpriv = shutil.which("setpriv")  # part of util-linux
-    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []

@@ -15,7 +15,8 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_deploy.child import Child, Exited, Ready
-from deltaq_deploy.services import Listener, Service
+from deltaq_deploy.services import BRAKING_ROLES, Listener, Service
+from deltaq_deploy.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 
 SHOWN_LINES = 12
@@ -48,8 +49,8 @@ class Launcher:
             launcher.start()
             launcher.wait()
 
-    Start it from a thread that outlives the services: the kernel ties them to that thread. SIGINT, SIGTERM
-    and SIGHUP are events inside the block if that thread is the main one.
+    SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one. Should this process be
+    killed, its warden ends the services, those last that robots need to come to rest.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class Launcher:
         # signal handlers may put into a SimpleQueue at any time, not into a Queue
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._handlers: dict[signal.Signals, Any] = {}
+        self._warden: Warden | None = None
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -92,6 +94,8 @@ class Launcher:
         try:
             self.stop()
         finally:
+            if self._warden is not None:
+                self._warden.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
@@ -171,6 +175,8 @@ class Launcher:
 
     def _start(self, services: Sequence[Service], timeout_s: float) -> None:
         check_ports(services)
+        if self._warden is None:
+            self._warden = Warden()
         here = {service.name for service in self.services}
         waiting = list(services)
         starting = {service.name for service in services}
@@ -181,7 +187,9 @@ class Launcher:
                 waiting.remove(service)
                 pending.add(service.name)
                 command = [*self._python, *service.arguments]
-                self.children[service.name] = Child(service.name, command, self._events.put, self._on_line)
+                child = Child(service.name, command, self._events.put, self._on_line)
+                self._warden.keep(child.pid, child.output, brakes=service.role in BRAKING_ROLES)
+                self.children[service.name] = child
             match self.wait(max(0.0, deadline - time.monotonic())):
                 case Ready(name):
                     pending.discard(name)

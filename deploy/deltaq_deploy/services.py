@@ -26,6 +26,10 @@ class Role(StrEnum):
     RECORDER = "recorder"
 
 
+BRAKING_ROLES = (Role.ROBOT_SERVER, Role.EMULATOR)
+"""What a robot needs to come to rest once the gate is silent."""
+
+
 class Probe(StrEnum):
     """How to ask a service whether it is healthy."""
 

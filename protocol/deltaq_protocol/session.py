@@ -7,6 +7,7 @@ message is small. Commands travel express, at real-time priority, and are droppe
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,6 +20,8 @@ MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session puts together; descriptions with their URDF texts are the largest."""
 MAX_SESSIONS = 64
 """Peers that one session serves; one more is kept out until another leaves."""
+_IN_ZENOHS_SOURCE = re.compile(r"\.? at \S+\.rs:\d+\.?")
+"""zenoh's errors name a line of its own source, by its path on the machine that built it."""
 _ACCEPT_MS = 1000
 """Those who connect and stay silent are sent away after this: until then they keep others waiting."""
 
@@ -56,8 +59,9 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         return zenoh.open(config)
     except zenoh.ZError as error:
         where = ", ".join([*listen, *connect])
+        why = _IN_ZENOHS_SOURCE.sub("", str(error))
         raise ServiceUnreachableError(
-            f"no zenoh session on {where}: {error}; is the cell up (`deltaq up`), the address right, and fewer than "
+            f"no zenoh session on {where}: {why}; is the cell up (`deltaq up`), the address right, and fewer than "
             f"{MAX_SESSIONS} others there?"
         ) from error
 

@@ -9,7 +9,7 @@ import pytest
 from private_cell import write_private_cell
 
 from deltaq_deploy.cli.errors import exit_status
-from deltaq_deploy.launcher import LaunchError
+from deltaq_deploy.launcher import LaunchError, LaunchInterruptedError
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
@@ -30,6 +30,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> str:
         (ServiceUnreachableError("gone"), 3),
         (RefusedError("cause_stands", "no"), 1),
         (LaunchError("died"), 1),
+        (LaunchInterruptedError("stopped by SIGINT"), 130),
         (ProtocolError("garbled"), 2),
     ],
     ids=lambda value: type(value).__name__,
@@ -47,6 +48,12 @@ def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError,
         ("lease", "--robot", "fr"),
         ("health", "sim"),
         ("hz",),
+        ("drive", "--robot", "fr"),
+        ("record", "never-written.mcap"),
+        ("dry-run", "--robot", "fr", "--dq", "0,0,0,0,0,0"),
+        ("contact",),
+        ("advise", "--robot", "gr"),
+        ("fault", "inject", "krc-hiccup", "--robot", "fr"),
     ],
     ids=" ".join,
 )
@@ -58,6 +65,7 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
     assert done.stdout == ""
     assert done.stderr.startswith("deltaq: ")
     assert "is the cell up" in done.stderr
+    assert ".rs:" not in done.stderr, "where in zenoh's source it happened"
     assert done.stderr.count("\n") == 1
 
 
@@ -124,7 +132,7 @@ def test_the_doctor_says_what_it_found_about_this_machine(cell: str) -> None:
 
 def test_help_loads_nothing_heavy() -> None:
     code = (
-        "import sys; from deltaq_deploy.cli import app;"
+        "import sys; from deltaq_deploy.cli.app import app;"
         "heavy = {'pinocchio', 'coal', 'matplotlib', 'deltaq_experiments', 'ruamel'};"
         "print(sorted(heavy & set(sys.modules)))"
     )

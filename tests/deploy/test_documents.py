@@ -10,7 +10,6 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from deltaq_cell.load import load_cell
 from deltaq_deploy.cli.app import app
 from deltaq_deploy.reference import FOLDER, pages
 
@@ -48,15 +47,6 @@ def test_every_deltaq_command_in_the_documents_is_understood(document: Path) -> 
         # parses the options, and runs nothing
         context = command.make_context(words[1], list(words[2:]))
         context.close()
-
-
-def test_the_example_cell_is_good(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "how-to" / "describe-a-cell.md").read_text(encoding="utf-8")
-    example = re.search(r"<!-- run: check -->\n```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    assert example
-    file = tmp_path / "bench.yaml"
-    file.write_text(example[1], encoding="utf-8")
-    assert load_cell(file).gate.stop_distance_m == 0.08
 
 
 def test_the_citation_file_follows_its_format() -> None:

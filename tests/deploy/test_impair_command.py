@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import select
 import socket
 import subprocess
 import sys
@@ -63,6 +65,23 @@ def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() ->
             finally:
                 relay.terminate()
         assert relay.returncode == 0
+
+
+@pytest.mark.live
+def test_a_relay_ends_with_the_script_that_started_it_even_if_that_is_killed() -> None:
+    words = command("--listen", endpoint(), "--to", endpoint())
+    script = ["bash", "-c", '"$@" & wait', "bash", *words]
+    with subprocess.Popen(script, stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline().startswith("carries bytes")
+        with os.fdopen(os.pidfd_open(child_of(running.pid))) as relay:
+            running.kill()
+            assert select.select([relay], [], [], 60)[0], "the relay is still running"
+
+
+def child_of(pid: int) -> int:
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return int(child)
 
 
 def is_broken(connection: socket.socket) -> bool:

@@ -201,7 +201,7 @@ def test_no_service_outlives_a_launcher_that_is_killed() -> None:
         process.kill()
     try:
         with os.fdopen(watched) as ended:
-            assert select.select([ended], [], [], 10)[0], "the service is still running"
+            assert select.select([ended], [], [], 60)[0], "the service is still running"
     finally:
         if is_running(pid):
             os.kill(pid, signal.SIGKILL)

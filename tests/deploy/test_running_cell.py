@@ -16,15 +16,10 @@ from pathlib import Path
 import pytest
 from private_cell import write_private_cell
 
-from deltaq_cell.load import load_cell
-
 pytestmark = pytest.mark.live
 
-ROOT = Path(__file__).parents[2]
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 SERVICES = {"robot-server-fr", "robot-server-gr", "emulator-fr", "emulator-gr", "sim", "hli"}
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-BLOCK = re.compile(r"<!-- run: (sh|python) -->\n```\w+\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 @dataclass
@@ -51,12 +46,8 @@ class RunningCell:
         return [int(pid) for thread in threads for pid in (thread / "children").read_text().split()]
 
 
-def run(command: list[str], text: str | None = None) -> subprocess.CompletedProcess[str]:
-    path = f"{Path(DELTAQ).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path}
-    return subprocess.run(
-        command, input=text, capture_output=True, text=True, timeout=60, check=False, env=environment
-    )
+def run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 def start(file: Path, *arguments: str) -> RunningCell:
@@ -224,17 +215,6 @@ def test_the_wrong_cell_at_an_address_is_named(cell: RunningCell, tmp_path: Path
     done = run([DELTAQ, "status", "--cell", str(other)])
     assert done.returncode == 2
     assert "serves cell lab, not other" in done.stderr
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
-def test_what_a_document_says_runs(cell: RunningCell, document: Path) -> None:
-    description = load_cell(cell.file)
-    for language, block in BLOCK.findall(document.read_text(encoding="utf-8")):
-        text = block.replace("tcp/127.0.0.1:7447", description.hli).replace("5210", str(description.tcp_port))
-        text = text.replace("--cell lab", f"--cell {cell.file}")
-        done = run([sys.executable, "-"] if language == "python" else ["bash", "-euo", "pipefail"], text)
-        assert done.returncode == 0, done.stdout + done.stderr
-        wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
 
 
 def test_a_service_that_dies_is_named_and_can_be_started_again_and_nothing_is_left_in_the_end(

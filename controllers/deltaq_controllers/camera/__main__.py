@@ -1,19 +1,48 @@
-"""Compile the camera's laws: `python -m deltaq_controllers.camera`, so that the first start need not."""
+"""Compile the camera's laws: `python -m deltaq_controllers.camera [NAME ...]`, so that no start of a cell need.
+
+Prints a line for each function that it compiles, and does nothing where all of them are kept from an earlier run.
+"""
 
 from __future__ import annotations
 
-from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
-from deltaq_controllers.camera.scene import Scene
+import argparse
+from collections.abc import Sequence
+
+from deltaq_controllers.machine_code import folder, is_complete, mark_complete
 
 
 def main() -> int:
-    """Make every controller once, which compiles what it needs."""
-    print("compiling the camera's laws, once: this takes some ten seconds", flush=True)
-    scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr", latency_s=0.06)
-    for name in NAMES:
-        camera_controller_named(name, scene, distance_m=1.25)
+    """Make every controller that is named once, which compiles what it needs."""
+    parser = argparse.ArgumentParser(prog="python -m deltaq_controllers.camera", description=__doc__)
+    parser.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="controllers to compile, all if none is named; others are left alone",
+    )
+    names: list[str] = parser.parse_args().names
+    where = folder()
+    if names and all(is_complete(where, name) for name in names):
+        return 0
+    for name in compile_ahead(names):
+        mark_complete(where, name)
     return 0
+
+
+def compile_ahead(names: Sequence[str]) -> Sequence[str]:
+    """Make the controllers of these names for the lab cell, all if there is none; returns which they were."""
+    # what is heavy is imported only where something is left to do
+    from deltaq_cell.cell_model import CellModel
+    from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
+    from deltaq_controllers.camera.scene import Scene
+    from deltaq_controllers.compiled import told_of_compiling
+
+    chosen = [name for name in NAMES if not names or name in names]
+    scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr", latency_s=0.06)
+    with told_of_compiling(lambda function: print(f"compiling {function}", flush=True)):
+        for name in chosen:
+            camera_controller_named(name, scene, distance_m=1.25)
+    return chosen
 
 
 if __name__ == "__main__":

@@ -1,20 +1,41 @@
 """The `deltaq` command: one small file a verb.
 
 Exit status: 0 done, 1 the thing reported is bad, 2 wrong usage or configuration, 3 a service could not be
-reached.
+reached, 130 interrupted before there was a result.
 """
 
 from __future__ import annotations
 
 import sys
+from typing import NoReturn
 
-from deltaq_deploy.cli.app import app
-from deltaq_deploy.cli.errors import exit_status, report
-from deltaq_protocol.errors import DeltaqError
+USAGE = 2
+INTERRUPTED = 130
+"""What a shell makes of a program that Ctrl-C ended."""
 
 
 def main() -> None:
-    """Run the command; a user's mistake ends in one clear line, never in a traceback."""
+    """Run the command; neither a user's mistake nor Ctrl-C ends in a traceback.
+
+    Whatever has to be loaded is loaded in here, for a module that is missing and an interrupt are told here.
+    """
+    try:
+        _run()
+    except ModuleNotFoundError as error:
+        _tell_what_is_missing(error)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except Exception as error:
+        if not _is_of_interrupt(error):
+            raise
+        sys.exit(INTERRUPTED)
+
+
+def _run() -> None:
+    from deltaq_deploy.cli.app import app
+    from deltaq_deploy.cli.errors import exit_status, report
+    from deltaq_protocol.errors import DeltaqError
+
     try:
         app(prog_name="deltaq")
     except DeltaqError as error:
@@ -26,4 +47,30 @@ def main() -> None:
         sys.exit(0)
 
 
-__all__ = ["app", "main"]
+def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:
+    """Say what to install, unless what is missing is ours.
+
+    Raises:
+        ModuleNotFoundError: a part of deltaq itself is missing: that is no matter of extras.
+    """
+    package = (error.name or "").partition(".")[0]
+    if not package or package.startswith("deltaq"):
+        raise error
+    print(
+        f"deltaq: {package} is not installed, and this command needs it: pip install 'deltaq[all]'\n"
+        "deltaq: controllers do without: what they import is deltaq_protocol, and it is complete",
+        file=sys.stderr,
+    )
+    sys.exit(USAGE)
+
+
+def _is_of_interrupt(error: BaseException | None) -> bool:
+    """Whether it came of an interrupt: libraries that are being loaded make other errors of one."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+__all__ = ["main"]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from deltaq_deploy.observer import Track
     from deltaq_protocol.messages import Status
 
+FOLLOWS = "paper"
+"""The camera controller that the follower's process takes by itself."""
 TICK_S = 0.25
 TOLD_EVERY_S = 10.0
 
@@ -36,6 +38,7 @@ def demo(
 
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import console, prefixed_log, print_json
+    from deltaq_deploy.cli.progress import shown_compiled_ahead
     from deltaq_deploy.launcher import Launcher
     from deltaq_deploy.rest import bring_to_rest
     from deltaq_deploy.services import cell_services, demo_controllers
@@ -45,7 +48,7 @@ def demo(
     output = console(sys.stderr)
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
-    with launcher:
+    with shown_compiled_ahead([FOLLOWS]), launcher:
         launcher.start()
         launcher.say(
             f"cell {description.cell} is up; the camera follows for {duration_s:g} s, Ctrl-C ends it"

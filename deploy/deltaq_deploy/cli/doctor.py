@@ -13,8 +13,9 @@ def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
     from dataclasses import asdict
 
     from deltaq_cell.load import load_cell
-    from deltaq_deploy.checkup import Verdict, examine
+    from deltaq_deploy.checkup import examine
     from deltaq_deploy.cli.console import print_json, print_table
+    from deltaq_deploy.findings import Verdict
 
     findings = examine(load_cell(cell), cell)
     bad = any(finding.verdict is Verdict.BAD for finding in findings)

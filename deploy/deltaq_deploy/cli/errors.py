@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import sys
 
+from deltaq_deploy.cli import INTERRUPTED, USAGE
 from deltaq_deploy.launcher import LaunchError, LaunchInterruptedError
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
 DONE = 0
 BAD = 1
-USAGE = 2
 UNREACHABLE = 3
 
 
 def exit_status(error: DeltaqError) -> int:
-    """1 if something was refused or broke, 3 if nobody answered, 2 for what the caller can put right."""
+    """1 if something was refused or broke, 3 if nobody answered, 130 if interrupted, 2 if the caller can help it."""
     if isinstance(error, ServiceUnreachableError):
         return UNREACHABLE
-    if isinstance(error, RefusedError | LaunchError | LaunchInterruptedError):
+    if isinstance(error, LaunchInterruptedError):
+        return INTERRUPTED
+    if isinstance(error, RefusedError | LaunchError):
         return BAD
     return USAGE
 

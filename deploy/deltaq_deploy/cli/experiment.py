@@ -53,7 +53,7 @@ def experiment(
     import importlib
 
     from deltaq_deploy.cli.console import print_json
-    from deltaq_deploy.cli.progress import progress_bar
+    from deltaq_deploy.cli.progress import progress_bar, shown_compiled_ahead
     from deltaq_experiments.figures import draw
     from deltaq_experiments.options import Options
     from deltaq_services.recorder.writer import RecordingError
@@ -69,7 +69,6 @@ def experiment(
         raise RecordingError(
             f"{record} is there already; a recording is never written over, name another file"
         )
-    module = importlib.import_module(f"deltaq_experiments.{name.value}")
     options = Options(
         cell=cell,
         controller=controller,
@@ -82,8 +81,12 @@ def experiment(
         target=target,
         record=record,
     )
-    with progress_bar(f"{name.value}, {duration_s or module.DURATION_S:g} s" + (" live" if live else "")):
-        outcome = module.run(options)
+    with shown_compiled_ahead([controller]):
+        # imported here, for what is imported looks for its machine code at once
+        module = importlib.import_module(f"deltaq_experiments.{name.value}")
+        length = f"{name.value}, {duration_s or module.DURATION_S:g} s"
+        with progress_bar(f"{length} live" if live else length):
+            outcome = module.run(options)
     report = outcome.report.model_dump(mode="json")
     if figure is not None:
         title = f"{name.value}, controller {controller}, leader at {leader_speed_m_s:g} m/s, seed {seed}"

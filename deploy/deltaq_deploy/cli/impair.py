@@ -45,11 +45,15 @@ def impair(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
 ) -> None:
-    """Carry a wire between two addresses through a relay that delays, loses, doubles, stalls or cuts it."""
+    """Carry a wire between two addresses through a relay that delays, loses, doubles, stalls or cuts it.
+
+    It ends with the program that started it.
+    """
     import asyncio
     import contextlib
     import signal
 
+    from deltaq_deploy.parent import while_parent_lives
     from deltaq_experiments.impairment.relay import unit_of, wire_faults
     from deltaq_experiments.impairment.schedule import impair_for_a_while
     from deltaq_protocol.endpoint import Endpoint
@@ -72,15 +76,17 @@ def impair(
     faults = wire_faults(chosen, {name: value for name, value in asked.items() if value})
     with contextlib.suppress(KeyboardInterrupt):  # that is how a relay ends
         asyncio.run(
-            impair_for_a_while(
-                near,
-                far,
-                chosen,
-                faults,
-                typer.echo,
-                after_s=after_s,
-                for_s=for_s,
-                duration_s=duration_s,
-                seed=seed,
+            while_parent_lives(
+                impair_for_a_while(
+                    near,
+                    far,
+                    chosen,
+                    faults,
+                    typer.echo,
+                    after_s=after_s,
+                    for_s=for_s,
+                    duration_s=duration_s,
+                    seed=seed,
+                )
             )
         )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 
 
 @contextmanager
@@ -26,3 +26,31 @@ def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
             progress.update(task, completed=done, total=of)
 
         yield move
+
+
+@contextmanager
+def shown_compiled_ahead(controllers: Sequence[str]) -> Iterator[None]:
+    """Compile camera controllers before the block, and show it on standard error: a line, and what is compiled now.
+
+    Raises:
+        LaunchError: if they cannot be compiled.
+    """
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from deltaq_deploy.cli.console import console
+    from deltaq_deploy.prepare import compiled_ahead
+
+    output = console(sys.stderr)
+    columns = (SpinnerColumn(), TextColumn("compiling {task.description}"), TimeElapsedColumn())
+    progress = Progress(*columns, console=output, transient=True, disable=not output.is_terminal)
+    task = progress.add_task("", total=None, visible=False)
+
+    def show(function: str) -> None:
+        if not progress.tasks[task].visible:
+            output.print("compiling the camera's controller; only the first start does, for up to a minute")
+        progress.update(task, description=function, visible=True)
+
+    with ExitStack() as stack:
+        with progress:
+            stack.enter_context(compiled_ahead(controllers, output.print, show))
+        yield

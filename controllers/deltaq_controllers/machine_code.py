@@ -1,0 +1,76 @@
+"""Where machine code is kept between starts, and what of it is known to be complete. Imports nothing heavy."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import sys
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+
+
+def folder_of(package: Path, users_cache: Path) -> str:
+    """Where to keep the machine code of a package: beside the code, or else in the user's cache.
+
+    What was installed with code that cannot be written to is copied there.
+
+    Returns:
+        The folder; empty if neither can be written to: then every process compiles anew.
+    """
+    sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
+    version = hashlib.sha256(b"".join(source for source in sources if b"\n@compiled" in source)).hexdigest()
+    installed = package / "__pycache__" / f"compiled-{version[:16]}"
+    if _can_be_written(installed):
+        return str(installed)
+    if not users_cache.is_absolute():  # nobody's, or as XDG does not want it
+        return ""
+    own = users_cache / "deltaq" / installed.name
+    if installed.exists() and not own.exists():
+        with suppress(OSError):  # in part it is of use, too
+            shutil.copytree(installed, own)
+    return str(own) if _can_be_written(own) else ""
+
+
+def folder() -> str:
+    """The folder of this package, as `folder_of` finds it now."""
+    return folder_of(Path(__file__).parent, _users_cache())
+
+
+def is_complete(where: str, name: str) -> bool:
+    """Whether all that `name` needs was compiled for this machine."""
+    return bool(where) and _mark(where, name).exists()
+
+
+def mark_complete(where: str, name: str) -> None:
+    """Remember that all that `name` needs was compiled for this machine."""
+    if where:
+        with suppress(OSError):  # then it is looked at again at the next start
+            _mark(where, name).touch()
+
+
+def _mark(where: str, name: str) -> Path:
+    """A file whose name changes with all that makes numba compile anew: code, versions, the processor."""
+    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py"))]
+    processor = [platform.machine(), platform.processor()]
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        processor += sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    parts = (version("numba"), version("llvmlite"), sys.implementation.cache_tag, *processor, *sources)
+    return Path(where) / f"{name}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}.complete"
+
+
+def _can_be_written(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
+
+
+def _users_cache() -> Path:
+    with suppress(RuntimeError):  # a user without a home
+        return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return Path()

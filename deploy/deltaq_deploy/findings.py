@@ -1,0 +1,24 @@
+"""What `deltaq doctor` finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """Good; works but not at its best; will not work."""
+
+    GOOD = "good"
+    FAIR = "fair"
+    BAD = "bad"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at; advice is empty where nothing needs to be done."""
+
+    what: str
+    found: str
+    verdict: Verdict
+    advice: str = ""

@@ -1,0 +1,95 @@
+"""Compiling controllers before anything runs that their compiler could make late.
+
+A camera law takes numba up to a minute on a small machine. Beside a running cell that is a minute in which services
+share their cores with a compiler, and in which the controller is not there.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+from deltaq_deploy.launcher import LaunchError
+from deltaq_deploy.warden import Warden
+
+COMPILER = ("-m", "deltaq_controllers.camera")
+COMPILES = "compiling "
+"""What a line about a function that is being compiled begins with."""
+NOWHERE = (
+    "no folder for machine code can be written to: every start compiles anew; XDG_CACHE_HOME may name one"
+)
+
+
+@contextmanager
+def compiled_ahead(
+    controllers: Sequence[str], tell: Callable[[str], None], on_function: Callable[[str], None]
+) -> Iterator[None]:
+    """Have camera controllers compiled, by a process that ends with it; within the block nobody compiles them again.
+
+    Args:
+        controllers: names of camera controllers that come with the project.
+        tell: called with what the user has to know.
+        on_function: called with the name of each function before it is compiled; never if all are kept from before.
+
+    Raises:
+        LaunchError: if they cannot be compiled, with the compiler's last words.
+    """
+    from deltaq_controllers.machine_code import folder
+
+    if folder():
+        _compile(controllers, on_function)
+        yield
+        return
+    tell(NOWHERE)
+    try:
+        cache = tempfile.TemporaryDirectory(prefix="deltaq-")
+    except OSError:
+        yield  # not even for the time of this run
+        return
+    with cache as kept:
+        # the processes of this run find it there
+        before = os.environ.get("XDG_CACHE_HOME")
+        os.environ["XDG_CACHE_HOME"] = kept
+        try:
+            _compile(controllers, on_function)
+            yield
+        finally:
+            del os.environ["XDG_CACHE_HOME"]
+            if before is not None:
+                os.environ["XDG_CACHE_HOME"] = before
+
+
+def _compile(controllers: Sequence[str], on_function: Callable[[str], None]) -> None:
+    command = [sys.executable, *COMPILER, *controllers]
+    said: list[str] = []
+    # in a session of its own: Ctrl-C on the terminal is for who waits, and ends it from here
+    with (
+        Warden() as warden,
+        subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            encoding="utf-8",
+            errors="replace",
+        ) as compiler,
+    ):
+        assert compiler.stdout is not None  # a pipe was asked for
+        warden.keep(compiler.pid, compiler.stdout.fileno())
+        try:
+            for line in compiler.stdout:
+                said.append(line.rstrip("\n"))
+                if line.startswith(COMPILES):
+                    on_function(said[-1].removeprefix(COMPILES))
+        except BaseException:
+            compiler.kill()
+            raise
+    if compiler.returncode:
+        words = "\n".join(f"  {line}" for line in said if not line.startswith(COMPILES))
+        raise LaunchError(f"the camera's controllers could not be compiled:\n{words}")

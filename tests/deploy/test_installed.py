@@ -1,0 +1,65 @@
+"""A wheel in an environment of its own: what each extra gives, and what the command says where something is missing."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from installed import ROOT, Installed
+
+HEAVY = {"typer", "rich", "pinocchio", "coal", "numba", "ruamel.yaml", "matplotlib", "mcap"}
+INSTALL_PAGE = ROOT / "docs" / "how-to" / "install.md"
+
+
+def missing(installed: Installed) -> set[str]:
+    """Which of the heavy modules an environment does not have."""
+    code = (
+        "import importlib\n"
+        f"for name in {sorted(HEAVY)!r}:\n"
+        "    try: importlib.import_module(name)\n"
+        "    except ModuleNotFoundError: print(name)\n"
+    )
+    done = installed.run("python", "-c", code)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+def test_a_bare_install_is_the_client_alone_and_the_client_is_complete(bare: Installed) -> None:
+    assert missing(bare) == HEAVY
+    code = "from deltaq_protocol import connect, blocking; import deltaq_protocol as p; print(p.__file__)"
+    done = bare.run("python", "-c", code)
+    assert done.returncode == 0, done.stderr
+    assert Path(done.stdout.strip()).is_relative_to(bare.packages)
+
+
+@pytest.mark.parametrize("words", [(), ("--help",), ("status",), ("up", "--cell", "lab")], ids=" ".join)
+def test_the_command_of_a_bare_install_says_what_to_install(bare: Installed, words: tuple[str, ...]) -> None:
+    done = bare.run("deltaq", *words)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("deltaq: typer is not installed")
+    assert "pip install 'deltaq[all]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed) -> None:
+    assert missing(complete) == set()
+    done = complete.run("deltaq", "check", "lab")
+    assert (done.returncode, done.stdout) == (0, "lab: good\n"), done.stderr
+
+
+def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Installed, tmp_path: Path) -> None:
+    code = "import sys; sys.modules['deltaq_deploy.cli.app'] = None; import deltaq_deploy.cli as c; c.main()"
+    done = complete.run("python", "-c", code)
+    assert done.returncode == 1
+    assert "ModuleNotFoundError" in done.stderr
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", INSTALL_PAGE], ids=lambda page: page.name)
+def test_every_extra_for_users_is_named_where_installing_is_explained(page: Path) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = set(project["optional-dependencies"]) - {"dev"}
+    named = re.findall(r"deltaq\[(\w+)\]", page.read_text(encoding="utf-8"))
+    assert set(named) == extras
