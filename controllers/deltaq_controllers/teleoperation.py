@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_controllers.live import PATIENCE_CYCLES, settle_memory, view_of
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.switch import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.tally import Tally
@@ -127,6 +128,8 @@ async def teleoperate(
 ) -> None:
     """Drive until the operator's input is over or it is enough, then come to rest and give the robot back.
 
+    All modes that the teleoperator has made practise first, so that no cycle waits for what they do once.
+
     Args:
         cell: connection to the cell.
         teleoperator: of the robot.
@@ -141,6 +144,10 @@ async def teleoperate(
     """
     robot = teleoperator.robot.name
     verdict: Verdict | None = None
+    await asyncio.to_thread(practise, teleoperator)
+    settle_memory()
+    if enough.is_set():
+        return
     async with cell.lease(robot) as leased:
         async for state in leased.states():
             if state.phase is Phase.HELD:

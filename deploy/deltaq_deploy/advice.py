@@ -18,6 +18,7 @@ from deltaq_cell.description import CellDescription, Pose
 from deltaq_cell.structure import placement
 from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
+from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, Problem
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
@@ -214,26 +215,6 @@ def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple
     return poses
 
 
-@dataclass
-class _Answered:
-    """Options that are known already, as the advisor mode takes them."""
-
-    tracker: ConstraintTracker
-    progress: Progress | None
-    trouble: str = ""
-    is_busy: bool = False
-
-    def ask(self, _q: Array) -> None:
-        """The answer is there."""
-
-    def seek(self, _back: Array, _rank: int) -> None:
-        """The robot is not where the paths begin."""
-        self.trouble = f"{self.tracker.robot.name} has been moved meanwhile; advise again"
-
-    def give_up(self) -> None:
-        """Nothing is going on."""
-
-
 def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Option], rank: int) -> Driven:
     """Drive to the option of a rank, the robot at rest where the paths begin."""
     if rank > len(options):
@@ -244,11 +225,11 @@ def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Opti
         raise AdvisorError(
             f"no way is known to option {rank}: {option.no_path}; there is one to {', '.join(ways) or 'none'}"
         )
-    answered = _Answered(tracker, Progress("finding paths", 1.0, options[0].energy, 0, tuple(options)))
+    answered = Answered(tracker, Progress("finding paths", 1.0, options[0].energy, 0, tuple(options)))
     return asyncio.run(_go(cell, answered, rank, tracker.hands(option.q)))
 
 
-async def _go(cell: CellDescription, answered: _Answered, rank: int, T_world_hands: Array) -> Driven:
+async def _go(cell: CellDescription, answered: Answered, rank: int, T_world_hands: Array) -> Driven:
     robot = answered.tracker.robot
     modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
     teleoperator = Teleoperator(robot, cell.cycle_s, ModeName.ADVISOR, modes=modes)

@@ -44,6 +44,9 @@ class AdvisorAtOnce:
         self.tracker = self._counsel.tracker
         self.progress: Progress | None = None
 
+    def prepare(self) -> None:
+        """It has its model of the cell."""
+
     def ask(self, q: Array) -> None:
         """Look for options that keep the hands where they are at `q` (n,)."""
         self._counsel.ask(q, {}, self._take)

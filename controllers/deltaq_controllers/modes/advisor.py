@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
+from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.driving import Route, timed
+from deltaq_controllers.advisor.exact import Clearance
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.braking import GLIMPSE_S, kept_while_braked
@@ -25,6 +27,9 @@ AT_START = 1e-9
 
 ARRIVED = 1e-9
 """The robot stands at an option within this, in every joint [rad or m]."""
+
+_NEAR = 0.01
+"""How far an option for practice is from home, in every base joint [rad or m]."""
 
 NOTHING_FOUND = "nothing holds the hands where they are, clear of limits and bodies; move them and ask again"
 
@@ -54,6 +59,10 @@ class Advisor(Protocol):
     """
 
     tracker: ConstraintTracker
+
+    def prepare(self) -> None:
+        """Return when it is ready to be asked."""
+        ...
 
     @property
     def trouble(self) -> str:
@@ -144,6 +153,13 @@ class AdvisorMode(Mode):
             return None
         return self._driven if bool(np.abs(self._q - self._route.end).max() < ARRIVED) else None
 
+    def stand_in(self) -> AdvisorMode:
+        """One whose advisor knows an option near the robot's home; the advisor itself is ready by then."""
+        self._advisor.prepare()
+        tracker = self._advisor.tracker
+        answer = Progress("finding paths", 1.0, 0.0, 0, (_near_home(tracker),))
+        return AdvisorMode(self._robot, self._cycle_s, Answered(tracker, answer))
+
     def enter(self, q: Array) -> None:
         """Ask for options with the hands where they are."""
         self._driven, self._route, self._hindrance = None, None, ""
@@ -215,3 +231,24 @@ class AdvisorMode(Mode):
         """(P, n) the way from `q` (n,) on or near the trail to where it begins."""
         nearest = int(np.abs(self._trail - q).max(axis=1).argmin())
         return np.concatenate([q[None], self._trail[nearest::-1]])
+
+
+def _near_home(tracker: ConstraintTracker) -> Option:
+    """An option for practice: the base joints a little off the robot's home."""
+    home = tracker.robot.home
+    end = home.copy()
+    end[tracker.base] += _NEAR
+    clearance = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
+    return Option(
+        end,
+        energy=0.0,
+        values={},
+        costs={},
+        clearance=clearance,
+        nearest_limit="",
+        limit_share=0.0,
+        hands_move=False,
+        start=home,
+        path=np.array([home, end]),
+        no_path="",
+    )

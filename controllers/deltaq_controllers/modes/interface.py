@@ -42,6 +42,10 @@ class Mode(Protocol):
         """The option that the robot stands at."""
         return None
 
+    def stand_in(self) -> Mode:
+        """What practises in its place before the robot is driven: itself, unless it would ask others for something."""
+        return self
+
     def enter(self, q: Array) -> None:
         """The robot stands at `q` (n,) and this mode takes over."""
         del q

@@ -15,12 +15,9 @@ from deltaq_deploy.cli.options import CellOption, CriterionOption, JsonOption, R
 from deltaq_deploy.cli.weights import weights_of
 
 if TYPE_CHECKING:
-    from contextlib import ExitStack
-
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.switch import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
-    from deltaq_protocol.client import Cell
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
 FRAMES = ("world", "tool")
@@ -90,10 +87,12 @@ class _Choice:
         import asyncio
         from contextlib import ExitStack
 
+        from deltaq_controllers.modes.motion import Frame, ModeName
         from deltaq_controllers.tally import Tally
         from deltaq_controllers.teleoperation import DriveLog, teleoperate
         from deltaq_deploy.cli.drive_display import Display
         from deltaq_deploy.running import OtherCellError
+        from deltaq_deploy.teleoperator import teleoperator_for
         from deltaq_protocol import connect
 
         async with connect(self.cell.hli, client="deltaq drive") as running:
@@ -104,7 +103,8 @@ class _Choice:
                 )
             cycle_s = running.description.cycle_s
             with ExitStack() as stack:
-                teleoperator = self._teleoperator(running, stack)
+                modes = ModeName(self.mode), Frame(self.frame)
+                teleoperator = teleoperator_for(running, self.robot, stack, *modes, self.weights)
                 log, tally, enough = DriveLog(teleoperator, cycle_s), Tally(), asyncio.Event()
                 for number in (signal.SIGINT, signal.SIGTERM):
                     asyncio.get_running_loop().add_signal_handler(number, enough.set)
@@ -118,47 +118,14 @@ class _Choice:
                 await teleoperate(running, teleoperator, operator, tally, watch, enough)
         return {"robot": self.robot, "legs": log.summary(), "missed": log.missed, **tally.summary()}
 
-    def _teleoperator(self, running: Cell, stack: ExitStack) -> Teleoperator:
-        """The teleoperator with all modes; the stack ends what they have going on."""
-        from functools import partial
-
-        from deltaq_cell.robot import RobotModel
-        from deltaq_controllers.advisor.process import AdvisorProcess
-        from deltaq_controllers.criteria.postures import RobotData
-        from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
-        from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
-        from deltaq_controllers.modes.coupled import CoupledMode, weighed
-        from deltaq_controllers.modes.motion import Frame, ModeName
-        from deltaq_controllers.modes.switch import MODES, Teleoperator
-
-        description = running.description
-        model = model_of(robot_models(description), self.robot)
-
-        def advisor_mode(robot: RobotModel) -> AdvisorMode:
-            others = where_others_are(running, self.robot)
-            advisor = AdvisorProcess(description, tracker_of(robot), others, self.weights)
-            return AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
-
-        modes = {**MODES, ModeName.ADVISOR: advisor_mode}
-        if self.weights is not None:
-            criteria = (weighed(RobotData(cell_model(description), self.robot), self.weights),)
-            modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
-        return Teleoperator(model, description.cycle_s, ModeName(self.mode), Frame(self.frame), modes)
-
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
-        from contextlib import suppress
-
-        from deltaq_controllers.interface import ControllerError
-        from deltaq_controllers.modes.motion import ModeName
         from deltaq_controllers.operator_input.gamepad import Gamepad
         from deltaq_controllers.operator_input.keyboard import HELP, Keyboard
         from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
-        with suppress(ControllerError):  # a robot without a joint to spare has no advisor
-            # its process starts now, so that its first advice is not waited for longer than others
-            teleoperator.mode_named(ModeName.ADVISOR)
+        teleoperator.make_modes()  # the operator may switch to any of them
         if self.gamepad is not None:
             return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
         print(HELP, file=sys.stderr)
