@@ -144,6 +144,7 @@ async def teleoperate(
     """
     robot = teleoperator.robot.name
     verdict: Verdict | None = None
+    is_over = False
     await asyncio.to_thread(practise, teleoperator)
     settle_memory()
     if enough.is_set():
@@ -153,10 +154,13 @@ async def teleoperate(
             if state.phase is Phase.HELD:
                 raise _held(robot, state.reason)
             view = view_of(cell, state, verdict)
-            wish = None if enough.is_set() else operator.read(state.time_s)
+            wish = None if is_over or enough.is_set() else operator.read(state.time_s)
+            is_over = (
+                wish is None
+            )  # for good: what is pressed while the robot comes to rest does not begin anew
             teleoperator.wish = Wish() if wish is None else wish
             increment = teleoperator.increment(view)
-            if wish is None and teleoperator.is_at_rest:
+            if is_over and teleoperator.is_at_rest:
                 return
             try:
                 async with asyncio.timeout(PATIENCE_CYCLES * cell.description.cycle_s):

@@ -15,12 +15,18 @@ from deltaq_deploy.cli.options import CellOption, CriterionOption, JsonOption, R
 from deltaq_deploy.cli.weights import weights_of
 
 if TYPE_CHECKING:
+    from contextlib import ExitStack
+
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.switch import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
+    from deltaq_protocol.errors import DeltaqError
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
 FRAMES = ("world", "tool")
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that bring the robot to rest and end the drive."""
 
 
 def drive(
@@ -41,8 +47,11 @@ def drive(
     json: JsonOption = False,
 ) -> None:
     """Drive a robot by keyboard, gamepad or script; whatever ends it, the robot comes to rest and is given back."""
+    from contextlib import ExitStack
+
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json
+    from deltaq_deploy.cli.drive_summary import show
     from deltaq_deploy.running import known_robot
 
     if mode not in MODES:
@@ -55,11 +64,15 @@ def drive(
     known_robot(description, robot)
     weights = weights_of(criterion, "--criterion")
     choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s)
-    summary = choice.run()
-    if json:
-        print_json(summary)
-    else:
-        _show(summary)
+    with ExitStack() as terminal:
+        # a terminal is given back last: keys that are still held are not for the shell
+        summary, error = choice.run(terminal)
+        if json:
+            print_json(summary)
+        else:
+            show(summary)
+    if error is not None:
+        raise error
     if script is not None and summary["missed"]:
         raise typer.Exit(BAD)
 
@@ -77,13 +90,20 @@ class _Choice:
     gamepad: Path | None
     speed_m_s: float
 
-    def run(self) -> dict[str, Any]:
-        """Drive, and return the summary."""
+    def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+        """Drive, and return the summary and what ended the drive, if that was not wished.
+
+        Args:
+            terminal: gives the operator's device back.
+
+        Raises:
+            DeltaqError: what kept the drive from beginning.
+        """
         import asyncio
 
-        return asyncio.run(self._drive())
+        return asyncio.run(self._drive(terminal))
 
-    async def _drive(self) -> dict[str, Any]:
+    async def _drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
         import asyncio
         from contextlib import ExitStack
 
@@ -91,9 +111,11 @@ class _Choice:
         from deltaq_controllers.tally import Tally
         from deltaq_controllers.teleoperation import DriveLog, teleoperate
         from deltaq_deploy.cli.drive_display import Display
+        from deltaq_deploy.cli.drive_summary import summary
         from deltaq_deploy.running import OtherCellError
         from deltaq_deploy.teleoperator import teleoperator_for
         from deltaq_protocol import connect
+        from deltaq_protocol.errors import DeltaqError
 
         async with connect(self.cell.hli, client="deltaq drive") as running:
             if running.description.cell != self.cell.cell:
@@ -106,17 +128,23 @@ class _Choice:
                 modes = ModeName(self.mode), Frame(self.frame)
                 teleoperator = teleoperator_for(running, self.robot, stack, *modes, self.weights)
                 log, tally, enough = DriveLog(teleoperator, cycle_s), Tally(), asyncio.Event()
-                for number in (signal.SIGINT, signal.SIGTERM):
+                for number in _ENDING:
                     asyncio.get_running_loop().add_signal_handler(number, enough.set)
-                operator = stack.enter_context(self._input(teleoperator))
+                operator = terminal.enter_context(self._input(teleoperator))
                 display = Display(teleoperator, operator)
 
                 def watch(q: Any) -> None:
                     log.add(q)
                     display.show()
 
-                await teleoperate(running, teleoperator, operator, tally, watch, enough)
-        return {"robot": self.robot, "legs": log.summary(), "missed": log.missed, **tally.summary()}
+                ended_by = None
+                try:
+                    await teleoperate(running, teleoperator, operator, tally, watch, enough)
+                except DeltaqError as error:
+                    if not log.legs:
+                        raise
+                    ended_by = error
+        return summary(self.robot, log, tally, ended_by), ended_by
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
         from deltaq_controllers.operator_input.gamepad import Gamepad
@@ -130,28 +158,3 @@ class _Choice:
             return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
         print(HELP, file=sys.stderr)
         return Keyboard(teleoperator, speed_m_s=self.speed_m_s)
-
-
-def _show(summary: dict[str, Any]) -> None:
-    from deltaq_deploy.cli.console import counts, print_table
-
-    rows = [
-        (
-            leg["mode"],
-            f"{leg['seconds']:.1f}",
-            hand,
-            f"{figures['moved_mm']:.2f}",
-            f"{figures['turned_deg']:.3f}",
-            f"{figures['farthest_mm']:.2f}",
-            ", ".join(f"{what} {seconds:.1f} s" for what, seconds in leg["limited_s"].items()) or None,
-            ", ".join(f"{one['option']}{'' if one['reached'] else ' missed'}" for one in leg["options"])
-            or None,
-        )
-        for leg in summary["legs"]
-        for hand, figures in leg["hands"].items()
-    ]
-    if sys.stderr.isatty():
-        sys.stderr.write("\n")
-    columns = ("mode", "s", "hand", "moved mm", "turned deg", "farthest mm", "limited by", "options")
-    print_table(f"{summary['robot']} was driven", columns, rows)
-    print(f"gate: {counts(summary['gate'])}")
