@@ -126,9 +126,9 @@ async def teleoperate(
     watch: Callable[[Array], None],
     enough: asyncio.Event,
 ) -> None:
-    """Drive until the operator's input is over or it is enough, then come to rest and give the robot back.
+    """Drive until the operator's input ends or `enough` is set, then come to rest and release the robot.
 
-    All modes that the teleoperator has made practise first, so that no cycle waits for what they do once.
+    Every mode made so far runs once on the robot's model before the lease is taken (`practise`).
 
     Args:
         cell: connection to the cell.
@@ -136,7 +136,7 @@ async def teleoperate(
         operator: where the wishes come from.
         tally: counts the verdicts.
         watch: called once a cycle with the measured configuration (n,).
-        enough: set to end before the input is over.
+        enough: set it to end the drive early.
 
     Raises:
         RefusedError: the lease was not granted or lost, or the robot is held.

@@ -289,7 +289,7 @@ def test_poses_that_are_none_are_refused() -> None:
 def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
     lab = CellModel.load("lab")
     fr = lab.robots["fr"]
-    with pytest.raises(AdvisorError, match="'fr' has no joint to spare"):
+    with pytest.raises(AdvisorError, match="'fr' is not redundant"):
         Problem(lab, "fr", fr.forward(fr.home)[None])
     with pytest.raises(AdvisorError, match="no robot 'xy'; it has fr, gr"):
         Problem(lab, "xy", fr.forward(fr.home)[None])

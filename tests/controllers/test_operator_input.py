@@ -140,7 +140,7 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     operator = teleoperator("fr", ModeName.DECOUPLED)
     terminal = Terminal(operator)
     with terminal.keyboard:
-        assert terminal.press("m", 1.0) == Wish(mode=ModeName.COUPLED)  # no joint to spare for self-motion
+        assert terminal.press("m", 1.0) == Wish(mode=ModeName.COUPLED)  # not redundant: no self-motion
         assert terminal.press("t", 1.0) == Wish(frame=Frame.TOOL)
     terminal.close()
     terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))

@@ -250,7 +250,7 @@ def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, num
         (("--robot", "gr", "--script", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--robot", "gr", "--gamepad", "/dev/input/none"), "no gamepad at /dev/input/none"),
         (("--robot", "gr"), "the keyboard needs a terminal"),
-        (("--robot", "fr", "--mode", "advisor"), "advisor needs a joint to spare, robot 'fr' has none"),
+        (("--robot", "fr", "--mode", "advisor"), "advisor needs a redundant robot, 'fr' is not"),
         (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),
         (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
     ],

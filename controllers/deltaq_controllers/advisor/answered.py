@@ -20,7 +20,7 @@ class Answered:
 
     Attributes:
         tracker, progress: as given.
-        trouble: why there is no way from where the robot is.
+        trouble: why there is no path from the robot's configuration.
     """
 
     is_busy = False

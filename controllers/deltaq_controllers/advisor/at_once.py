@@ -1,4 +1,4 @@
-"""The advisor in the control loop itself: for virtual time, which it does not use up."""
+"""The advisor within the control loop, for virtual time: its search takes none of it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class AdvisorAtOnce:
         self._counsel.ask(q, {}, self._take)
 
     def seek(self, back: Array, rank: int) -> None:
-        """Look for a way to the option of a rank; see `Counsel.seek`."""
+        """Search for a path to the option of a rank; see `Counsel.seek`."""
         self._counsel.seek(back, rank, {}, self._take)
 
     def give_up(self) -> None:

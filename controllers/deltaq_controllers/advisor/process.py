@@ -107,12 +107,12 @@ class AdvisorProcess:
         self._send(_Ask(self._newest.number, q, self._others()))
 
     def seek(self, back: Array, rank: int) -> None:
-        """Begin to look for a way to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
+        """Begin to search for a path to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
         self._newest = _Answer(self._newest.number + 1, self._newest.progress)
         self._send(_Seek(self._newest.number, back, rank, self._others()))
 
     def give_up(self) -> None:
-        """End what is going on; what is known stays known."""
+        """End the search; what is known stays known."""
         self._newest = _Answer(self._newest.number + 1, self._newest.progress, is_over=True)
         self._send(_GiveUp(self._newest.number))
 

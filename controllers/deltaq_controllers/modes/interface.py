@@ -43,7 +43,7 @@ class Mode(Protocol):
         return None
 
     def stand_in(self) -> Mode:
-        """What practises in its place before the robot is driven: itself, unless it would ask others for something."""
+        """The mode that `practise` runs in place of this one; itself, unless it would start work elsewhere."""
         return self
 
     def enter(self, q: Array) -> None:

@@ -1,6 +1,6 @@
-"""Let modes run before the robot does, so that no first motion waits for what it loads or compiles.
+"""Run every mode on the robot's model before the robot is driven, so that no first motion waits for compilation.
 
-A function that is compiled, or read from numba's cache, at the first wish takes .2 to .7 s: dozens of cycles, and on
+To compile a function at the first motion, or to load it from numba's cache, takes 0.2 to 0.7 s: dozens of cycles, and on
 a busy machine the lease.
 """
 

@@ -124,7 +124,7 @@ class Teleoperator:
         """
         if name not in self._table:
             known = ", ".join(self._table)
-            raise ControllerError(f"mode {name.value} is not made here; there are {known}")
+            raise ControllerError(f"mode {name.value} is not available; there are {known}")
         if name not in self._modes:
             self._modes[name] = self._table[name](self.robot)
         return self._modes[name]
@@ -132,7 +132,7 @@ class Teleoperator:
     def make_modes(self) -> None:
         """Make every mode that the robot can be driven in, for an operator who may switch to any of them."""
         for name in self._table:
-            with suppress(ControllerError):  # the robot has no joint to spare
+            with suppress(ControllerError):  # the robot is not redundant
                 self.mode_named(name)
 
     def check(self, wish: Wish, mode: ModeName) -> None:

@@ -111,7 +111,7 @@ class Gamepad:
         try:
             return mode and self._teleoperator.mode_named(mode).name
         except ControllerError:
-            return None  # this robot has no joint to spare
+            return None  # this robot is not redundant
 
     def _rates(self) -> dict[str, float]:
         driver = self._teleoperator.mode_named(self._teleoperator.mode)

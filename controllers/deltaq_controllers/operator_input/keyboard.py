@@ -120,7 +120,7 @@ class Keyboard:
             try:
                 self._teleoperator.mode_named(mode)
             except ControllerError:
-                continue  # this robot has no joint to spare
+                continue  # this robot is not redundant
             return mode
         return self._teleoperator.mode
 

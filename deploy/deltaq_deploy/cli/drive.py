@@ -33,7 +33,7 @@ def drive(
     robot: RobotOption,
     mode: Annotated[str, typer.Option(help=f"Mode to begin with: {', '.join(MODES)}.")] = "joint",
     cell: CellOption = "lab",
-    frame: Annotated[str, typer.Option(help="Axes in which hands are moved: world or tool.")] = "world",
+    frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
     criterion: CriterionOption = None,
     script: Annotated[
         Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
@@ -46,7 +46,7 @@ def drive(
     ] = 0.1,
     json: JsonOption = False,
 ) -> None:
-    """Drive a robot by keyboard, gamepad or script; whatever ends it, the robot comes to rest and is given back."""
+    """Drive a robot by keyboard, gamepad or script; however the drive ends, the robot comes to rest and is released."""
     from contextlib import ExitStack
 
     from deltaq_cell.load import load_cell
