@@ -1,7 +1,7 @@
 """Run every mode on the robot's model before the robot is driven, so that no first motion waits for compilation.
 
-To compile a function at the first motion, or to load it from numba's cache, takes 0.2 to 0.7 s: dozens of cycles, and on
-a busy machine the lease.
+To compile a function at the first motion, or to load it from numba's cache, takes 0.2 to 0.7 s: dozens of cycles, and
+on a busy machine the lease.
 """
 
 from __future__ import annotations
