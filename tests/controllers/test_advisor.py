@@ -282,7 +282,7 @@ def test_poses_that_are_none_are_refused() -> None:
     poses = TRACKER.hands(DAWM.home)
     with pytest.raises(AdvisorError, match=r"shape \(2, 4, 4\), got \(1, 4, 4\)"):
         Problem(CELL, "dawm", poses[:1], None, TRACKER)
-    with pytest.raises(AdvisorError, match="rotations are none"):
+    with pytest.raises(AdvisorError, match="proper rotation matrices"):
         Problem(CELL, "dawm", 2 * poses, None, TRACKER)
 
 
