@@ -89,9 +89,7 @@ async def drive(
         ServiceUnreachableError: the HLI is gone.
     """
     verdict: Verdict | None = None
-    # models stand for ever: no need to look through them in every collection
-    gc.collect()
-    gc.freeze()
+    settle_memory()
     async with cell.lease(robot) as leased:
         async for state in leased.states():
             view = view_of(cell, state, verdict)
@@ -104,6 +102,12 @@ async def drive(
             except (TimeoutError, ServiceUnreachableError):
                 verdict = None
             tally.add(verdict)
+
+
+def settle_memory() -> None:
+    """Call this once before a control loop: the models stand for ever, and no collection need look through them."""
+    gc.collect()
+    gc.freeze()
 
 
 def view_of(cell: Cell, state: RobotState, verdict: Verdict | None = None) -> View:

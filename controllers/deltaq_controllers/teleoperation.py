@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_controllers.live import PATIENCE_CYCLES, settle_memory, view_of
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.switch import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.tally import Tally
@@ -125,7 +126,9 @@ async def teleoperate(
     watch: Callable[[Array], None],
     enough: asyncio.Event,
 ) -> None:
-    """Drive until the operator's input is over or it is enough, then come to rest and give the robot back.
+    """Drive until the operator's input ends or `enough` is set, then come to rest and release the robot.
+
+    Every mode made so far runs once on the robot's model before the lease is taken (`practise`).
 
     Args:
         cell: connection to the cell.
@@ -133,7 +136,7 @@ async def teleoperate(
         operator: where the wishes come from.
         tally: counts the verdicts.
         watch: called once a cycle with the measured configuration (n,).
-        enough: set to end before the input is over.
+        enough: set it to end the drive early.
 
     Raises:
         RefusedError: the lease was not granted or lost, or the robot is held.
@@ -141,15 +144,23 @@ async def teleoperate(
     """
     robot = teleoperator.robot.name
     verdict: Verdict | None = None
+    is_over = False
+    await asyncio.to_thread(practise, teleoperator)
+    settle_memory()
+    if enough.is_set():
+        return
     async with cell.lease(robot) as leased:
         async for state in leased.states():
             if state.phase is Phase.HELD:
                 raise _held(robot, state.reason)
             view = view_of(cell, state, verdict)
-            wish = None if enough.is_set() else operator.read(state.time_s)
+            wish = None if is_over or enough.is_set() else operator.read(state.time_s)
+            is_over = (
+                wish is None
+            )  # for good: what is pressed while the robot comes to rest does not begin anew
             teleoperator.wish = Wish() if wish is None else wish
             increment = teleoperator.increment(view)
-            if wish is None and teleoperator.is_at_rest:
+            if is_over and teleoperator.is_at_rest:
                 return
             try:
                 async with asyncio.timeout(PATIENCE_CYCLES * cell.description.cycle_s):

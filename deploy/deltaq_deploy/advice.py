@@ -18,6 +18,7 @@ from deltaq_cell.description import CellDescription, Pose
 from deltaq_cell.structure import placement
 from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
+from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, Problem
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
@@ -120,7 +121,7 @@ def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True)
     """Ask the advisor, and drive to an option if that was asked for.
 
     Raises:
-        AdvisorError: a task that it cannot work on, or an option that there is none or no way to.
+        AdvisorError: a task that it cannot work on, or an option that does not exist or has no path.
         ServiceUnreachableError: the cell is not running, and `offline` was not asked for.
         RefusedError: the robot is leased to somebody else.
     """
@@ -167,7 +168,7 @@ def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True)
 
 
 def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
-    """The robot of that name, or the first with joints to spare."""
+    """The robot of that name, or the first redundant one."""
     if name:
         return name, ConstraintTracker(cell.robots[name])
     for candidate, model in cell.robots.items():
@@ -178,7 +179,7 @@ def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
         if len(tracker.base):
             return candidate, tracker
     raise AdvisorError(
-        f"cell {cell.description.cell} has no robot with joints to spare: nothing to advise on"
+        f"cell {cell.description.cell} has no redundant robot with a closed-form inverse: nothing to advise on"
     )
 
 
@@ -195,7 +196,7 @@ def _present(running: BlockingCell) -> dict[str, Array]:
             }
         if time.monotonic() > deadline_s:
             silent = ", ".join(name for name, robot in status.items() if not robot.q)
-            raise AdvisorError(f"nothing was heard of {silent}; see `deltaq status`")
+            raise AdvisorError(f"no state of {silent} within {STATE_DEADLINE_S:g} s; see `deltaq status`")
 
 
 def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple[float, ...]]) -> Array:
@@ -214,26 +215,6 @@ def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple
     return poses
 
 
-@dataclass
-class _Answered:
-    """Options that are known already, as the advisor mode takes them."""
-
-    tracker: ConstraintTracker
-    progress: Progress | None
-    trouble: str = ""
-    is_busy: bool = False
-
-    def ask(self, _q: Array) -> None:
-        """The answer is there."""
-
-    def seek(self, _back: Array, _rank: int) -> None:
-        """The robot is not where the paths begin."""
-        self.trouble = f"{self.tracker.robot.name} has been moved meanwhile; advise again"
-
-    def give_up(self) -> None:
-        """Nothing is going on."""
-
-
 def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Option], rank: int) -> Driven:
     """Drive to the option of a rank, the robot at rest where the paths begin."""
     if rank > len(options):
@@ -242,13 +223,13 @@ def _drive(cell: CellDescription, tracker: ConstraintTracker, options: list[Opti
     if option.path is None:
         ways = [str(number) for number, other in enumerate(options, start=1) if other.path is not None]
         raise AdvisorError(
-            f"no way is known to option {rank}: {option.no_path}; there is one to {', '.join(ways) or 'none'}"
+            f"no path is known to option {rank}: {option.no_path}; options with a path: {', '.join(ways) or 'none'}"
         )
-    answered = _Answered(tracker, Progress("finding paths", 1.0, options[0].energy, 0, tuple(options)))
+    answered = Answered(tracker, Progress("finding paths", 1.0, options[0].energy, 0, tuple(options)))
     return asyncio.run(_go(cell, answered, rank, tracker.hands(option.q)))
 
 
-async def _go(cell: CellDescription, answered: _Answered, rank: int, T_world_hands: Array) -> Driven:
+async def _go(cell: CellDescription, answered: Answered, rank: int, T_world_hands: Array) -> Driven:
     robot = answered.tracker.robot
     modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cell.cycle_s, answered)}
     teleoperator = Teleoperator(robot, cell.cycle_s, ModeName.ADVISOR, modes=modes)

@@ -119,7 +119,7 @@ def test_an_option_that_there_is_none_is_told_and_nothing_moves() -> None:
 
 
 def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refused() -> None:
-    with pytest.raises(ControllerError, match="advisor needs a joint to spare, robot 'fr' has none"):
+    with pytest.raises(ControllerError, match="advisor needs a redundant robot, 'fr' is not"):
         advised(model("fr"))
     with pytest.raises(ControllerError, match=r"'x' is not driven in mode advisor .* an option of its own"):
         advised(model("gr")).check(Wish({"x": 0.1}), ModeName.ADVISOR)

@@ -109,5 +109,5 @@ def test_an_arm_of_no_known_kind_is_refused_by_name() -> None:
     description = LAB.description.robots["fr"]
     urdf = ROBOTS["fr"].urdf.replace('xyz="0.68 0 0"', 'xyz="0.58 0 0"')
     assert urdf != ROBOTS["fr"].urdf
-    with pytest.raises(TrackingError, match="the last six joints of tool are of no arm with a closed form"):
+    with pytest.raises(TrackingError, match="no closed form is known for the last six joints of tool"):
         ConstraintTracker(RobotModel(description, "fr", urdf=urdf))

@@ -202,7 +202,7 @@ def test_costs_are_one_half_at_the_reference_and_lie_between_0_and_1_except_in_c
     ("weights", "message"),
     [
         ({"travle": 1.0}, "no criterion 'travle'; there are travel, limits"),
-        ({"travel": -1.0}, "weight of travel must be a number from 0 on, got -1"),
+        ({"travel": -1.0}, "weight of travel must be a finite number, 0 or more, got -1"),
         ({"travel": float("nan")}, "weight of travel must be"),
     ],
 )

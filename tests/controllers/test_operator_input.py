@@ -14,7 +14,8 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import Frame, ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
 from deltaq_controllers.operator_input.gamepad import Gamepad
-from deltaq_controllers.operator_input.keyboard import HOLD_S, Keyboard
+from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, TAP_SHARE
+from deltaq_controllers.operator_input.keyboard import Keyboard
 from deltaq_controllers.operator_input.script import Script
 
 
@@ -109,14 +110,17 @@ class Terminal:
         os.close(self._terminal)
 
 
-def test_a_key_moves_for_a_moment_and_hands_off_is_rest() -> None:
+SLOW = pytest.approx(0.1 * TAP_SHARE)
+
+
+def test_a_tapped_key_moves_slowly_for_a_while_and_hands_off_is_rest() -> None:
     terminal = Terminal(teleoperator(mode=ModeName.COUPLED))
     with terminal.keyboard:
-        assert terminal.press("w", 10.0) == Wish({"x": 0.1})
-        assert terminal.press("", 10.0 + 0.9 * HOLD_S) == Wish({"x": 0.1})
-        assert terminal.press("", 10.0 + HOLD_S) == Wish()
+        assert terminal.press("w", 10.0) == Wish({"x": SLOW})
+        assert terminal.press("", 10.0 + 0.9 * FIRST_REPEAT_S) == Wish({"x": SLOW})
+        assert terminal.press("", 10.0 + FIRST_REPEAT_S) == Wish()
         assert terminal.press("w ", 11.0) == Wish()
-        assert terminal.press("+d", 12.0) == Wish({"y": pytest.approx(-0.15)})
+        assert terminal.press("+d", 12.0) == Wish({"y": pytest.approx(-0.15 * TAP_SHARE)})
         assert terminal.press("q", 12.0) is None
     terminal.close()
 
@@ -124,10 +128,10 @@ def test_a_key_moves_for_a_moment_and_hands_off_is_rest() -> None:
 def test_arrows_choose_and_drive_a_joint_even_when_their_sequence_is_torn() -> None:
     terminal = Terminal(teleoperator())
     with terminal.keyboard:
-        assert terminal.press("\x1b[C\x1b[A", 1.0) == Wish({"e2": 0.1})
+        assert terminal.press("\x1b[C\x1b[A", 1.0) == Wish({"e2": SLOW})
         assert terminal.press("\x1b[", 2.0) == Wish()
-        assert terminal.press("B", 2.0) == Wish({"e2": -0.1})
-        assert terminal.press("\x1b[C\x1b[C\x1b[A", 3.0) == Wish({"a1": pytest.approx(0.35)})
+        assert terminal.press("B", 2.0) == Wish({"e2": pytest.approx(-0.1 * TAP_SHARE)})
+        assert terminal.press("\x1b[C\x1b[C\x1b[A", 3.0) == Wish({"a1": pytest.approx(0.35 * TAP_SHARE)})
         assert "joint a1" in terminal.keyboard.status
     terminal.close()
 
@@ -136,14 +140,14 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     operator = teleoperator("fr", ModeName.DECOUPLED)
     terminal = Terminal(operator)
     with terminal.keyboard:
-        assert terminal.press("m", 1.0) == Wish(mode=ModeName.COUPLED)  # no joint to spare for self-motion
+        assert terminal.press("m", 1.0) == Wish(mode=ModeName.COUPLED)  # not redundant: no self-motion
         assert terminal.press("t", 1.0) == Wish(frame=Frame.TOOL)
     terminal.close()
     terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))
     with terminal.keyboard:
-        assert terminal.press("hr", 1.0) == Wish({"left.z": 0.1})
-        assert terminal.press("hr", 1.0) == Wish({"right.z": 0.1})
-        assert terminal.press("hr", 1.0) == Wish({"z": 0.1})
+        assert terminal.press("h r", 1.0) == Wish({"left.z": SLOW})
+        assert terminal.press("h r", 1.0) == Wish({"right.z": SLOW})
+        assert terminal.press("h r", 1.0) == Wish({"z": SLOW})
     terminal.close()
 
 
@@ -171,7 +175,7 @@ def test_a_keyboard_without_a_terminal_says_what_to_use() -> None:
 
 
 EVENT = struct.Struct("=IhBB")
-BUTTON, AXIS = 1, 2
+BUTTON, AXIS, INITIAL = 0x01, 0x02, 0x80
 
 
 def test_a_gamepad_moves_only_while_a_shoulder_button_is_held(tmp_path: Path) -> None:
@@ -195,6 +199,39 @@ def test_a_gamepad_moves_only_while_a_shoulder_button_is_held(tmp_path: Path) ->
         assert pad.read(0.4) is None  # unplugged
 
 
+def test_a_shoulder_button_that_is_held_as_the_drive_begins_must_be_pressed_anew(tmp_path: Path) -> None:
+    device = tmp_path / "js0"
+    os.mkfifo(device)
+    pad = Gamepad(teleoperator(mode=ModeName.COUPLED), device)
+    with pad:
+        writer = os.open(device, os.O_WRONLY)
+        # the device begins with how everything stands, marked as such
+        os.write(writer, EVENT.pack(0, 1, BUTTON | INITIAL, 4) + EVENT.pack(0, -32767, AXIS | INITIAL, 1))
+        assert pad.read(0.0) == Wish()
+        os.write(writer, EVENT.pack(0, 0, BUTTON, 4) + EVENT.pack(0, 1, BUTTON, 4))
+        wish = pad.read(0.1)
+        assert wish is not None
+        assert wish.rates["x"] == pytest.approx(0.1)
+        os.close(writer)
+
+
+def test_speed_grows_from_zero_at_the_edge_of_the_dead_zone(tmp_path: Path) -> None:
+    device = tmp_path / "js0"
+    os.mkfifo(device)
+    pad = Gamepad(teleoperator(mode=ModeName.COUPLED), device)
+    told = []
+    with pad:
+        writer = os.open(device, os.O_WRONLY)
+        os.write(writer, EVENT.pack(0, 1, BUTTON, 4))
+        for deflection in (0.0, 0.09, 0.11, 0.55, 1.0):
+            os.write(writer, EVENT.pack(0, -round(32767 * deflection), AXIS, 1))
+            wish = pad.read(0.0)
+            assert wish is not None
+            told.append(wish.rates["x"])
+        os.close(writer)
+    assert told == pytest.approx([0.0, 0.0, 0.1 * 0.01 / 0.9, 0.05, 0.1], abs=1e-5)
+
+
 def test_the_stick_drives_the_chosen_joint_in_modes_of_joints(tmp_path: Path) -> None:
     device = tmp_path / "js0"
     os.mkfifo(device)
@@ -202,7 +239,7 @@ def test_the_stick_drives_the_chosen_joint_in_modes_of_joints(tmp_path: Path) ->
     with pad:
         writer = os.open(device, os.O_WRONLY)
         os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
-        os.write(writer, EVENT.pack(0, -16384, AXIS, 1))
+        os.write(writer, EVENT.pack(0, -round(0.55 * 32767), AXIS, 1))
         assert pad.read(0.0) == Wish({"e2": pytest.approx(0.05, rel=1e-3)})
         os.close(writer)
 

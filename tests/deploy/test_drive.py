@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import select
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -159,6 +163,83 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
     wait_for_phase(cell, "ready")
 
 
+def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
+    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
+        wait_for_motion(cell)
+        with connect(load_cell(cell), "thief") as running, running.lease("gr", take=True):
+            out, error = driver.communicate(timeout=30)
+    assert driver.returncode == 1
+    assert "lease_not_held" in error
+    told = json.loads(out)
+    assert told["error"]["code"] == "lease_not_held"
+    assert "deltaq status" in told["error"]["hint"]
+    assert told["legs"][0]["mode"] == "joint"
+    wait_for_phase(cell, "ready")
+
+
+class Terminal:
+    """A terminal with `deltaq drive` in it, as a shell would start it."""
+
+    def __init__(self, cell: Path) -> None:
+        self.keys, self._file = pty.openpty()
+        self.before = termios.tcgetattr(self._file)
+        # one that beginners have: lines, with echo
+        assert self.before[3] & termios.ECHO
+        assert self.before[3] & termios.ICANON
+        command = [DELTAQ, "drive", "--robot", "gr", "--mode", "joint", "--json", "--cell", str(cell)]
+        self.driver = subprocess.Popen(
+            command, stdin=self._file, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def press(self, keys: str) -> None:
+        os.write(self.keys, keys.encode())
+
+    def hold(self, cell: Path) -> None:
+        """Hold arrow up until the robot moves."""
+        seen: list[float] = []
+
+        def moves(state: RobotState) -> bool:
+            self.press("\x1b[A")
+            seen.append(state.q_cmd[0])
+            return abs(seen[-1] - seen[0]) > 0.002
+
+        wait_for(cell, moves)
+
+    def ended(self) -> tuple[int, str, str]:
+        """Exit status and output; the terminal is as it was, and what was typed last is in nobody's way."""
+        out, error = self.driver.communicate(timeout=60)
+        assert termios.tcgetattr(self._file) == self.before
+        assert not select.select([self._file], [], [], 0.0)[0]
+        os.close(self.keys)
+        os.close(self._file)
+        return self.driver.returncode, out, error
+
+
+def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_shell(cell: Path) -> None:
+    terminal = Terminal(cell)
+    terminal.hold(cell)
+    terminal.press("qrm -rf\n" + "\x1b[A" * 20)
+    status_, out, error = terminal.ended()
+    assert status_ == 0, error
+    summary = json.loads(out)
+    assert [leg["mode"] for leg in summary["legs"]] == ["joint"]
+    assert summary["error"] is None
+    assert status(cell).lease.holder is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, number: int) -> None:
+    terminal = Terminal(cell)
+    terminal.hold(cell)
+    terminal.driver.send_signal(number)
+    terminal.press("w" * 10)
+    status_, out, error = terminal.ended()
+    assert status_ == 0, error
+    assert json.loads(out)["error"] is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -169,7 +250,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
         (("--robot", "gr", "--script", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--robot", "gr", "--gamepad", "/dev/input/none"), "no gamepad at /dev/input/none"),
         (("--robot", "gr"), "the keyboard needs a terminal"),
-        (("--robot", "fr", "--mode", "advisor"), "advisor needs a joint to spare, robot 'fr' has none"),
+        (("--robot", "fr", "--mode", "advisor"), "advisor needs a redundant robot, 'fr' is not"),
         (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),
         (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
     ],

@@ -1,1 +1,1 @@
-"""The configuration advisor: ranked ways to hold the hands where they shall be."""
+"""The configuration advisor: ranked configurations that hold the hands at given poses."""

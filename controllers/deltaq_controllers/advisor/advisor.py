@@ -1,4 +1,4 @@
-"""The advisor: ranked ways to hold the hands where they shall be, each with a path that leads there."""
+"""The advisor: ranked configurations that hold the hands at given poses, each with a path to it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ THERE_M, THERE_RAD = 1e-4, 1e-3
 """The robot's hands count as being where they shall be within this."""
 
 DRIVABLE = 3
-"""Of the options so many may be driven to, where there are so many, even if better ones are barred."""
+"""Number of options that can be driven to, if there are as many, even if others have less energy."""
 
 MEASURED = 100
 """Configurations that are measured exactly to find the options."""
 
-NOT_LOOKED_FOR = "not looked for yet"
+NOT_LOOKED_FOR = "not searched for yet"
 
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One way to hold the hands where they shall be.
+    """One configuration that holds the hands at the given poses.
 
     Attributes:
         q: (n,) configuration.
@@ -93,8 +93,8 @@ def advise(
 ) -> list[Option]:
     """Ranked, distinct options.
 
-    The best is always among them. Of the others those that a singularity bars make room for those that it does not,
-    until there are `DRIVABLE` of these.
+    The best is always among them. Options behind a singularity are replaced by reachable ones until `DRIVABLE`
+    are reachable.
 
     Args:
         problem: the task.
@@ -104,7 +104,7 @@ def advise(
         method: one of `METHODS`.
         effort: of the method.
         exact: measures clearance; one with the other robots at home if not given.
-        go_on: asked after every step; once it says no, what is known is returned at once, without further paths.
+        go_on: called after every step; once it returns False, the options found so far are returned at once.
 
     Returns:
         Options, best first.

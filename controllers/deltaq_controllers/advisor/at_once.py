@@ -1,4 +1,4 @@
-"""The advisor in the control loop itself: for virtual time, which it does not use up."""
+"""The advisor within the control loop, for virtual time: its search takes none of it."""
 
 from __future__ import annotations
 
@@ -44,12 +44,15 @@ class AdvisorAtOnce:
         self.tracker = self._counsel.tracker
         self.progress: Progress | None = None
 
+    def prepare(self) -> None:
+        """It has its model of the cell."""
+
     def ask(self, q: Array) -> None:
         """Look for options that keep the hands where they are at `q` (n,)."""
         self._counsel.ask(q, {}, self._take)
 
     def seek(self, back: Array, rank: int) -> None:
-        """Look for a way to the option of a rank; see `Counsel.seek`."""
+        """Search for a path to the option of a rank; see `Counsel.seek`."""
         self._counsel.seek(back, rank, {}, self._take)
 
     def give_up(self) -> None:

@@ -21,7 +21,7 @@ GoOn = Callable[[Progress], bool]
 
 
 class Counsel:
-    """Finds options that keep the hands, and ways to them, from wherever the robot has come to.
+    """Finds options that keep the hands, and paths to them, from the robot's present configuration.
 
     Args:
         cell: model of the cell.
@@ -35,7 +35,7 @@ class Counsel:
         tracker: of the robot.
 
     Raises:
-        AdvisorError: the robot is unknown or has no joint to spare.
+        AdvisorError: the robot is unknown or not redundant.
         TrackingError: its arms have no closed form.
         CriterionError: an unknown criterion.
     """
@@ -86,7 +86,7 @@ class Counsel:
         )
 
     def seek(self, back: Array, rank: int, others: Mapping[str, Array], go_on: GoOn) -> None:
-        """Look for a way to one of the options.
+        """Search for a path to one of the options.
 
         Args:
             back: (P, n) a way from where the robot stands to where it stood when options were asked for. If there is no

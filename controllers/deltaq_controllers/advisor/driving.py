@@ -1,4 +1,4 @@
-"""Driving a path: at what time to be where, and the next step from wherever the robot has come to."""
+"""Follow a path: its time law, and the next step from the robot's present configuration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TAKEN_BACK_CYCLES = 20.0
 
 
 def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: bool = False) -> Array:
-    """Where to be in every cycle; the hands exactly where they are at the path's start, unless they are to move.
+    """Setpoints of every cycle, with the hands exactly as at the path's start unless they are to move.
 
     Over the path's length s the speed is bounded by the joints' speeds, `|q'| v <= share v_max`, and their
     accelerations, half of which go to bends, `|q''| v^2`, and half to speeding up and slowing down, `|q'| dv/dt`.
@@ -98,7 +98,7 @@ class Route:
 
     @property
     def done(self) -> float:
-        """Share of the way that is behind the robot, in time."""
+        """Share of the path's duration that has been driven."""
         return self._place / max(1, len(self._setpoints) - 1)
 
     def step(self, q: Array, cycles: float) -> Array:

@@ -1,4 +1,4 @@
-"""Clearance by the exact shapes that the gate uses, for what is shown to people and driven."""
+"""Clearance by the exact shapes that the gate uses, for options that are shown or driven to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a way may pass: clear of bodies and limits, and without a leap of any joint."""
+"""Where a path may pass: clear of obstacles and limits, and without a jump of any joint."""
 
 from __future__ import annotations
 

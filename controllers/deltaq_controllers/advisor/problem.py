@@ -85,7 +85,7 @@ class Problem:
         self.tracker = tracker or ConstraintTracker(self.robot)
         self.data = RobotData(cell, robot, kinematics=self.tracker.kinematics)
         if not len(self.tracker.base):
-            raise AdvisorError(f"robot '{robot}' has no joint to spare: there is nothing to advise on")
+            raise AdvisorError(f"robot '{robot}' is not redundant: there is nothing to advise on")
         self.poses = _checked(T_world_hands, len(self.robot.hands))
         self.energy = Normalised(self.data, WEIGHTS if weights is None else weights)
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
@@ -176,5 +176,5 @@ def _checked(poses: Array, hands: int) -> Array:
         raise AdvisorError(f"the hands' poses must be finite and of shape ({hands}, 4, 4), got {poses.shape}")
     turned = np.einsum("hij,hkj->hik", poses[:, :3, :3], poses[:, :3, :3])
     if np.abs(turned - np.eye(3)).max() > 1e-6 or np.any(np.linalg.det(poses[:, :3, :3]) < 0.0):
-        raise AdvisorError("the hands' poses must be rotations and positions; their rotations are none")
+        raise AdvisorError("the hands' poses must have proper rotation matrices")
     return poses

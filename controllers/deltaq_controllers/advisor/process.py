@@ -25,6 +25,10 @@ from deltaq_protocol.messages import Description
 Array = NDArray[np.float64]
 
 
+_READY = 0
+"""Number of the answer that nobody asked for: the process has its model of the cell."""
+
+
 @dataclass(frozen=True)
 class _Ask:
     number: int
@@ -81,7 +85,8 @@ class AdvisorProcess:
     ) -> None:
         self.tracker = tracker
         self._others = others
-        self._newest = _Answer(0, is_over=True)
+        self._newest = _Answer(_READY, is_over=True)
+        self._is_ready = False
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
         self._process = context.Process(
@@ -90,18 +95,24 @@ class AdvisorProcess:
         self._process.start()
         theirs.close()
 
+    def prepare(self) -> None:
+        """Wait until the process has loaded its model of the cell; a process that has ended is told as trouble."""
+        while not self._is_ready and not self._newest.trouble:
+            self._line.poll(None)
+            self._listen()
+
     def ask(self, q: Array) -> None:
         """Begin to look for options that keep the hands where they are at `q` (n,)."""
         self._newest = _Answer(self._newest.number + 1)
         self._send(_Ask(self._newest.number, q, self._others()))
 
     def seek(self, back: Array, rank: int) -> None:
-        """Begin to look for a way to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
+        """Begin to search for a path to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
         self._newest = _Answer(self._newest.number + 1, self._newest.progress)
         self._send(_Seek(self._newest.number, back, rank, self._others()))
 
     def give_up(self) -> None:
-        """End what is going on; what is known stays known."""
+        """End the search; what is known stays known."""
         self._newest = _Answer(self._newest.number + 1, self._newest.progress, is_over=True)
         self._send(_GiveUp(self._newest.number))
 
@@ -133,6 +144,7 @@ class AdvisorProcess:
         try:
             while self._line.poll():
                 answer: _Answer = self._line.recv()
+                self._is_ready = True
                 if answer.number == self._newest.number:
                     self._newest = answer
         except (OSError, EOFError):
@@ -159,6 +171,7 @@ def _serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
     counsel, trouble = _counsel(description, robot, weights)
     try:
+        line.send(_Answer(_READY, is_over=True))
         while True:
             question = line.recv()
             if isinstance(question, _GiveUp):

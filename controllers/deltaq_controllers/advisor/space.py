@@ -31,7 +31,7 @@ class Space(Protocol):
         ...
 
     def barred(self, start: Array, goal: Array) -> str:
-        """Why no way can lead from one configuration (n,) to another; empty if one may."""
+        """Why no path can lead from one configuration (n,) to another; empty if one may."""
         ...
 
 

@@ -30,7 +30,7 @@ WIDER = (1.0, 2.0)
 
 
 class NoWayError(Exception):
-    """There is no way, or none was found; the text says why."""
+    """There is no path, or none was found; the text says why."""
 
 
 class Ways:
@@ -79,13 +79,13 @@ class Ways:
             ground = Ground(self._problem, self._space, ends, wider)
             corners = connected(self._tree(wider), goal, ground, self._limits, self._generator, ROUNDS, go_on)
             if not go_on():
-                raise NoWayError("the search for a way was ended")
+                raise NoWayError("the search for a path was ended")
             if corners is None:
-                raise NoWayError("no clear way was found in the time that is taken")
+                raise NoWayError("no collision-free path was found within the search time")
             for path in _paths(ground, corners):
                 if ground.within(path, FINE_SHARE).all() and self._exact.keeps(path[::CHECKED], room_m):
                     return path
-        raise NoWayError("the ways that were found are too narrow")
+        raise NoWayError("all paths found pass too close to limits or obstacles")
 
     def _tree(self, wider: float) -> Tree:
         if wider not in self._trees:

@@ -46,7 +46,7 @@ class Normalised:
             if name not in BY_NAME:
                 raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
             if not np.isfinite(weight) or weight < 0.0:
-                raise CriterionError(f"the weight of {name} must be a number from 0 on, got {weight}")
+                raise CriterionError(f"the weight of {name} must be a finite number, 0 or more, got {weight}")
         self.criteria = tuple(BY_NAME[name] for name, weight in weights.items() if weight > 0.0)
         self.weights = np.array([weight for weight in weights.values() if weight > 0.0])
         self.references = references(data, self.criteria)

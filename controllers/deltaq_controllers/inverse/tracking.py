@@ -190,8 +190,8 @@ class ConstraintTracker:
                 if self._fits(arm):
                     return arm
         raise TrackingError(
-            f"robot '{self.robot.name}': the last six joints of {hand} are of no arm with a closed form; "
-            "there are those of the KUKA KR 16 and of the Schilling Titan II"
+            f"robot '{self.robot.name}': no closed form is known for the last six joints of {hand}; "
+            "there is one for the KUKA KR 16 and one for the Schilling Titan II"
         )
 
     def _candidates(self, hand: str, joints: NDArray[np.intp], T_last_tool: Array) -> list[Arm]:

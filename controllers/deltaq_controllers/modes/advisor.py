@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
+from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.driving import Route, timed
+from deltaq_controllers.advisor.exact import Clearance
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.braking import GLIMPSE_S, kept_while_braked
@@ -26,14 +28,19 @@ AT_START = 1e-9
 ARRIVED = 1e-9
 """The robot stands at an option within this, in every joint [rad or m]."""
 
-NOTHING_FOUND = "nothing holds the hands where they are, clear of limits and bodies; move them and ask again"
+_NEAR = 0.01
+"""How far an option for practice is from home, in every base joint [rad or m]."""
+
+NOTHING_FOUND = (
+    "no configuration keeps the hands here clear of limits and obstacles; move the hands and ask again"
+)
 
 
 def tracker_of(robot: RobotModel) -> ConstraintTracker:
     """The closed form that the advisor needs.
 
     Raises:
-        ControllerError: the robot has none, or no joint to spare.
+        ControllerError: the robot has none, or is not redundant.
     """
     try:
         tracker = ConstraintTracker(robot)
@@ -41,7 +48,7 @@ def tracker_of(robot: RobotModel) -> ConstraintTracker:
         raise ControllerError(f"mode advisor: {error}") from None
     if not len(tracker.base):
         raise ControllerError(
-            f"mode advisor needs a joint to spare, robot {robot.name!r} has none; choose joint, decoupled or coupled"
+            f"mode advisor needs a redundant robot, {robot.name!r} is not; choose joint, decoupled or coupled"
         )
     return tracker
 
@@ -54,6 +61,10 @@ class Advisor(Protocol):
     """
 
     tracker: ConstraintTracker
+
+    def prepare(self) -> None:
+        """Return when it is ready to be asked."""
+        ...
 
     @property
     def trouble(self) -> str:
@@ -75,11 +86,11 @@ class Advisor(Protocol):
         ...
 
     def seek(self, back: Array, rank: int, /) -> None:
-        """Begin to look for a way to an option, if need be by `back` (P, n) to where options were asked for."""
+        """Begin to search for a path to an option, if need be by `back` (P, n) to where options were asked for."""
         ...
 
     def give_up(self) -> None:
-        """End what is going on; what is known stays known."""
+        """End the search; what is known stays known."""
         ...
 
 
@@ -118,7 +129,7 @@ class AdvisorMode(Mode):
 
     @property
     def done(self) -> float:
-        """Share of the way to the option wanted that is behind the robot, in time."""
+        """Share of the duration of the path to the chosen option that has been driven."""
         return self._route.done if self._route is not None and self._driven == self._wanted else 0.0
 
     @property
@@ -127,7 +138,7 @@ class AdvisorMode(Mode):
         if self.arrived_at is not None:
             return f"at option {self.arrived_at}"
         if self._wanted is not None and self._driven == self._wanted:
-            return f"{100.0 * self.done:.0f} % of the way to option {self._wanted}"
+            return f"{100.0 * self.done:.0f} % of the path to option {self._wanted}"
         progress = self._advisor.progress
         if progress is None:
             return self._advisor.trouble or "thinking"
@@ -135,7 +146,7 @@ class AdvisorMode(Mode):
             best = f", best energy {progress.energy:.4f}" if np.isfinite(progress.energy) else ""
             return f"{progress.doing}{best}, {progress.trials} trials"
         ways = sum(option.path is not None for option in progress.options)
-        return f"{len(progress.options)} options, ways to {ways}"
+        return f"{len(progress.options)} options, paths to {ways}"
 
     @property
     def arrived_at(self) -> int | None:
@@ -143,6 +154,13 @@ class AdvisorMode(Mode):
         if self._route is None or self._driven != self._wanted:
             return None
         return self._driven if bool(np.abs(self._q - self._route.end).max() < ARRIVED) else None
+
+    def stand_in(self) -> AdvisorMode:
+        """An advisor mode with one option near the robot's home; returns when the advisor itself is ready."""
+        self._advisor.prepare()
+        tracker = self._advisor.tracker
+        answer = Progress("finding paths", 1.0, 0.0, 0, (_near_home(tracker),))
+        return AdvisorMode(self._robot, self._cycle_s, Answered(tracker, answer))
 
     def enter(self, q: Array) -> None:
         """Ask for options with the hands where they are."""
@@ -159,7 +177,7 @@ class AdvisorMode(Mode):
         self._wanted = option
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
-        """The motion as far as the hands stay even if the gate brakes it; none until there is a way."""
+        """The motion, slowed so that the hands stay even if the gate brakes it; none until a path is known."""
         stands = bool((q == self._q).all())
         self._q = q
         if self._driven != self._wanted:
@@ -178,13 +196,13 @@ class AdvisorMode(Mode):
         return self._route.step(q, motion.along * time_s / self._cycle_s)
 
     def limitation(self, _q: Array, _motion: Motion) -> Limitation | None:
-        """Why there is no going to the option that is wanted."""
+        """Why the chosen option cannot be driven to."""
         if self._driven == self._wanted or not self._hindrance:
             return None
         return Limitation(Limit.NO_WAY, f"option {self._wanted}", self._hindrance)
 
     def _take_up(self, q: Array) -> None:
-        """Take the way to the option that is wanted, if it is known; otherwise see that it is looked for."""
+        """Take the path to the chosen option if it is known; otherwise have it searched for."""
         self._hindrance = self._advisor.trouble
         options = self.options
         if self._wanted is None or self._hindrance or (not options and self._advisor.is_busy):
@@ -215,3 +233,24 @@ class AdvisorMode(Mode):
         """(P, n) the way from `q` (n,) on or near the trail to where it begins."""
         nearest = int(np.abs(self._trail - q).max(axis=1).argmin())
         return np.concatenate([q[None], self._trail[nearest::-1]])
+
+
+def _near_home(tracker: ConstraintTracker) -> Option:
+    """An option for practice: the base joints a little off the robot's home."""
+    home = tracker.robot.home
+    end = home.copy()
+    end[tracker.base] += _NEAR
+    clearance = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
+    return Option(
+        end,
+        energy=0.0,
+        values={},
+        costs={},
+        clearance=clearance,
+        nearest_limit="",
+        limit_share=0.0,
+        hands_move=False,
+        start=home,
+        path=np.array([home, end]),
+        no_path="",
+    )

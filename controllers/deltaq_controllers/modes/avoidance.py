@@ -1,4 +1,4 @@
-"""Keep redundant joints off their limits: the weights of a motion, and a drift that costs the hands nothing."""
+"""Keep redundant joints off their limits: the weights of a motion, and a drift in the null space of the hands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow a self-motion to where the hands stay even if the gate brakes it at any moment."""
+"""Limit the speed of a self-motion so that the hands stay even if the gate brakes it at any moment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GLIMPSE_S = 1e-3
 
 
 def kept_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Array) -> float:
-    """The share of its rates at which a self-motion can be braked without the hands.
+    """The share of its rates from which a self-motion can be braked without moving the hands.
 
     What a straight brake takes the hands off by grows with the square of its length, and that with the square of the
     speed.

@@ -36,7 +36,7 @@ _NO_WORSE_M = 1e-6
 
 @dataclass(frozen=True)
 class Criterion:
-    """Something that the redundant joints are to make small.
+    """A cost that the redundant joints reduce.
 
     Attributes:
         gradient: (n,) gradient at a configuration (n,).

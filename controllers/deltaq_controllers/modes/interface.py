@@ -42,6 +42,10 @@ class Mode(Protocol):
         """The option that the robot stands at."""
         return None
 
+    def stand_in(self) -> Mode:
+        """The mode that `practise` runs in place of this one; itself, unless it would start work elsewhere."""
+        return self
+
     def enter(self, q: Array) -> None:
         """The robot stands at `q` (n,) and this mode takes over."""
         del q

@@ -1,4 +1,4 @@
-"""Joint mode: each joint by itself. It needs no inverse, so it leads out of any configuration."""
+"""Joint mode: each joint by itself. It needs no inverse, so it works in every configuration."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def of_joint(name: str, position: float, revolute: bool) -> Limitation:
 
 def of_speed(name: str) -> Limitation:
     """A joint that would have to move faster than it can."""
-    return Limitation(Limit.SPEED, name, f"{name} moves as fast as it can")
+    return Limitation(Limit.SPEED, name, f"{name} is at its velocity limit")
 
 
 def of_conditioning(hands: Hands, inverse: Inverse, wanted: Array, q: Array) -> Limitation | None:

@@ -36,7 +36,7 @@ class SelfMotionMode(Mode):
     not move.
 
     Raises:
-        ControllerError: the robot has no joint to spare.
+        ControllerError: the robot is not redundant.
     """
 
     name = ModeName.SELF_MOTION
@@ -114,7 +114,7 @@ class SelfMotionMode(Mode):
         if not self._blocked:
             return None
         names = ", ".join(np.array(self._names)[motion.joints != 0.0])
-        return Limitation(Limit.SINGULARITY, names, f"{names} cannot move here without the hand")
+        return Limitation(Limit.SINGULARITY, names, f"{names} cannot move here without moving the hand")
 
 
 def _cut(error: Array, time_s: float) -> Array:

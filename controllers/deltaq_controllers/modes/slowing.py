@@ -1,4 +1,4 @@
-"""Stop short of where a hand would leave its line: at singularities and at the edge of the workspace.
+"""Stop before a hand would leave its line, at singularities and at the edge of the workspace.
 
 Damping keeps joint rates finite there by leaving out part of the motion, and what it leaves out turns the hand. So
 the whole motion is slowed with the share that is left out, to a stand, unless it leads out.

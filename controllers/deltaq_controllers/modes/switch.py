@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +51,7 @@ class Teleoperator:
         modes: what makes each mode.
 
     Attributes:
-        robot: as given.
+        robot, cycle_s: as given.
         wish: what the operator wishes now.
         frame: the axes in which hands are moved.
         limitation: what limits the operator in this cycle; None if nothing does.
@@ -74,7 +75,7 @@ class Teleoperator:
         self.limitation: Limitation | None = None
         self.limits = IncrementLimits.of(robot, cycle_s)
         self._hands = Hands(robot)
-        self._cycle_s = cycle_s
+        self.cycle_s = cycle_s
         self._last = LastIncrement(self.limits.max_ddq)
         self._modes: dict[ModeName, Mode] = {}
         self._mode = self.mode_named(mode)
@@ -106,6 +107,11 @@ class Teleoperator:
         return self._hands.names
 
     @property
+    def made_modes(self) -> tuple[Mode, ...]:
+        """The modes made so far."""
+        return tuple(self._modes.values())
+
+    @property
     def is_at_rest(self) -> bool:
         """Whether the robot was last asked to stand still, and did."""
         return not self._is_moving
@@ -118,10 +124,16 @@ class Teleoperator:
         """
         if name not in self._table:
             known = ", ".join(self._table)
-            raise ControllerError(f"mode {name.value} is not made here; there are {known}")
+            raise ControllerError(f"mode {name.value} is not available; there are {known}")
         if name not in self._modes:
             self._modes[name] = self._table[name](self.robot)
         return self._modes[name]
+
+    def make_modes(self) -> None:
+        """Make every mode that the robot can be driven in, for an operator who may switch to any of them."""
+        for name in self._table:
+            with suppress(ControllerError):  # the robot is not redundant
+                self.mode_named(name)
 
     def check(self, wish: Wish, mode: ModeName) -> None:
         """Check that a wish can be followed in a mode.
@@ -193,7 +205,7 @@ class Teleoperator:
         self._mode.choose(self.wish.option)
 
     def _step_from(self, q_cmd: Array) -> Callable[[Motion], Array]:
-        return lambda motion: self._mode.step(q_cmd, motion, self._cycle_s)
+        return lambda motion: self._mode.step(q_cmd, motion, self.cycle_s)
 
     def _wished(self, q: Array) -> Motion:
         """The wish as a motion, of what the mode drives."""

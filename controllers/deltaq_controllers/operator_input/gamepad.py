@@ -6,6 +6,7 @@ only while a shoulder button is held, and a device that is gone is the end.
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 from collections.abc import Mapping
@@ -23,6 +24,7 @@ _EVENT = struct.Struct("=IhBB")
 _BUTTON, _AXIS, _INITIAL = 0x01, 0x02, 0x80
 _FULL = 32767.0
 _DEAD_ZONE = 0.1
+"""Deflection below which a stick counts as let go; from there on speed grows from zero."""
 _TURN_RAD_M = 3.5
 
 STICKS: Mapping[int, tuple[str, float]] = {
@@ -109,7 +111,7 @@ class Gamepad:
         try:
             return mode and self._teleoperator.mode_named(mode).name
         except ControllerError:
-            return None  # this robot has no joint to spare
+            return None  # this robot is not redundant
 
     def _rates(self) -> dict[str, float]:
         driver = self._teleoperator.mode_named(self._teleoperator.mode)
@@ -140,11 +142,10 @@ class Gamepad:
                 raise OSError("the device ended")
             _, value, kind, number = _EVENT.unpack(data)
             if kind & _AXIS:
-                share = value / _FULL
-                self._sticks[number] = share if abs(share) > _DEAD_ZONE else 0.0
+                self._sticks[number] = _beyond_dead_zone(value / _FULL)
             elif kind & _BUTTON and value:
-                self._held.add(number)
-                if not kind & _INITIAL:
+                if not kind & _INITIAL:  # a button held since before the drive has not been pressed for it
+                    self._held.add(number)
                     pressed.append(number)
             elif kind & _BUTTON:
                 self._held.discard(number)
@@ -169,3 +170,9 @@ class Gamepad:
         """Close the device."""
         if self._file is not None:
             os.close(self._file)
+
+
+def _beyond_dead_zone(share: float) -> float:
+    """Deflection from -1 to 1, zero in the dead zone and continuous at its edge."""
+    beyond = (abs(share) - _DEAD_ZONE) / (1.0 - _DEAD_ZONE)
+    return math.copysign(min(1.0, beyond), share) if beyond > 0.0 else 0.0

@@ -1,7 +1,7 @@
 """The keyboard of a terminal as an operator's stick.
 
-A terminal tells only that a key was pressed, and repeats it while it is held, so each press moves for `HOLD_S` and no
-longer: hands off is rest.
+A tap moves a little, a held key moves until shortly after it is let go (`deltaq_controllers.operator_input.held_key`):
+hands off is rest.
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ import select
 import sys
 import termios
 import tty
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import Frame, ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
-
-HOLD_S = 0.2
-"""How long a press moves; terminals repeat a held key about 30 times a second, after a first half second."""
+from deltaq_controllers.operator_input.held_key import HOLD_S, TAP_S, HeldKey
 
 HAND_KEYS = {
     "w": ("x", 1), "s": ("x", -1), "a": ("y", 1), "d": ("y", -1), "r": ("z", 1), "f": ("z", -1),
@@ -28,7 +27,9 @@ HAND_KEYS = {
 """Key to axis of the hand and direction."""
 
 HELP = (
-    "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose; "
+    "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose\n"
+    f"a tap moves as far as full speed does in {TAP_S:g} s; a held key moves slowly until it repeats, then at full\n"
+    f"speed until {HOLD_S:g} s after its last repeat; space stops\n"
     "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit"
 )
 
@@ -58,7 +59,7 @@ class Keyboard:
         self._teleoperator = teleoperator
         self._file = sys.stdin.fileno() if file is None else file
         self._speed_m_s = speed_m_s
-        self._until_s = 0.0
+        self._held = HeldKey()
         self._option: int | None = None
         self._rates: dict[str, float] = {}
         self._saved: list[Any] | None = None
@@ -91,18 +92,20 @@ class Keyboard:
             elif key in ("left", "right"):
                 self.joint = (self.joint + (1 if key == "right" else -1)) % self._teleoperator.robot.n
             elif key in ("up", "down"):
-                self._press(time_s, *self._joint_rate(1.0 if key == "up" else -1.0))
+                self._press(key, time_s, *self._joint_rate(1.0 if key == "up" else -1.0))
             elif key in HAND_KEYS:
                 axis, sign = HAND_KEYS[key]
                 rate = sign * self._speed_m_s * (_TURN_RAD_M if axis.startswith("r") else 1.0)
-                self._press(time_s, f"{self.hand}.{axis}" if self.hand else axis, rate)
+                self._press(key, time_s, f"{self.hand}.{axis}" if self.hand else axis, rate)
             else:
-                self._rates = {}
-        rates = self._rates if time_s < self._until_s else {}
+                self._held.release()
+        share = self._held.share(time_s)
+        rates = {axis: share * rate for axis, rate in self._rates.items()} if share else {}
         return Wish(rates, mode, frame, self._option if self._teleoperator.mode is ModeName.ADVISOR else None)
 
-    def _press(self, time_s: float, axis: str, rate: float) -> None:
-        self._rates, self._until_s = {axis: rate}, time_s + HOLD_S
+    def _press(self, key: str, time_s: float, axis: str, rate: float) -> None:
+        self._held.press(key, time_s)
+        self._rates = {axis: rate}
 
     def _joint_rate(self, sign: float) -> tuple[str, float]:
         robot = self._teleoperator.robot
@@ -117,7 +120,7 @@ class Keyboard:
             try:
                 self._teleoperator.mode_named(mode)
             except ControllerError:
-                continue  # this robot has no joint to spare
+                continue  # this robot is not redundant
             return mode
         return self._teleoperator.mode
 
@@ -128,7 +131,10 @@ class Keyboard:
     def _keys(self) -> list[str]:
         """Keys pressed, arrows by name; an empty one is the end of the input."""
         while select.select([self._file], [], [], 0.0)[0]:
-            data = os.read(self._file, 256)
+            try:
+                data = os.read(self._file, 256)
+            except OSError:  # the terminal was closed
+                data = b""
             if not data:
                 return [""]
             self._text += data.decode("utf-8", "replace")
@@ -162,6 +168,9 @@ class Keyboard:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the terminal as it was."""
+        """Leave the terminal as it was, and drop what nobody has read: it is not for the shell."""
         if self._saved is not None:
-            termios.tcsetattr(self._file, termios.TCSADRAIN, self._saved)
+            with suppress(termios.error):  # the terminal was closed
+                # not TCSADRAIN: output that was stopped by Ctrl-S would be waited for
+                termios.tcsetattr(self._file, termios.TCSANOW, self._saved)
+                termios.tcflush(self._file, termios.TCIFLUSH)

@@ -10,7 +10,7 @@ from deltaq_controllers.modes.motion import ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
 
 PATIENCE_S = 3.0
-"""Time without getting on, on the robot's clock, after which it is given up."""
+"""Time without progress, on the robot's clock, after which the drive is given up."""
 
 
 class GoToOption:
@@ -36,7 +36,7 @@ class GoToOption:
         """The wish; None when the robot is there.
 
         Raises:
-            ControllerError: the robot does not get on.
+            ControllerError: the robot makes no progress.
         """
         self.reached = self._mode.arrived_at == self._option
         if self.reached:
@@ -46,8 +46,8 @@ class GoToOption:
         if time_s - self._got_on_s > PATIENCE_S:
             limitation = self._teleoperator.limitation
             raise ControllerError(
-                f"{self._teleoperator.robot.name} does not get on after {100 * self._done:.0f} % of the way to option "
-                f"{self._option}: {limitation.text if limitation else self._mode.status}; "
+                f"{self._teleoperator.robot.name} makes no progress after {100 * self._done:.0f} % of the path to "
+                f"option {self._option}: {limitation.text if limitation else self._mode.status}; "
                 "see `deltaq status` for its phase, and advise again from where it stands"
             )
         return Wish(option=self._option)

@@ -19,24 +19,26 @@ NUMBERS_OF_A_POSE = 6
 
 def advise(
     cell: CellOption = "dawm",
-    robot: Annotated[str, typer.Option(help="The robot; the first with joints to spare if not given.")] = "",
+    robot: Annotated[str, typer.Option(help="The robot; by default the first redundant one.")] = "",
     hand: Annotated[
         list[str] | None,
         typer.Option(
-            help="Where a hand shall be, NAME=X,Y,Z,ROLL,PITCH,YAW in m and deg; where it is if not given."
+            help="Pose of a hand, NAME=X,Y,Z,ROLL,PITCH,YAW in m and deg; by default its present pose."
         ),
     ] = None,
-    options: Annotated[int, typer.Option(min=1, max=50, help="How many options at most.")] = 5,
+    options: Annotated[int, typer.Option(min=1, max=50, help="Greatest number of options.")] = 5,
     method: Annotated[
         str, typer.Option(help="annealing, shotgun, genetic, monte-carlo or brute-force.")
     ] = "annealing",
     criterion: CriterionOption = None,
     effort: Annotated[
-        float, typer.Option(min=0.1, max=100, help="How long to search; 1 is for people.")
+        float, typer.Option(min=0.1, max=100, help="Length of the search; 1 suits an operator who waits.")
     ] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="One seed is one search.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the search; the same seed gives the same options.")
+    ] = 0,
     offline: Annotated[
-        bool, typer.Option("--offline", help="From the robot's home, without a running cell.")
+        bool, typer.Option("--offline", help="Start from the robot's home, without a running cell.")
     ] = False,
     execute: Annotated[
         int, typer.Option(min=0, help="Drive to the option of this rank, through the gate.")
@@ -49,7 +51,7 @@ def advise(
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Rank ways to hold the hands where they are, or are told to be; Ctrl-C ends the search with what it has."""
+    """Rank configurations that hold the hands at their present or at given poses; Ctrl-C ends the search early."""
     from deltaq_deploy.advice import Request, advice
     from deltaq_deploy.cli.console import print_json
 
@@ -57,7 +59,7 @@ def advise(
         _bench(json)
         return
     if offline and execute:
-        raise typer.BadParameter("--execute needs a running cell, and --offline looks at none")
+        raise typer.BadParameter("--execute needs a running cell; leave out --offline")
     request = Request(
         cell=cell,
         robot=robot,
@@ -121,7 +123,7 @@ def _bench(json: bool) -> None:
     )
     for answer in table.answers:
         typer.echo(
-            f"{answer.robot}: {answer.options:.1f} options, ways to {answer.ways:.1f}, {answer.barred:.1f} barred, "
+            f"{answer.robot}: {answer.options:.1f} options, paths to {answer.ways:.1f}, {answer.barred:.1f} barred, "
             f"in {answer.median_cpu_s:.2f} s of the processor, at worst {answer.worst_cpu_s:.2f} s"
         )
     typer.echo(
@@ -193,10 +195,10 @@ def _show(found: Advice) -> None:
     )
     if not found.options:
         typer.echo(
-            "nothing holds the hands there clear of limits and bodies; move them, or look longer with --effort"
+            "no configuration holds the hands there clear of limits and obstacles; move them, or raise --effort"
         )
     if found.executed is not None:
-        there = "at" if found.executed.reached else "stopped on the way to"
+        there = "at" if found.executed.reached else "stopped on the path to"
         typer.echo(
             f"{found.robot} is {there} option {found.executed.option}; gate: {counts(found.executed.outcomes)}"
         )

@@ -20,17 +20,20 @@ if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.switch import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
-    from deltaq_protocol.client import Cell
+    from deltaq_protocol.errors import DeltaqError
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
 FRAMES = ("world", "tool")
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that bring the robot to rest and end the drive."""
 
 
 def drive(
     robot: RobotOption,
     mode: Annotated[str, typer.Option(help=f"Mode to begin with: {', '.join(MODES)}.")] = "joint",
     cell: CellOption = "lab",
-    frame: Annotated[str, typer.Option(help="Axes in which hands are moved: world or tool.")] = "world",
+    frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
     criterion: CriterionOption = None,
     script: Annotated[
         Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
@@ -43,9 +46,12 @@ def drive(
     ] = 0.1,
     json: JsonOption = False,
 ) -> None:
-    """Drive a robot by keyboard, gamepad or script; whatever ends it, the robot comes to rest and is given back."""
+    """Drive a robot by keyboard, gamepad or script; however the drive ends, the robot comes to rest and is released."""
+    from contextlib import ExitStack
+
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json
+    from deltaq_deploy.cli.drive_summary import show
     from deltaq_deploy.running import known_robot
 
     if mode not in MODES:
@@ -58,11 +64,15 @@ def drive(
     known_robot(description, robot)
     weights = weights_of(criterion, "--criterion")
     choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s)
-    summary = choice.run()
-    if json:
-        print_json(summary)
-    else:
-        _show(summary)
+    with ExitStack() as terminal:
+        # a terminal is given back last: keys that are still held are not for the shell
+        summary, error = choice.run(terminal)
+        if json:
+            print_json(summary)
+        else:
+            show(summary)
+    if error is not None:
+        raise error
     if script is not None and summary["missed"]:
         raise typer.Exit(BAD)
 
@@ -80,21 +90,32 @@ class _Choice:
     gamepad: Path | None
     speed_m_s: float
 
-    def run(self) -> dict[str, Any]:
-        """Drive, and return the summary."""
+    def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+        """Drive, and return the summary and what ended the drive, if that was not wished.
+
+        Args:
+            terminal: gives the operator's device back.
+
+        Raises:
+            DeltaqError: what kept the drive from beginning.
+        """
         import asyncio
 
-        return asyncio.run(self._drive())
+        return asyncio.run(self._drive(terminal))
 
-    async def _drive(self) -> dict[str, Any]:
+    async def _drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
         import asyncio
         from contextlib import ExitStack
 
+        from deltaq_controllers.modes.motion import Frame, ModeName
         from deltaq_controllers.tally import Tally
         from deltaq_controllers.teleoperation import DriveLog, teleoperate
         from deltaq_deploy.cli.drive_display import Display
+        from deltaq_deploy.cli.drive_summary import summary
         from deltaq_deploy.running import OtherCellError
+        from deltaq_deploy.teleoperator import teleoperator_for
         from deltaq_protocol import connect
+        from deltaq_protocol.errors import DeltaqError
 
         async with connect(self.cell.hli, client="deltaq drive") as running:
             if running.description.cell != self.cell.cell:
@@ -104,87 +125,36 @@ class _Choice:
                 )
             cycle_s = running.description.cycle_s
             with ExitStack() as stack:
-                teleoperator = self._teleoperator(running, stack)
+                modes = ModeName(self.mode), Frame(self.frame)
+                teleoperator = teleoperator_for(running, self.robot, stack, *modes, self.weights)
                 log, tally, enough = DriveLog(teleoperator, cycle_s), Tally(), asyncio.Event()
-                for number in (signal.SIGINT, signal.SIGTERM):
+                for number in _ENDING:
                     asyncio.get_running_loop().add_signal_handler(number, enough.set)
-                operator = stack.enter_context(self._input(teleoperator))
+                operator = terminal.enter_context(self._input(teleoperator))
                 display = Display(teleoperator, operator)
 
                 def watch(q: Any) -> None:
                     log.add(q)
                     display.show()
 
-                await teleoperate(running, teleoperator, operator, tally, watch, enough)
-        return {"robot": self.robot, "legs": log.summary(), "missed": log.missed, **tally.summary()}
-
-    def _teleoperator(self, running: Cell, stack: ExitStack) -> Teleoperator:
-        """The teleoperator with all modes; the stack ends what they have going on."""
-        from functools import partial
-
-        from deltaq_cell.robot import RobotModel
-        from deltaq_controllers.advisor.process import AdvisorProcess
-        from deltaq_controllers.criteria.postures import RobotData
-        from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
-        from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
-        from deltaq_controllers.modes.coupled import CoupledMode, weighed
-        from deltaq_controllers.modes.motion import Frame, ModeName
-        from deltaq_controllers.modes.switch import MODES, Teleoperator
-
-        description = running.description
-        model = model_of(robot_models(description), self.robot)
-
-        def advisor_mode(robot: RobotModel) -> AdvisorMode:
-            others = where_others_are(running, self.robot)
-            advisor = AdvisorProcess(description, tracker_of(robot), others, self.weights)
-            return AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
-
-        modes = {**MODES, ModeName.ADVISOR: advisor_mode}
-        if self.weights is not None:
-            criteria = (weighed(RobotData(cell_model(description), self.robot), self.weights),)
-            modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
-        return Teleoperator(model, description.cycle_s, ModeName(self.mode), Frame(self.frame), modes)
+                ended_by = None
+                try:
+                    await teleoperate(running, teleoperator, operator, tally, watch, enough)
+                except DeltaqError as error:
+                    if not log.legs:
+                        raise
+                    ended_by = error
+        return summary(self.robot, log, tally, ended_by), ended_by
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
-        from contextlib import suppress
-
-        from deltaq_controllers.interface import ControllerError
-        from deltaq_controllers.modes.motion import ModeName
         from deltaq_controllers.operator_input.gamepad import Gamepad
         from deltaq_controllers.operator_input.keyboard import HELP, Keyboard
         from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
-        with suppress(ControllerError):  # a robot without a joint to spare has no advisor
-            # its process starts now, so that its first advice is not waited for longer than others
-            teleoperator.mode_named(ModeName.ADVISOR)
+        teleoperator.make_modes()  # the operator may switch to any of them
         if self.gamepad is not None:
             return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
         print(HELP, file=sys.stderr)
         return Keyboard(teleoperator, speed_m_s=self.speed_m_s)
-
-
-def _show(summary: dict[str, Any]) -> None:
-    from deltaq_deploy.cli.console import counts, print_table
-
-    rows = [
-        (
-            leg["mode"],
-            f"{leg['seconds']:.1f}",
-            hand,
-            f"{figures['moved_mm']:.2f}",
-            f"{figures['turned_deg']:.3f}",
-            f"{figures['farthest_mm']:.2f}",
-            ", ".join(f"{what} {seconds:.1f} s" for what, seconds in leg["limited_s"].items()) or None,
-            ", ".join(f"{one['option']}{'' if one['reached'] else ' missed'}" for one in leg["options"])
-            or None,
-        )
-        for leg in summary["legs"]
-        for hand, figures in leg["hands"].items()
-    ]
-    if sys.stderr.isatty():
-        sys.stderr.write("\n")
-    columns = ("mode", "s", "hand", "moved mm", "turned deg", "farthest mm", "limited by", "options")
-    print_table(f"{summary['robot']} was driven", columns, rows)
-    print(f"gate: {counts(summary['gate'])}")

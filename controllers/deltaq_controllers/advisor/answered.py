@@ -1,0 +1,44 @@
+"""An advisor whose answer is known already."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.advisor.advisor import Progress
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+
+Array = NDArray[np.float64]
+
+
+class Answered:
+    """Gives the answer that it was given, whatever it is asked.
+
+    Args:
+        tracker: of the robot.
+        progress: the answer.
+
+    Attributes:
+        tracker, progress: as given.
+        trouble: why there is no path from the robot's configuration.
+    """
+
+    is_busy = False
+
+    def __init__(self, tracker: ConstraintTracker, progress: Progress) -> None:
+        self.tracker = tracker
+        self.progress: Progress | None = progress
+        self.trouble = ""
+
+    def prepare(self) -> None:
+        """There is nothing to get ready."""
+
+    def ask(self, _q: Array) -> None:
+        """The answer is there."""
+
+    def seek(self, _back: Array, _rank: int) -> None:
+        """The robot is not where the paths begin."""
+        self.trouble = f"{self.tracker.robot.name} has been moved meanwhile; advise again"
+
+    def give_up(self) -> None:
+        """Nothing is going on."""

@@ -1,0 +1,52 @@
+"""Run every mode on the robot's model before the robot is driven, so that no first motion waits for compilation.
+
+To compile a function at the first motion, or to load it from numba's cache, takes 0.2 to 0.7 s: dozens of cycles, and
+on a busy machine the lease.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import RobotView, View
+from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.switch import Teleoperator
+
+CYCLES = 3
+"""Cycles of each wish: one at rest, one that starts, one that goes on."""
+
+_RATE = 0.05
+
+
+def practise(teleoperator: Teleoperator) -> None:
+    """Drive every mode made so far along each of its axes, on the robot's model alone, from its home.
+
+    The teleoperator itself stays as it is: each mode practises in one of its own.
+
+    Args:
+        teleoperator: that is to drive a robot afterwards.
+    """
+    robot, cycle_s = teleoperator.robot, teleoperator.cycle_s
+    for mode in teleoperator.made_modes:
+        practising = Teleoperator(robot, cycle_s, mode.name, modes={mode.name: _always(mode.stand_in())})
+        q, cycle = robot.home, 0
+        for wish in _wishes(practising):
+            practising.wish = wish
+            for _ in range(CYCLES):
+                cycle += 1
+                q = q + practising.increment(View(RobotView(cycle, cycle * cycle_s, q, q)))
+
+
+def _always(mode: Mode) -> Callable[[RobotModel], Mode]:
+    return lambda _: mode
+
+
+def _wishes(teleoperator: Teleoperator) -> Iterator[Wish]:
+    """Rest, and then every axis of the mode, or the way to an option."""
+    yield Wish()
+    if teleoperator.mode is ModeName.ADVISOR:
+        yield Wish(option=1)
+    for axis in teleoperator.axes(teleoperator.mode):
+        yield Wish({axis: _RATE})

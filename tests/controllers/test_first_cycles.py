@@ -1,0 +1,55 @@
+"""No cycle waits for the compiler, its cache, or a module: all of that is ready before the lease is taken."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import first_cycles
+import pytest
+
+import deltaq_controllers
+
+pytestmark = [pytest.mark.live, pytest.mark.timeout(600)]
+
+COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker", "counsel"))]
+
+
+def waited(case: str, **environment: str) -> dict[str, dict[str, list[str]]]:
+    """What a case waited for before its lease, and while it held it."""
+    done = subprocess.run(
+        [sys.executable, first_cycles.__file__, case],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    told: dict[str, dict[str, list[str]]] = json.loads(done.stdout)
+    return told
+
+
+@pytest.mark.parametrize("case", first_cycles.CASES)
+def test_nothing_is_compiled_loaded_or_imported_while_a_robot_is_leased(case: str) -> None:
+    told = waited(case)
+    assert told["late"] == {"functions": [], "modules": []}
+    # what it needs was seen, so that it would have been seen late
+    assert bool(told["early"]["functions"]) == (case in COMPILED)
+
+
+@pytest.mark.parametrize(
+    "case", ["modes-gr", *(pytest.param(case, marks=pytest.mark.nightly) for case in ("paper", "qp"))]
+)
+def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
+    case: str, tmp_path: Path
+) -> None:
+    package = Path(deltaq_controllers.__file__).parent
+    shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
+    told = waited(case, PYTHONPATH=os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    assert told["late"] == {"functions": [], "modules": []}
+    assert told["early"]["functions"]
