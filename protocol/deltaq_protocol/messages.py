@@ -278,12 +278,19 @@ class Description(Message):
 
 
 class Error(Message):
-    """A message that could not be served, and why."""
+    """A message that could not be served, and why.
+
+    `request` is the type of the message that it answers; `robot` and `seq` are that message's, as far as it had any.
+    What was not asked for, as the loss of a lease, has no `request`.
+    """
 
     type: Literal["error"] = "error"
     code: ReasonCode
     message: str
     hint: str = ""
+    request: str | None = None
+    robot: str | None = None
+    seq: int | None = None
 
 
 class NearestPair(Message):

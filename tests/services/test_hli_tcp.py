@@ -272,6 +272,52 @@ async def test_a_client_that_falls_silent_without_closing_loses_its_lease(runnin
         assert (await leased(following))["holder"] == "next"
 
 
+async def test_a_client_that_loses_its_lease_for_silence_is_told_so_in_words(running: Running) -> None:
+    async with json_client(running.port) as silent:
+        await running.peer.turn()
+        await leased(silent)
+        error = await silent.receive("error")
+        assert (error["code"], error["robot"]) == ("lease_not_held", "fr")
+        assert error["message"] == "the lease of fr has run out: octave sent nothing for 1 s"
+        assert '"action":"renew"' in error["hint"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        {"type": "describe"},
+        {"type": "io", "robot": "gr"},
+        {"type": "dry_run", "robot": "fr", "dq": [0.0]},
+        {"type": "lease", "robot": "gr", "action": "renew"},
+        {"type": "increment", "robot": "gr", "seq": 1, "cycle": 1, "dq": ZEROS},
+        {"type": "increment", "robot": "fr", "seq": 1, "cycle": 1, "dq": [None] * 6},
+    ],
+    ids=lambda line: str(line.get("action", line["type"])),
+)
+async def test_any_valid_line_keeps_the_leases_of_its_connection(
+    running: Running, line: dict[str, Any]
+) -> None:
+    async with json_client(running.port) as client:
+        await running.peer.turn()
+        await leased(client)
+        (lease,) = [lease for lease in [running.hli.core._books.leases.of("fr")] if lease]
+        before_s = lease.expires_s
+        await client.ask("description", "io", "lease", "verdict", **line)
+        assert lease.expires_s > before_s
+
+
+async def test_a_malformed_line_does_not_keep_a_lease(running: Running) -> None:
+    async with json_client(running.port) as client:
+        await running.peer.turn()
+        await leased(client)
+        (lease,) = [lease for lease in [running.hli.core._books.leases.of("fr")] if lease]
+        before_s = lease.expires_s
+        for line in (b"nonsense\n", b'{"type":"io"}\n', b'{"type":"increment","robot":"fr"}\n'):
+            client.send_bytes(line)
+            await client.receive("error")
+        assert lease.expires_s == before_s
+
+
 async def test_a_gate_that_comes_back_is_found_again(running: Running) -> None:
     await running.peer.turn()
     running.peer.close()

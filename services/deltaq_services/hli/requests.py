@@ -135,7 +135,9 @@ class Requests:
                 sender, ReasonCode.MALFORMED, text, "see `outputs` in the cell's YAML"
             )
         lease = self._books.leases.of(robot)
-        if request.outputs and lease is not None and lease.token != request.lease:
+        if lease is not None and lease.token == request.lease:
+            self._books.leases.renew(lease, time_s)
+        elif request.outputs and lease is not None:
             text = f"{lease.client} holds the lease of {robot}: only the holder sets its outputs"
             return outputs + self._error(sender, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first")
         state = self._books.links[robot].state
@@ -145,6 +147,15 @@ class Requests:
             return [*outputs, ToSender(sender, reply)]
         command = self._books.new_command(kind="io", robot=robot, outputs=request.outputs)
         return outputs + self._books.command(command, sender, reply, time_s)
+
+    def on_heard(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
+        """Something valid came over a connection: its owner lives; `leases` are the robots and tokens it holds."""
+        outputs = self._books.tick(time_s)
+        for robot, token in leases:
+            lease = self._books.leases.held_with(robot, token)
+            if lease is not None:
+                self._books.leases.renew(lease, time_s)
+        return outputs
 
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
         """A connection broke; `leases` are the robots and tokens it held."""

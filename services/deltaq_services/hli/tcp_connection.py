@@ -65,7 +65,7 @@ class Front(Protocol):
 
 
 class TcpConnection(asyncio.Protocol, Sender):
-    """A client over TCP. It holds its leases by being connected.
+    """A client over TCP. It holds its leases by being connected and sending something valid now and then.
 
     A client that reads slowly loses old states, never the newest; one that asks and does not read is
     disconnected.
@@ -188,6 +188,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             outputs = increments.on_malformed(error, self)
         else:
             self._malformed_in_a_row = 0
+            outputs += self._port.core.requests.on_heard(self.leases.items(), now)
         self._port.carry_out(outputs)
         if self._malformed_in_a_row >= MAX_MALFORMED_IN_A_ROW:
             text = f"{MAX_MALFORMED_IN_A_ROW} malformed lines in a row"
