@@ -12,7 +12,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.books import Books
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
-from deltaq_services.hli.refusals import at_fault, unknown_robot
+from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import Asked, RobotLink
 
 
@@ -70,7 +70,8 @@ class Increments:
         if sender is None:
             return []
         hint = "`deltaq schema` prints the schema of every message"
-        return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint))]
+        answered = answered_by_error(error.data)
+        return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
         """A state has come: ask the gate for the increment that waited, or send a sign of life."""

@@ -26,6 +26,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.outputs import Output, Sender, ToSender
 from deltaq_services.hli.port import Port
+from deltaq_services.hli.refusals import answered_by_error
 
 MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100
@@ -200,7 +201,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         message_type = _TYPES.get(kind) if isinstance(kind, str) else None
         if message_type is None:
             known = ", ".join(_TYPES)
-            raise InvalidMessageError(f"type: must be one of {known}, got {kind!r:.80}", ReasonCode.MALFORMED)
+            text = f"type: must be one of {known}, got {kind!r:.80}"
+            raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
         if message_type is Hello:
             return self._greet(_hello(data))
         if message_type is StopRequest:
@@ -210,7 +212,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         if client is None:
             text = f"a {kind} before the hello"
             hint = f'begin with {{"type":"hello","protocol":{PROTOCOL_VERSION},"client":"your name"}}'
-            return self._told(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint))
+            answered = answered_by_error(data)
+            return self._told(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, **answered))
         if message_type is Increment:
             return self._increment(data, now)
         request = from_map(message_type, data)
