@@ -40,12 +40,13 @@ class Phase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What became of an increment."""
+    """What became of an increment; `unknown` is never sent, a client says it where no verdict came."""
 
     ADMITTED = "admitted"
     SCALED = "scaled"
     HELD = "held"
     REFUSED = "refused"
+    UNKNOWN = "unknown"
 
 
 class Reason(Message):

@@ -19,6 +19,9 @@ MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session puts together; descriptions with their URDF texts are the largest."""
 MAX_SESSIONS = 64
 """Peers that one session serves; one more is kept out until another leaves."""
+_WAITING_TO_BE_SENT = 16
+"""Urgent messages that may wait for a link to be served, the most that zenoh allows. With its own two, every
+millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""
 _ACCEPT_MS = 1000
 """Those who connect and stay silent are sent away after this: until then they keep others waiting."""
 
@@ -45,6 +48,7 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # nobody is scouted for, so nobody is to be waited for
         "transport/link/tx/lease": 1000,
+        "transport/link/tx/queue/size/real_time": _WAITING_TO_BE_SENT,
         "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,
         "transport/unicast/max_sessions": MAX_SESSIONS,
         "transport/unicast/accept_timeout": _ACCEPT_MS,
