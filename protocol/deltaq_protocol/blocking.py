@@ -79,7 +79,10 @@ class Opening(AbstractContextManager[T]):
 
 
 class BlockingRobot:
-    """A robot whose lease this client holds; see `deltaq_protocol.leased_robot.LeasedRobot`."""
+    """A robot whose lease this client holds; see `deltaq_protocol.leased_robot.LeasedRobot`.
+
+    What is done every cycle is done in the caller's thread: a detour through the loop's would cost cycles.
+    """
 
     def __init__(
         self,
@@ -108,13 +111,15 @@ class BlockingRobot:
 
     def move(self, dq: Iterable[float]) -> Verdict:
         """Ask for an increment `dq` (n,) [rad or m] and wait for its verdict; see `LeasedRobot.move`."""
-        return self._background.run(self._robot.move(dq))
+        if self._robot.state is None:
+            return self._background.run(self._robot.move(dq))
+        return self._robot.move_now(dq, lambda: self._background.run(self._robot.renew()))
 
     def send(self, dq: Iterable[float]) -> int:
         """Ask for an increment `dq` (n,) [rad or m] and do not wait for its verdict; see `LeasedRobot.send`."""
         if self._robot.state is None:
             return self._background.run(self._robot.send(dq))
-        return self._robot.send_now(dq)  # from this thread: waking the loop's would cost more than the rest
+        return self._robot.send_now(dq)
 
     def verdicts(self) -> Iterator[Verdict]:
         """The verdicts on what was sent with `send`; see `LeasedRobot.verdicts`."""
@@ -148,7 +153,6 @@ class BlockingCell:
         newest, seen = self._cell.newest(robot), 0
         while True:
             try:
-                # this thread waits for the state itself: a detour through the loop would cost it cycles
                 state, seen = newest.wait_after(seen, asynchronous.SILENCE_S)
             except TimeoutError:
                 self.status()  # raises if the server is gone

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import queue
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 
@@ -66,7 +68,7 @@ class LeasedRobot:
         self._newest = newest
         self._publisher = wire.publisher(topics.INCREMENT.key(cell, robot=name))
         self._seqs = itertools.count(1)
-        self._awaited: dict[int, asyncio.Queue[Verdict]] = {}
+        self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
         # each of its operations is one step, whichever thread does another meanwhile
         self._sent: deque[int] = deque(maxlen=_VERDICTS_WAITING)
         self._verdicts: asyncio.Queue[Verdict] = asyncio.Queue(_VERDICTS_WAITING)
@@ -107,12 +109,41 @@ class LeasedRobot:
         """
         state = await self._answerable()
         seq = next(self._seqs)
-        verdicts = self._awaited[seq] = asyncio.Queue()
+        verdicts: asyncio.Queue[Verdict] = asyncio.Queue()
+        self._awaited[seq] = verdicts
         try:
             self._ask_for(dq, seq, state)
             async with asyncio.timeout(VERDICT_DEADLINE_S):
                 return await self._own(verdicts)
         except TimeoutError:
+            self.check_lease()
+            return _no_verdict(self.name, state.cycle, seq)
+        finally:
+            del self._awaited[seq]
+
+    def move_now(self, dq: Iterable[float], renew: Callable[[], None]) -> Verdict:
+        """What `move` does where a state has come already; for threads other than the loop's, which wait themselves.
+
+        Args:
+            dq: (n,) increment over one cycle [rad or m].
+            renew: renews the lease, or raises what took it away.
+        """
+        self.check_lease()
+        state = self._newest.value
+        if state is None:
+            raise self._without_state()
+        seq = next(self._seqs)
+        verdicts: queue.SimpleQueue[Verdict] = queue.SimpleQueue()
+        self._awaited[seq] = verdicts
+        give_up_s = time.monotonic() + VERDICT_DEADLINE_S
+        try:
+            self._ask_for(dq, seq, state)
+            while True:
+                verdict = verdicts.get(timeout=max(0.0, give_up_s - time.monotonic()))
+                if not _is_about_lease(verdict):
+                    return verdict
+                renew()
+        except queue.Empty:
             self.check_lease()
             return _no_verdict(self.name, state.cycle, seq)
         finally:
@@ -196,7 +227,7 @@ class LeasedRobot:
             await asyncio.sleep(self._lease_s / _RENEWALS_A_LEASE)
             asked_s = loop.time()
             try:
-                await self._renew()
+                await self.renew()
                 expires_s = asked_s + self._lease_s
             except RefusedError as error:
                 self._lost = self._lost or error
@@ -259,9 +290,15 @@ class LeasedRobot:
             if not _is_about_lease(verdict):
                 return verdict
             # verdicts are public, this one may be about somebody else's increment: ask
-            await self._renew()
+            await self.renew()
 
-    async def _renew(self) -> None:
+    async def renew(self) -> None:
+        """Renew the lease now.
+
+        Raises:
+            RefusedError: it was lost.
+            ServiceUnreachableError: no answer in time.
+        """
         reply = await self._ask(LeaseAction.RENEW)
         if not reply.granted:
             now = f"{reply.holder} holds it now" if reply.holder else "it has run out"

@@ -104,6 +104,25 @@ def test_a_script_that_does_not_wait_sends_one_increment_a_state_and_gets_every_
     assert sorted(verdict.seq for verdict in got) == sent == list(range(1, 31))
 
 
+def test_where_a_verdict_is_lost_a_script_is_told_so_and_goes_on(cell: BlockingCell, server: Server) -> None:
+    with cell.lease("fr") as robot:
+        robot.move(DQ)
+        server.peer.judges = False
+        assert robot.move(DQ).outcome is Outcome.UNKNOWN
+        server.peer.judges = True
+        assert robot.move(DQ).outcome is Outcome.ADMITTED
+
+
+def test_when_the_lease_is_taken_a_script_is_told_by_its_next_increment(cell: BlockingCell) -> None:
+    with cell.lease("fr", client="first") as first:
+        first.move(DQ)
+        with (
+            cell.lease("fr", client="second", take=True),
+            pytest.raises(RefusedError, match="second holds it now"),
+        ):
+            first.move(DQ)
+
+
 def test_sending_without_a_lease_or_to_a_closed_connection_is_told(server: Server) -> None:
     cell = connect(server.description.hli, client="notebook").open()
     with cell.lease("fr") as robot:
