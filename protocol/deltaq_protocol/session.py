@@ -7,6 +7,7 @@ message is small. Commands travel express, at real-time priority, and are droppe
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -59,11 +60,14 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        where = ", ".join([*listen, *connect])
-        raise ServiceUnreachableError(
-            f"no zenoh session on {where}: {error}; is the cell up (`deltaq up`), the address right, and fewer than "
-            f"{MAX_SESSIONS} others there?"
-        ) from error
+        if connect and must_connect:
+            raise ServiceUnreachableError(
+                f"nobody answers at {', '.join(connect)}; is the cell up (`deltaq up`), the address right, "
+                f"and fewer than {MAX_SESSIONS} others there?"
+            ) from error
+        # zenoh adds where in its own source it happened
+        why = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))
+        raise ServiceUnreachableError(f"cannot listen on {', '.join(listen)}: {why}") from error
 
 
 class SealedPublisher:
