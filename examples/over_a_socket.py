@@ -12,10 +12,10 @@ import sys
 host, port = sys.argv[1:3] if len(sys.argv) > 2 else ("127.0.0.1", "5210")
 with (
     socket.create_connection((host, int(port)), timeout=5) as sock,
-    sock.makefile("rw", buffering=1) as lines,
+    sock.makefile("r", encoding="utf-8") as lines,  # to read only: one file for both would lose lines
 ):
-    print('{"type":"hello","protocol":1,"client":"example"}', file=lines)
-    print('{"type":"lease","robot":"fr","action":"acquire"}', file=lines)
+    sock.sendall(b'{"type":"hello","protocol":1,"client":"example"}\n')
+    sock.sendall(b'{"type":"lease","robot":"fr","action":"acquire"}\n')
     target, seq, left = None, 0, math.inf
     while abs(left) > math.radians(0.05):
         message = json.loads(lines.readline())
@@ -31,8 +31,8 @@ with (
             left = target - q[0]
             dq = [max(-step, min(step, 0.2 * left))] + [0.0] * (len(q) - 1)
             increment = {"type": "increment", "robot": "fr", "seq": seq, "cycle": cycle, "dq": dq}
-            print(json.dumps(increment), file=lines)
-    print('{"type":"lease","robot":"fr","action":"release"}', file=lines)
+            sock.sendall(json.dumps(increment).encode() + b"\n")
+    sock.sendall(b'{"type":"lease","robot":"fr","action":"release"}\n')
     while json.loads(lines.readline())["type"] != "lease":
         continue  # closing before it is read would look like a controller that was lost
     print(f"A1 is at {math.degrees(q[0]):.2f} deg after {seq} increments")

@@ -403,4 +403,4 @@ class CellDescription(Description):
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210
     """Where the HLI serves JSON lines."""
     lease_s: Positive = 1.0
-    """How long a lease lasts without a renewal; every accepted increment renews it."""
+    """How long a lease lasts while its holder is silent; whatever the holder sends renews it."""

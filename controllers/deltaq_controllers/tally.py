@@ -45,13 +45,15 @@ class Tally:
     def __init__(self) -> None:
         self.cycles = 0
         self.unanswered = 0
-        self._outcomes: Counter[str] = Counter({outcome.value: 0 for outcome in Outcome})
+        self._outcomes: Counter[str] = Counter(
+            {outcome.value: 0 for outcome in Outcome if outcome is not Outcome.UNKNOWN}
+        )
         self._reasons: Counter[str] = Counter()
 
     def add(self, verdict: Verdict | None) -> None:
-        """Count the verdict on an increment; None if it never came."""
+        """Count the verdict on an increment; None, or one of outcome `unknown`, if it never came."""
         self.cycles += 1
-        if verdict is None:
+        if verdict is None or verdict.outcome is Outcome.UNKNOWN:
             self.unanswered += 1
             return
         self._outcomes[verdict.outcome.value] += 1

@@ -30,6 +30,7 @@ from deltaq_protocol import guarded, messages
 from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_protocol.topics import TOPICS
+from deltaq_services.counters import COUNTERS
 from deltaq_services.phases import MAY_MOVE, TRANSITIONS, Event
 
 FOLDER = Path(__file__).parents[2] / "docs" / "reference"
@@ -43,6 +44,7 @@ def pages() -> dict[str, str]:
         "topics.md": _topics(),
         "messages.md": _messages(),
         "reasons.md": _reasons(),
+        "counters.md": _counters(),
         "phases.md": _phases(),
         "krc.md": _krc(),
         "criteria.md": _criteria(),
@@ -90,6 +92,15 @@ def _reasons() -> str:
     return (
         "# Reason codes\n\nWhy a request was scaled, held or refused, and why a robot is held.\n\n"
         + _table(("code", "meaning"), rows)
+    )
+
+
+def _counters() -> str:
+    rows = ((row.service.replace("_", " "), f"`{row.name}`", row.meaning) for row in COUNTERS)
+    return (
+        "# Counters\n\nWhat `deltaq status --json` and the states of the guarded realm count, each from the start of"
+        " its process; what never happened is left out. A part in braces is filled in: a [reason code](reasons.md), a"
+        " [topic](topics.md), a robot.\n\n" + _table(("service", "counter", "what was counted"), rows)
     )
 
 

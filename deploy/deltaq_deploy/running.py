@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import blocking
 from deltaq_protocol.blocking import BlockingCell
+from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Description
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topics import Topic
 
@@ -22,7 +25,42 @@ class OtherCellError(DeltaqError):
     """Another cell is running at the address of the one that was meant."""
 
 
-def known_robot(cell: CellDescription, robot: str) -> None:
+@dataclass(frozen=True)
+class Where:
+    """Where a running cell is to be found.
+
+    Attributes:
+        hli: address of its HLI.
+        cell: the name that it must have; None: whatever runs there.
+    """
+
+    hli: str
+    cell: str | None = None
+
+    @classmethod
+    def of(cls, cell: str, url: str | None, robot: str = "") -> Where:
+        """From what a user typed; `cell` is not looked for where an address was given.
+
+        Args:
+            cell: name of a shipped cell or path of a file.
+            url: address of the HLI, or None.
+            robot: a robot that it must have, as far as that can be known before anybody was asked.
+
+        Raises:
+            InvalidEndpointError: `url` is no address.
+            CellError: `cell` cannot be read.
+            UnknownRobotError: the cell has no such robot.
+        """
+        if url is not None:
+            return cls(str(Endpoint.parse(url)))
+        from deltaq_cell.load import load_cell
+
+        description = load_cell(cell)
+        known_robot(description, robot)
+        return cls(description.hli, description.cell)
+
+
+def known_robot(cell: CellDescription | Description, robot: str) -> None:
     """Check the name of a robot, before anything is asked about it; an empty one means all of them.
 
     Raises:
@@ -33,11 +71,11 @@ def known_robot(cell: CellDescription, robot: str) -> None:
 
 
 @contextmanager
-def connect(cell: CellDescription, client: str, token: str | None = None) -> Iterator[BlockingCell]:
+def connect(cell: CellDescription | Where, client: str, token: str | None = None) -> Iterator[BlockingCell]:
     """A client of the HLI of a running cell.
 
     Args:
-        cell: the description that says where it is.
+        cell: where it is.
         client: a name for others to see.
         token: the operator's token, where the HLI was given one.
 
@@ -46,7 +84,7 @@ def connect(cell: CellDescription, client: str, token: str | None = None) -> Ite
         OtherCellError: if it serves another cell.
     """
     with blocking.connect(cell.hli, client, token) as running:
-        if running.description.cell != cell.cell:
+        if cell.cell is not None and running.description.cell != cell.cell:
             raise OtherCellError(
                 f"{cell.hli} serves cell {running.description.cell}, not {cell.cell}; name the right one with --cell"
             )
@@ -56,9 +94,9 @@ def connect(cell: CellDescription, client: str, token: str | None = None) -> Ite
 class Listener:
     """Subscriptions to what an HLI publishes; see `listen`."""
 
-    def __init__(self, session: Any, cell: CellDescription) -> None:
+    def __init__(self, session: Any, cell: str) -> None:
         self._session = session
-        self._cell = cell.cell
+        self._cell = cell
 
     def subscribe(self, topic: Topic, handler: Any, robot: str = "") -> Any:
         """Receive samples of a stream, of one robot or of all; `handler` as zenoh takes it."""
@@ -66,8 +104,19 @@ class Listener:
         return self._session.declare_subscriber(topic.key(self._cell, **fields), handler)
 
 
+def describe(where: Where, client: str) -> Description:
+    """What the HLI of a running cell says of it.
+
+    Raises:
+        ServiceUnreachableError: if no HLI is there.
+        OtherCellError: if it serves another cell.
+    """
+    with connect(where, client) as running:
+        return running.description
+
+
 @contextmanager
-def listen(cell: CellDescription) -> Iterator[Listener]:
+def listen(cell: CellDescription | Where) -> Iterator[Listener]:
     """Listen to the HLI of a running cell.
 
     Raises:
@@ -75,6 +124,6 @@ def listen(cell: CellDescription) -> Iterator[Listener]:
     """
     session = open_session(connect=[cell.hli], must_connect=True)
     try:
-        yield Listener(session, cell)
+        yield Listener(session, cell.cell or "*")
     finally:
         session.close()

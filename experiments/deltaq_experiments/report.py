@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_experiments.panels import Panel
-from deltaq_protocol import messages
 
 Array = NDArray[np.float64]
 
@@ -81,7 +80,7 @@ class GateCounts(BaseModel):
     @classmethod
     def of(cls, counts: dict[str, int]) -> GateCounts:
         """From a counter that may hold other counts as well."""
-        return cls(**{outcome.value: counts.get(outcome.value, 0) for outcome in messages.Outcome})
+        return cls(**{name: counts.get(name, 0) for name in cls.model_fields})
 
 
 class Report(BaseModel):

@@ -5,20 +5,25 @@
             for state in robot.states():
                 verdict = robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
-The event loop runs in a thread of its own, so the lease is renewed while the script computes.
+The event loop runs in a thread of its own, so the lease is renewed while the script computes. A controller that is
+slower than a cycle, or further away, does not wait: `robot.send(dq)`, and `robot.verdicts()` tells what became of it.
+
+In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` last until `robot.close()` and
+`cell.close()`, or until the interpreter ends.
 """
 
 from __future__ import annotations
 
-import asyncio
-import threading
-from collections.abc import AsyncIterator, Coroutine, Iterable, Iterator, Mapping
-from contextlib import AbstractAsyncContextManager, contextmanager
-from typing import Any, TypeVar
+import atexit
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from types import TracebackType
+from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
 from deltaq_protocol import client as asynchronous
+from deltaq_protocol.background import Background
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
     Description,
@@ -33,72 +38,63 @@ from deltaq_protocol.messages import (
 T = TypeVar("T")
 
 
-class _Background:
-    """An event loop in a thread of its own."""
+class Opening(AbstractContextManager[T]):
+    """A manager that has `open` and `close` too, for notebooks; it opens once.
 
-    def __init__(self) -> None:
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="deltaq client", daemon=True)
-        self._thread.start()
+    Who forgets to close is closed when the interpreter ends.
 
-    def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
-        """Run a coroutine and return its result; an interrupt cancels it."""
-        future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
-        try:
-            return future.result()
-        except BaseException:
-            future.cancel()
-            raise
+    Args:
+        manager: what opens and closes.
+    """
 
-    def iterate(self, items: AsyncIterator[T]) -> Iterator[T]:
-        """The items of an async iterator."""
+    def __init__(self, manager: AbstractContextManager[T]) -> None:
+        self._manager = manager
+        self._is_open = False
 
-        async def following() -> T:
-            return await anext(items)
-
-        while True:
-            yield self.run(following())
-
-    @contextmanager
-    def entered(self, manager: AbstractAsyncContextManager[T]) -> Iterator[T]:
-        """An async context manager as a plain one."""
-
-        async def enter() -> T:
-            return await manager.__aenter__()
-
-        async def leave() -> None:
-            # the error of the block stays in the caller's thread: an interrupt thrown into a task would end
-            # the loop, and the lease could not be given back
-            await manager.__aexit__(None, None, None)
-
-        value = self.run(enter())
-        try:
-            yield value
-        finally:
-            self.run(leave())
+    def open(self) -> T:
+        """Open, as entering the block does."""
+        value = self._manager.__enter__()
+        self._is_open = True
+        atexit.register(self.close)
+        return value
 
     def close(self) -> None:
-        """End the loop and its thread."""
+        """Close, as leaving the block does; nothing happens if it is not open."""
+        self.__exit__(None, None, None)
 
-        async def finish() -> None:
-            rest = asyncio.all_tasks() - {asyncio.current_task()}
-            for task in rest:
-                task.cancel()
-            await asyncio.gather(*rest, return_exceptions=True)
-            await self._loop.shutdown_asyncgens()
+    def __enter__(self) -> T:
+        return self.open()
 
-        self.run(finish())
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        if not self._is_open:
+            return None
+        self._is_open = False
+        atexit.unregister(self.close)
+        return self._manager.__exit__(kind, error, trace)
 
 
 class BlockingRobot:
-    """A robot whose lease this client holds; see `deltaq_protocol.leased_robot.LeasedRobot`."""
+    """A robot whose lease this client holds; see `deltaq_protocol.leased_robot.LeasedRobot`.
 
-    def __init__(self, robot: LeasedRobot, background: _Background) -> None:
+    What is done every cycle is done in the caller's thread: a detour through the loop's would cost cycles.
+    """
+
+    def __init__(
+        self,
+        robot: LeasedRobot,
+        background: Background,
+        states: Callable[[], Iterator[RobotState]],
+        close: Callable[[], None],
+    ) -> None:
         self._robot = robot
         self._background = background
+        self._states = states
+        self._close = close
         self.name: str = robot.name
         self.summary: RobotSummary = robot.summary
 
@@ -109,11 +105,29 @@ class BlockingRobot:
 
     def states(self) -> Iterator[RobotState]:
         """States as they come, the newest only; see `LeasedRobot.states`."""
-        return self._background.iterate(self._robot.states())
+        for state in self._states():
+            self._robot.check_lease()
+            yield state
 
     def move(self, dq: Iterable[float]) -> Verdict:
         """Ask for an increment `dq` (n,) [rad or m] and wait for its verdict; see `LeasedRobot.move`."""
-        return self._background.run(self._robot.move(dq))
+        if self._robot.state is None:
+            return self._background.run(self._robot.move(dq))
+        return self._robot.move_now(dq, lambda: self._background.run(self._robot.renew()))
+
+    def send(self, dq: Iterable[float]) -> int:
+        """Ask for an increment `dq` (n,) [rad or m] and do not wait for its verdict; see `LeasedRobot.send`."""
+        if self._robot.state is None:
+            return self._background.run(self._robot.send(dq))
+        return self._robot.send_now(dq)
+
+    def verdicts(self) -> Iterator[Verdict]:
+        """The verdicts on what was sent with `send`; see `LeasedRobot.verdicts`."""
+        return self._background.iterate(self._robot.verdicts())
+
+    def close(self) -> None:
+        """Give the lease back, as leaving the block does; `with` is the safer way."""
+        self._close()
 
     def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
         """Set digital outputs, and read all outputs and inputs; see `LeasedRobot.io`."""
@@ -123,9 +137,10 @@ class BlockingRobot:
 class BlockingCell:
     """A connection to a running cell; see `deltaq_protocol.client.Cell`."""
 
-    def __init__(self, cell: asynchronous.Cell, background: _Background) -> None:
+    def __init__(self, cell: asynchronous.Cell, background: Background, close: Callable[[], None]) -> None:
         self._cell = cell
         self._background = background
+        self._close = close
         self.description: Description = cell.description
         self.robots: dict[str, RobotSummary] = cell.robots
 
@@ -135,7 +150,14 @@ class BlockingCell:
 
     def states(self, robot: str) -> Iterator[RobotState]:
         """States of a robot as they come, the newest only; see `Cell.states`."""
-        return self._background.iterate(self._cell.states(robot))
+        newest, seen = self._cell.newest(robot), 0
+        while True:
+            try:
+                state, seen = newest.wait_after(seen, asynchronous.SILENCE_S)
+            except TimeoutError:
+                self.status()  # raises if the server is gone
+                continue
+            yield state
 
     def verdicts(self, robot: str) -> Iterator[Verdict]:
         """Every verdict on a robot's increments; see `Cell.verdicts`."""
@@ -161,21 +183,45 @@ class BlockingCell:
         """The running cell: phases, leases, ages, counters; see `Cell.status`."""
         return self._background.run(self._cell.status())
 
+    def lease(self, robot: str, client: str | None = None, take: bool = False) -> Opening[BlockingRobot]:
+        """Hold the lease of a robot for the length of a block, or from `open` to `close`; see `Cell.lease`."""
+        opening: Opening[BlockingRobot] = Opening(
+            self._leased(robot, client, take, close=lambda: opening.close())
+        )
+        return opening
+
     @contextmanager
-    def lease(self, robot: str, client: str | None = None, take: bool = False) -> Iterator[BlockingRobot]:
-        """Hold the lease of a robot for the length of the block; see `Cell.lease`."""
+    def _leased(
+        self, robot: str, client: str | None, take: bool, close: Callable[[], None]
+    ) -> Iterator[BlockingRobot]:
         with self._background.entered(self._cell.lease(robot, client, take)) as leased:
-            yield BlockingRobot(leased, self._background)
+            yield BlockingRobot(leased, self._background, lambda: self.states(robot), close)
+
+    def close(self) -> None:
+        """Give back every lease and end the connection, as leaving the block does; `with` is the safer way."""
+        self._close()
+
+
+def connect(
+    address: str = asynchronous.DEFAULT_ADDRESS, client: str = "python", token: str | None = None
+) -> Opening[BlockingCell]:
+    """Connect to a running cell for the length of a block, or from `open` to `close`.
+
+    See `deltaq_protocol.client.connect`.
+    """
+    opening: Opening[BlockingCell] = Opening(
+        _connected(address, client, token, close=lambda: opening.close())
+    )
+    return opening
 
 
 @contextmanager
-def connect(
-    address: str = asynchronous.DEFAULT_ADDRESS, client: str = "python", token: str | None = None
+def _connected(
+    address: str, client: str, token: str | None, close: Callable[[], None]
 ) -> Iterator[BlockingCell]:
-    """Connect to a running cell for the length of the block; see `deltaq_protocol.client.connect`."""
-    background = _Background()
+    background = Background()
     try:
         with background.entered(asynchronous.connect(address, client, token)) as cell:
-            yield BlockingCell(cell, background)
+            yield BlockingCell(cell, background, close)
     finally:
         background.close()

@@ -6,28 +6,32 @@
                 verdict = await robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
 Leaving a block, by any road, sends nothing more: the robot brakes to rest along a path that the gate has
-certified.
+certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same, and so has a lease `open`
+and `close`.
+
+A controller that is slower than a cycle, or further away, does not wait: `await robot.send(dq)`, and `robot.verdicts()`
+tells what became of each increment.
 """
 
 from __future__ import annotations
 
 import asyncio
+import atexit
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import TypeVar
 
-import msgpack
 import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
 from deltaq_protocol import topics
-from deltaq_protocol.codec import InvalidMessageError, from_map, unpack
-from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.codec import InvalidMessageError, unpack
+from deltaq_protocol.describing import described
+from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
-    PROTOCOL_VERSION,
     ContactRequest,
     DescribeRequest,
     Description,
@@ -46,6 +50,7 @@ from deltaq_protocol.messages import (
     Verdict,
 )
 from deltaq_protocol.newest import Newest
+from deltaq_protocol.opening import Opening
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_protocol.wire import Wire
@@ -53,9 +58,8 @@ from deltaq_protocol.wire import Wire
 M = TypeVar("M", bound=Message)
 
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
-_SILENCE_S = 1.0
+SILENCE_S = 1.0
 """Silence after which a reader of states asks whether the server is still there."""
-_CONNECT_DEADLINE_S = 2.0
 _VERDICTS_WAITING = 1024
 
 
@@ -77,6 +81,7 @@ class Cell:
         self._token = token
         self._newest: dict[str, Newest[RobotState]] = {name: Newest() for name in self.robots}
         self._verdict_listeners: set[Callable[[Verdict], None]] = set()
+        self._leases: set[LeasedRobot] = set()
         for name in self.robots:
             wire.subscribe(topics.STATE.key(description.cell, robot=name), self._take_state, capacity=1)
         wire.subscribe(topics.VERDICT.key(description.cell), self._take_verdict, _VERDICTS_WAITING)
@@ -84,6 +89,10 @@ class Cell:
     def state(self, robot: str) -> RobotState | None:
         """The newest state of a robot; None before the first."""
         return self._newest[self._known(robot)].value
+
+    def newest(self, robot: str) -> Newest[RobotState]:
+        """Where the newest state of a robot is put, for whoever waits in another thread."""
+        return self._newest[self._known(robot)]
 
     async def states(self, robot: str) -> AsyncIterator[RobotState]:
         """States of a robot as they come, the newest only: whoever is slow skips.
@@ -96,7 +105,7 @@ class Cell:
         seen = 0
         while True:
             try:
-                state = await newest.after(seen, _SILENCE_S)
+                state = await newest.after(seen, SILENCE_S)
             except TimeoutError:
                 await self.status()  # raises if the server is gone; a robot that is offline is waited for
                 continue
@@ -123,7 +132,7 @@ class Cell:
         try:
             while True:
                 try:
-                    async with asyncio.timeout(_SILENCE_S):
+                    async with asyncio.timeout(SILENCE_S):
                         verdict = await waiting.get()
                 except TimeoutError:
                     await self.status()  # raises if the server is gone
@@ -185,11 +194,8 @@ class Cell:
         key = topics.STATUS.key(self.description.cell)
         return unpack(Status, await self._wire.ask(key, DescribeRequest()))
 
-    @asynccontextmanager
-    async def lease(
-        self, robot: str, client: str | None = None, take: bool = False
-    ) -> AsyncIterator[LeasedRobot]:
-        """Hold the lease of a robot for the length of the block; it is renewed by itself.
+    def lease(self, robot: str, client: str | None = None, take: bool = False) -> Opening[LeasedRobot]:
+        """Hold the lease of a robot for the length of a block, or from `open` to `close`; it is renewed by itself.
 
         Args:
             robot: name of the robot.
@@ -200,6 +206,10 @@ class Cell:
             RefusedError: `lease_taken` by another client, `unknown_robot`, or `not_permitted` to take.
             ServiceUnreachableError: no answer in time.
         """
+        return Opening(self._leased(robot, client, take))
+
+    @asynccontextmanager
+    async def _leased(self, robot: str, client: str | None, take: bool) -> AsyncIterator[LeasedRobot]:
         action = LeaseAction.TAKE if take else LeaseAction.ACQUIRE
         request = LeaseRequest(
             robot=self._known(robot), action=action, client=client or self._client, token=self._token
@@ -218,6 +228,7 @@ class Cell:
             lambda: self.states(robot),
         )
         self._verdict_listeners.add(leased.take_verdict)
+        self._leases.add(leased)
         keeper = asyncio.create_task(leased.keep_lease())
         try:
             yield leased
@@ -225,6 +236,21 @@ class Cell:
             keeper.cancel()
             self._verdict_listeners.discard(leased.take_verdict)
             await asyncio.shield(leased.release())
+            self._leases.discard(leased)
+
+    async def close(self) -> None:
+        """Give back every lease and end the connection; leaving the block of `connect` does so."""
+        await asyncio.gather(*(leased.release() for leased in self._leases))
+        try:
+            await asyncio.to_thread(self._wire.close)
+        except RuntimeError:  # the interpreter ends: no thread begins any more
+            self._wire.close()
+
+    def close_now(self) -> None:
+        """What `close` does, where the loop has ended and nobody has closed: the interpreter is about to end."""
+        for leased in self._leases:
+            leased.release_now()
+        self._wire.close()
 
     def _known(self, robot: str) -> str:
         if robot not in self.robots:
@@ -253,11 +279,13 @@ class Cell:
             return None
 
 
-@asynccontextmanager
-async def connect(
+def connect(
     address: str = DEFAULT_ADDRESS, client: str = "python", token: str | None = None
-) -> AsyncIterator[Cell]:
-    """Connect to a running cell for the length of the block.
+) -> Opening[Cell]:
+    """Connect to a running cell for the length of a block, or from `open` to `close`.
+
+    Who forgets to close is disconnected when the loop or the interpreter ends: leases are given back, robots come to
+    rest.
 
     Args:
         address: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
@@ -268,42 +296,24 @@ async def connect(
         ServiceUnreachableError: nobody answers there.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
+    return Opening(_connected(address, client, token))
+
+
+@asynccontextmanager
+async def _connected(address: str, client: str, token: str | None) -> AsyncIterator[Cell]:
     session = await asyncio.to_thread(open_session, connect=[address], must_connect=True)
     wire = Wire(session, asyncio.get_running_loop())
     try:
-        yield Cell(wire, await _described(wire, address), client, token)
-    finally:
+        cell = Cell(wire, await described(wire, address), client, token)
+    except BaseException:
         await asyncio.to_thread(wire.close)
-
-
-async def _described(wire: Wire, address: str) -> Description:
-    """Ask for the description; in the first milliseconds of a connection the server's keys are not known yet."""
-    loop = asyncio.get_running_loop()
-    give_up_s = loop.time() + _CONNECT_DEADLINE_S
-    while True:
-        try:
-            payload = await wire.ask(topics.DESCRIPTION.key("*"), DescribeRequest())
-        except ServiceUnreachableError:
-            if loop.time() >= give_up_s:
-                raise ServiceUnreachableError(
-                    f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
-                ) from None
-            await asyncio.sleep(0.01)
-        else:
-            return _of_our_version(payload)
-
-
-def _of_our_version(payload: bytes) -> Description:
-    # the version first: a description of another version may have other fields
-    data = msgpack.unpackb(payload)
-    theirs = data.get("protocol") if isinstance(data, dict) else None
-    if theirs != PROTOCOL_VERSION:
-        raise RefusedError(
-            ReasonCode.PROTOCOL_VERSION,
-            f"the server speaks protocol {theirs}, this client {PROTOCOL_VERSION}",
-            "install the deltaq version that the server runs",
-        )
-    return from_map(Description, data)
+        raise
+    atexit.register(cell.close_now)
+    try:
+        yield cell
+    finally:
+        await cell.close()
+        atexit.unregister(cell.close_now)
 
 
 def _not_granted(reply: LeaseReply) -> RefusedError:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
+import queue
+import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 
 import zenoh
@@ -18,6 +22,8 @@ from deltaq_protocol.messages import (
     LeaseAction,
     LeaseReply,
     LeaseRequest,
+    Outcome,
+    Reason,
     RobotState,
     RobotSummary,
     Verdict,
@@ -26,8 +32,11 @@ from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.wire import Wire
 
-VERDICT_DEADLINE_S = 0.5
-"""Dozens of cycles: a verdict that has not come by then will not come."""
+VERDICT_DEADLINE_S = 0.25
+"""Twice as long as an increment may be under way: a verdict that has not come by then was lost."""
+_FIRST_STATE_DEADLINE_S = 0.5
+_VERDICTS_WAITING = 1024
+"""Increments that were sent, and verdicts that came, without anybody asking for the verdicts."""
 _RENEWALS_A_LEASE = 4
 
 
@@ -58,10 +67,13 @@ class LeasedRobot:
         self._states = states
         self._newest = newest
         self._publisher = wire.publisher(topics.INCREMENT.key(cell, robot=name))
-        self._seq = 0
-        self._awaited: dict[int, asyncio.Queue[Verdict]] = {}
+        self._seqs = itertools.count(1)
+        self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
+        # each of its operations is one step, whichever thread does another meanwhile
+        self._sent: deque[int] = deque(maxlen=_VERDICTS_WAITING)
+        self._verdicts: asyncio.Queue[Verdict] = asyncio.Queue(_VERDICTS_WAITING)
         self._lost: DeltaqError | None = None
-        self._is_released = False
+        self._releasing: asyncio.Future[None] | None = None
 
     @property
     def state(self) -> RobotState | None:
@@ -76,7 +88,7 @@ class LeasedRobot:
             ServiceUnreachableError: the server is gone.
         """
         async for state in self._states():
-            self._check_lease()
+            self.check_lease()
             yield state
 
     async def move(self, dq: Iterable[float]) -> Verdict:
@@ -87,48 +99,100 @@ class LeasedRobot:
 
         Returns:
             The verdict. Its `dq` is what was admitted, which may be less than was asked for; a request that
-            was refused has the outcome `refused`, reasons, and no `dq`.
+            was refused has the outcome `refused`, reasons, and no `dq`. Where no verdict came within
+            `VERDICT_DEADLINE_S` the outcome is `unknown`: the increment or its verdict was lost, and the next state
+            shows which.
 
         Raises:
             RefusedError: the lease was lost.
-            ServiceUnreachableError: the server is gone, or gave no verdict in time.
+            ServiceUnreachableError: the server is gone, or the robot has no state to be answered.
         """
-        self._check_lease()
+        state = await self._answerable()
+        seq = next(self._seqs)
+        verdicts: asyncio.Queue[Verdict] = asyncio.Queue()
+        self._awaited[seq] = verdicts
         try:
-            state = self._newest.value or await self._newest.after(0, VERDICT_DEADLINE_S)
-        except TimeoutError:
-            raise ServiceUnreachableError(
-                f"no state of {self.name} within {VERDICT_DEADLINE_S:g} s; "
-                "is its Robot Server up (`deltaq status`)?"
-            ) from None
-        self._seq += 1
-        # not validated here: the server judges, so that there is one truth about what is refused
-        increment = Increment.model_construct(
-            robot=self.name,
-            seq=self._seq,
-            cycle=state.cycle,
-            dq=tuple(float(element) for element in dq),
-            lease=self._token,
-        )
-        verdicts = self._awaited[self._seq] = asyncio.Queue()
-        try:
-            self._publisher.put(pack(increment))
+            self._ask_for(dq, seq, state)
             async with asyncio.timeout(VERDICT_DEADLINE_S):
-                while True:
-                    verdict = await verdicts.get()
-                    if not _is_about_lease(verdict):
-                        return verdict
-                    # verdicts are public, this one may be about somebody else's increment: ask
-                    await self._renew()
-        except zenoh.ZError as error:
-            raise ServiceUnreachableError(f"{self.name} cannot be moved: {error}; connect again") from error
+                return await self._own(verdicts)
         except TimeoutError:
-            raise ServiceUnreachableError(
-                f"no verdict on increment {increment.seq} of {self.name} within {VERDICT_DEADLINE_S:g} s; "
-                "see `deltaq status` for which service is silent"
-            ) from None
+            self.check_lease()
+            return _no_verdict(self.name, state.cycle, seq)
         finally:
-            del self._awaited[increment.seq]
+            del self._awaited[seq]
+
+    def move_now(self, dq: Iterable[float], renew: Callable[[], None]) -> Verdict:
+        """What `move` does where a state has come already; for threads other than the loop's, which wait themselves.
+
+        Args:
+            dq: (n,) increment over one cycle [rad or m].
+            renew: renews the lease, or raises what took it away.
+        """
+        self.check_lease()
+        state = self._newest.value
+        if state is None:
+            raise self._without_state()
+        seq = next(self._seqs)
+        verdicts: queue.SimpleQueue[Verdict] = queue.SimpleQueue()
+        self._awaited[seq] = verdicts
+        give_up_s = time.monotonic() + VERDICT_DEADLINE_S
+        try:
+            self._ask_for(dq, seq, state)
+            while True:
+                verdict = verdicts.get(timeout=max(0.0, give_up_s - time.monotonic()))
+                if not _is_about_lease(verdict):
+                    return verdict
+                renew()
+        except queue.Empty:
+            self.check_lease()
+            return _no_verdict(self.name, state.cycle, seq)
+        finally:
+            del self._awaited[seq]
+
+    async def send(self, dq: Iterable[float]) -> int:
+        """Ask for an increment in answer to the newest state, and do not wait: `verdicts` tells what becomes of it.
+
+        For a controller that is slower than a cycle, or further away than one.
+
+        Args:
+            dq: (n,) increment over one cycle [rad or m].
+
+        Returns:
+            The sequence number, by which its verdict can be told.
+
+        Raises:
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the server is gone, or the robot has no state to be answered.
+        """
+        await self._answerable()
+        return self.send_now(dq)
+
+    def send_now(self, dq: Iterable[float]) -> int:
+        """What `send` does where a state has come already; any thread may."""
+        self.check_lease()
+        state = self._newest.value
+        if state is None:
+            raise self._without_state()
+        seq = next(self._seqs)
+        self._sent.append(seq)
+        self._ask_for(dq, seq, state)
+        return seq
+
+    async def verdicts(self) -> AsyncIterator[Verdict]:
+        """The verdicts on what was sent with `send`, as they come; the oldest are lost on who reads too slowly.
+
+        One that was lost on its way does not come: its sequence number is missing. One reader at a time.
+
+        Raises:
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the server is gone.
+        """
+        while True:
+            self.check_lease()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(VERDICT_DEADLINE_S):
+                    verdict = await self._own(self._verdicts)
+                yield verdict
 
     async def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
         """Set digital outputs by name, and read all outputs and inputs.
@@ -142,9 +206,18 @@ class LeasedRobot:
 
     def take_verdict(self, verdict: Verdict) -> None:
         """A verdict has come; `Cell` calls this."""
-        waiting = self._awaited.get(verdict.seq)
-        if waiting is not None and verdict.robot == self.name:
+        if verdict.robot != self.name:
+            return
+        if (waiting := self._awaited.get(verdict.seq)) is not None:
             waiting.put_nowait(verdict)
+        elif verdict.seq in self._sent:
+            if not _is_about_lease(
+                verdict
+            ):  # it may be about somebody else's increment, and ours is still to come
+                self._sent.remove(verdict.seq)
+            if self._verdicts.full():
+                self._verdicts.get_nowait()
+            self._verdicts.put_nowait(verdict)
 
     async def keep_lease(self) -> None:
         """Renew the lease until it is lost; `Cell.lease` runs this beside its block."""
@@ -154,7 +227,7 @@ class LeasedRobot:
             await asyncio.sleep(self._lease_s / _RENEWALS_A_LEASE)
             asked_s = loop.time()
             try:
-                await self._renew()
+                await self.renew()
                 expires_s = asked_s + self._lease_s
             except RefusedError as error:
                 self._lost = self._lost or error
@@ -164,15 +237,68 @@ class LeasedRobot:
 
     async def release(self) -> None:
         """Give the lease back, if the server can still be told; `Cell.lease` does so on leaving its block."""
-        if self._is_released:
-            return
-        self._is_released = True
+        if self._releasing is None:
+            self._releasing = asyncio.ensure_future(self._release())
+        await asyncio.shield(self._releasing)
+
+    def release_now(self) -> None:
+        """What `release` does, without a loop: the loop has ended before its controller did."""
+        if self._releasing is None:
+            key, request = self._lease_request(LeaseAction.RELEASE)
+            self._wire.ask_now(key, request)
+
+    async def _release(self) -> None:
         self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self.name} was given back")
         with contextlib.suppress(DeltaqError, zenoh.ZError):
             self._publisher.undeclare()
             await self._ask(LeaseAction.RELEASE)
 
-    async def _renew(self) -> None:
+    async def _answerable(self) -> RobotState:
+        """The newest state, or the first."""
+        self.check_lease()
+        try:
+            return self._newest.value or await self._newest.after(0, _FIRST_STATE_DEADLINE_S)
+        except TimeoutError:
+            raise self._without_state() from None
+
+    def _without_state(self) -> ServiceUnreachableError:
+        return ServiceUnreachableError(
+            f"no state of {self.name} within {_FIRST_STATE_DEADLINE_S:g} s; "
+            "is its Robot Server up (`deltaq status`)?"
+        )
+
+    def _ask_for(self, dq: Iterable[float], seq: int, state: RobotState) -> None:
+        # not validated here: the server judges, so that there is one truth about what is refused
+        increment = Increment.model_construct(
+            robot=self.name,
+            seq=seq,
+            cycle=state.cycle,
+            dq=tuple(float(element) for element in dq),
+            lease=self._token,
+        )
+        try:
+            self._publisher.put(pack(increment))
+        except zenoh.ZError as error:
+            raise ServiceUnreachableError(
+                f"{self.name} cannot be moved: the connection was closed; connect again"
+            ) from error
+
+    async def _own(self, verdicts: asyncio.Queue[Verdict]) -> Verdict:
+        """The next verdict on an increment of ours."""
+        while True:
+            verdict = await verdicts.get()
+            if not _is_about_lease(verdict):
+                return verdict
+            # verdicts are public, this one may be about somebody else's increment: ask
+            await self.renew()
+
+    async def renew(self) -> None:
+        """Renew the lease now.
+
+        Raises:
+            RefusedError: it was lost.
+            ServiceUnreachableError: no answer in time.
+        """
         reply = await self._ask(LeaseAction.RENEW)
         if not reply.granted:
             now = f"{reply.holder} holds it now" if reply.holder else "it has run out"
@@ -182,13 +308,21 @@ class LeasedRobot:
             raise self._lost
 
     async def _ask(self, action: LeaseAction) -> LeaseReply:
-        request = LeaseRequest(robot=self.name, action=action, lease=self._token)
-        key = topics.LEASE.key(self._cell, robot=self.name)
-        return unpack(LeaseReply, await self._wire.ask(key, request))
+        return unpack(LeaseReply, await self._wire.ask(*self._lease_request(action)))
 
-    def _check_lease(self) -> None:
+    def _lease_request(self, action: LeaseAction) -> tuple[str, LeaseRequest]:
+        request = LeaseRequest(robot=self.name, action=action, lease=self._token)
+        return topics.LEASE.key(self._cell, robot=self.name), request
+
+    def check_lease(self) -> None:
+        """Raise what took the lease away, if anything has."""
         if self._lost is not None:
             raise self._lost
+
+
+def _no_verdict(robot: str, cycle: int, seq: int) -> Verdict:
+    silence = Reason(code=ReasonCode.UNREACHABLE, what="no verdict for [s]", bound=VERDICT_DEADLINE_S)
+    return Verdict(robot=robot, cycle=cycle, seq=seq, outcome=Outcome.UNKNOWN, reasons=(silence,))
 
 
 def _is_about_lease(verdict: Verdict) -> bool:

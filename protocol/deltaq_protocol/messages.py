@@ -40,12 +40,13 @@ class Phase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What became of an increment."""
+    """What became of an increment; `unknown` is never sent, a client says it where no verdict came."""
 
     ADMITTED = "admitted"
     SCALED = "scaled"
     HELD = "held"
     REFUSED = "refused"
+    UNKNOWN = "unknown"
 
 
 class Reason(Message):
@@ -283,12 +284,19 @@ class Description(Message):
 
 
 class Error(Message):
-    """A message that could not be served, and why."""
+    """A message that could not be served, and why.
+
+    `request` is the type of the message that it answers; `robot` and `seq` are that message's, as far as it had any.
+    What was not asked for, as the loss of a lease, has no `request`.
+    """
 
     type: Literal["error"] = "error"
     code: ReasonCode
     message: str
     hint: str = ""
+    request: str | None = None
+    robot: str | None = None
+    seq: int | None = None
 
 
 class NearestPair(Message):

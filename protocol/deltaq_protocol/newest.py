@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
 
 class Newest(Generic[T]):
-    """The newest value, and a way to await a newer one; for one event loop.
+    """The newest value, and a way to await a newer one: in the event loop that puts it, or in any other thread.
 
     Attributes:
         value: the newest value, None before the first.
@@ -20,11 +21,14 @@ class Newest(Generic[T]):
         self.value: T | None = None
         self.version = 0
         self._changed = asyncio.Event()
+        self._in_threads = threading.Condition()
 
     def put(self, value: T) -> None:
         """Put a newer value."""
-        self.value = value
-        self.version += 1
+        with self._in_threads:
+            self.value = value
+            self.version += 1
+            self._in_threads.notify_all()
         self._changed.set()
         self._changed.clear()  # whoever waits now is woken; the next one waits for the next value
 
@@ -39,3 +43,15 @@ class Newest(Generic[T]):
                 await self._changed.wait()
         assert self.value is not None  # the event is only ever set after a value
         return self.value
+
+    def wait_after(self, version: int, deadline_s: float) -> tuple[T, int]:
+        """The newest value and its version, as soon as there is one beyond `version`; not for the loop's thread.
+
+        Raises:
+            TimeoutError: none came within the deadline.
+        """
+        with self._in_threads:
+            if not self._in_threads.wait_for(lambda: self.version > version, deadline_s):
+                raise TimeoutError
+            assert self.value is not None  # there is no version without a value
+            return self.value, self.version

@@ -20,8 +20,9 @@ MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session puts together; descriptions with their URDF texts are the largest."""
 MAX_SESSIONS = 64
 """Peers that one session serves; one more is kept out until another leaves."""
-_IN_ZENOHS_SOURCE = re.compile(r"\.? at \S+\.rs:\d+\.?")
-"""zenoh's errors name a line of its own source, by its path on the machine that built it."""
+_WAITING_TO_BE_SENT = 16
+"""Urgent messages that may wait for a link to be served, the most that zenoh allows. With its own two, every
+millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""
 _ACCEPT_MS = 1000
 """Those who connect and stay silent are sent away after this: until then they keep others waiting."""
 
@@ -48,6 +49,7 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # nobody is scouted for, so nobody is to be waited for
         "transport/link/tx/lease": 1000,
+        "transport/link/tx/queue/size/real_time": _WAITING_TO_BE_SENT,
         "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,
         "transport/unicast/max_sessions": MAX_SESSIONS,
         "transport/unicast/accept_timeout": _ACCEPT_MS,
@@ -58,12 +60,14 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        where = ", ".join([*listen, *connect])
-        why = _IN_ZENOHS_SOURCE.sub("", str(error))
-        raise ServiceUnreachableError(
-            f"no zenoh session on {where}: {why}; is the cell up (`deltaq up`), the address right, and fewer than "
-            f"{MAX_SESSIONS} others there?"
-        ) from error
+        if connect and must_connect:
+            raise ServiceUnreachableError(
+                f"nobody answers at {', '.join(connect)}; is the cell up (`deltaq up`), the address right, "
+                f"and fewer than {MAX_SESSIONS} others there?"
+            ) from error
+        # zenoh adds where in its own source it happened
+        why = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))
+        raise ServiceUnreachableError(f"cannot listen on {', '.join(listen)}: {why}") from error
 
 
 class SealedPublisher:

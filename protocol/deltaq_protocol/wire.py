@@ -59,7 +59,9 @@ class Wire:
                 priority=zenoh.Priority.REAL_TIME,
             )
         except zenoh.ZError as error:
-            raise ServiceUnreachableError(f"no query to {key}: {error}; connect again") from error
+            raise ServiceUnreachableError(
+                f"no query to {key}: the connection was closed; connect again"
+            ) from error
         reply = await future
         if reply is not None and reply.ok is not None:
             return reply.ok.payload.to_bytes()
@@ -70,6 +72,12 @@ class Wire:
         raise ServiceUnreachableError(
             f"no answer to {key} within {deadline_s:g} s; is the cell up (`deltaq up`, `deltaq status`)?"
         )
+
+    def ask_now(self, key: str, request: Message) -> None:
+        """Send a query from where no loop runs any more, and wait until it was answered or will not be."""
+        with contextlib.suppress(zenoh.ZError):
+            for _ in self._session.get(key, payload=pack(request), timeout=QUERY_DEADLINE_S):
+                pass
 
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
         """Call `take` in the loop with the samples of a key; of those that wait the newest `capacity` stay."""

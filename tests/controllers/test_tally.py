@@ -24,10 +24,11 @@ def test_verdicts_and_reasons_are_counted_and_silence_too() -> None:
     tally.add(Verdict(robot="fr", cycle=1, seq=1, outcome=Outcome.ADMITTED))
     tally.add(Verdict(robot="fr", cycle=2, seq=2, outcome=Outcome.SCALED, reasons=(bound,)))
     tally.add(None)
+    tally.add(Verdict(robot="fr", cycle=4, seq=4, outcome=Outcome.UNKNOWN))
     summary = tally.summary()
     assert summary == {
-        "cycles": 3,
-        "unanswered": 1,
+        "cycles": 4,
+        "unanswered": 2,
         "gate": {"admitted": 1, "scaled": 1, "held": 0, "refused": 0},
         "reasons": {"clearance": 1},
     }

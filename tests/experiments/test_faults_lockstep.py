@@ -57,10 +57,10 @@ def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_name(lab, name, r
     assert row.named_after_s <= named_s
 
 
-def test_increments_of_nan_brake_the_robot_and_are_told_like_a_controller_that_is_lost(lab):
+def test_increments_of_nan_brake_the_robot_and_their_sender_keeps_it_and_goes_on(lab):
     row = run_fault(fault_named("controller-nan-flood"), lab, "fr")
     assert_braked_at_once_along_the_brake(row)
-    assert (row.phase, row.reason) == ("held", "controller_lost")
+    assert (row.phase, row.reason, row.recovery) == ("ready", None, BY_ITSELF)
 
 
 def test_a_gate_that_answers_too_late_is_no_gate_and_its_robot_goes_on_when_it_is_quick_again(lab):

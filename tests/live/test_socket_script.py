@@ -20,7 +20,8 @@ SCRIPT = Path(__file__).parents[2] / "examples" / "over_a_socket.py"
 class Lines:
     """One connection."""
 
-    def __init__(self, file, client):
+    def __init__(self, sock, file, client):
+        self.sock = sock
         self.file = file
         self.send(type="hello", protocol=1, client=client)
         self.welcome = self.receive("welcome")
@@ -29,7 +30,7 @@ class Lines:
         self.send_text(json.dumps(message))
 
     def send_text(self, text):
-        print(text, file=self.file, flush=True)
+        self.sock.sendall(text.encode() + b"\n")
 
     def receive(self, kind, **fields):
         for line in self.file:
@@ -56,9 +57,9 @@ class Lines:
 def connected(stack, client):
     with (
         socket.create_connection(("127.0.0.1", stack.cell.tcp_port), timeout=10) as sock,
-        sock.makefile("rw", encoding="utf-8", newline="\n") as file,
+        sock.makefile("r", encoding="utf-8", newline="\n") as file,
     ):
-        yield Lines(file, client)
+        yield Lines(sock, file, client)
 
 
 @pytest.fixture(scope="module")

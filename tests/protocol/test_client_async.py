@@ -18,8 +18,8 @@ from deltaq_protocol import connect, topics
 from deltaq_protocol.client import Cell
 from deltaq_protocol.codec import pack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.leased_robot import LeasedRobot
-from deltaq_protocol.messages import Increment, Outcome, Phase
+from deltaq_protocol.leased_robot import VERDICT_DEADLINE_S, LeasedRobot
+from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_services.hli.shell import Hli
@@ -194,17 +194,62 @@ async def test_an_increment_on_the_key_of_another_robot_is_refused(running: Runn
     assert running.peer.increments.empty()
 
 
-async def test_without_a_verdict_move_gives_up_and_says_who_is_silent(running: Running) -> None:
+async def test_where_a_verdict_is_lost_move_says_so_and_the_next_one_goes_on(running: Running) -> None:
     running.peer.judges = False
     async with running.cell.lease("fr") as robot:
-        with pytest.raises(ServiceUnreachableError, match="no verdict on increment 1 of fr"):
-            await robot.move(DQ)
+        lost = await robot.move(DQ)
+        assert (lost.seq, lost.outcome, lost.dq) == (1, Outcome.UNKNOWN, ())
+        assert (lost.reasons[0].code, lost.reasons[0].bound) == (ReasonCode.UNREACHABLE, VERDICT_DEADLINE_S)
+        running.peer.judges = True
+        assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+
+
+async def test_a_verdict_that_is_lost_is_missing_among_those_that_come(running: Running) -> None:
+    async with running.cell.lease("fr") as robot:
+        verdicts = robot.verdicts()
+        for judges in (True, False, True):
+            running.peer.judges = judges
+            seq = await robot.send(DQ)
+            async with asyncio.timeout(10):
+                assert (await running.peer.increments.get()).seq == seq
+        async with asyncio.timeout(10):
+            assert [(await anext(verdicts)).seq for _ in range(2)] == [1, 3]
+
+
+async def test_whoever_sends_and_never_reads_a_verdict_keeps_the_newest(running: Running) -> None:
+    async with running.cell.lease("fr") as robot:
+        for seq in range(1, 1501):
+            await robot.send(DQ)
+            verdict = Verdict(robot="fr", cycle=1, seq=seq, outcome=Outcome.ADMITTED, dq=DQ)
+            robot.take_verdict(verdict)
+        assert (await anext(robot.verdicts())).seq == 1500 - 1024 + 1
+
+
+async def test_a_verdict_on_what_was_never_sent_is_not_taken_for_ours(running: Running) -> None:
+    async with running.cell.lease("fr") as robot:
+        foreign = Verdict(robot="fr", cycle=1, seq=77, outcome=Outcome.ADMITTED, dq=DQ)
+        robot.take_verdict(foreign)
+        assert await robot.send(DQ) == 1
+        assert (await anext(robot.verdicts())).seq == 1
+
+
+async def test_when_the_lease_is_taken_sending_and_its_verdicts_raise(running: Running) -> None:
+    async with running.cell.lease("fr", client="first") as first:
+        await first.send(DQ)
+        assert (await anext(first.verdicts())).outcome is Outcome.ADMITTED
+        async with running.cell.lease("fr", client="second", take=True):
+            await first.send(DQ)
+            with pytest.raises(RefusedError, match="second holds it now"):
+                await anext(first.verdicts())
+            with pytest.raises(RefusedError, match="second holds it now"):
+                await first.send(DQ)
 
 
 async def test_without_a_state_there_is_nothing_to_answer(running: Running) -> None:
     async with running.cell.lease("gr") as robot:
-        with pytest.raises(ServiceUnreachableError, match="no state of gr"):
-            await robot.move((0.0,) * 9)
+        for ask in (robot.move, robot.send):
+            with pytest.raises(ServiceUnreachableError, match="no state of gr"):
+                await ask((0.0,) * 9)
 
 
 async def test_when_the_server_goes_whoever_waits_for_states_is_told() -> None:
@@ -270,6 +315,33 @@ async def test_leaving_the_block_by_any_road_releases_the_lease_and_latches_noth
     assert running.peer.commands.empty()
 
 
+async def test_a_cell_and_a_lease_are_opened_and_closed_without_a_block(running: Running) -> None:
+    connection = connect(running.hli._cell.hli, client="notebook")
+    cell = await connection.open()
+    lease = cell.lease("fr")
+    robot = await lease.open()
+    assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+    assert (await cell.status()).robots["fr"].lease.holder == "notebook"
+    await lease.close()
+    await lease.close()
+    assert (await running.cell.status()).robots["fr"].lease.holder is None
+    await connection.close()
+    await connection.close()
+    assert running.peer.commands.empty()
+
+
+async def test_closing_the_connection_gives_its_leases_back_first(running: Running) -> None:
+    connection = connect(running.hli._cell.hli, client="notebook")
+    cell = await connection.open()
+    robot = await cell.lease("fr").open()
+    await robot.move(DQ)
+    await connection.close()
+    assert (await running.cell.status()).robots["fr"].lease.holder is None
+    assert running.peer.commands.empty()
+    with pytest.raises(RefusedError, match="given back"):
+        await robot.send(DQ)
+
+
 async def test_after_the_block_the_robot_can_no_longer_be_moved(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         await robot.move(DQ)
@@ -302,6 +374,21 @@ async def test_a_controller_answers_states_with_increments_and_gets_back_what_wa
                 break
     seqs = [running.peer.increments.get_nowait().seq for _ in range(20)]
     assert seqs == list(range(1, 21))
+
+
+async def test_a_controller_that_does_not_wait_sends_one_increment_a_cycle_and_gets_every_verdict(
+    running: Running,
+) -> None:
+    async with running.cell.lease("fr") as robot:
+        sent = []
+        async for _ in robot.states():
+            sent.append(await robot.send(DQ))
+            if len(sent) == 50:
+                break
+        verdicts = robot.verdicts()
+        async with asyncio.timeout(10):
+            got = [await anext(verdicts) for _ in sent]
+    assert sorted(verdict.seq for verdict in got) == sent == list(range(1, 51))
 
 
 async def test_the_lease_is_renewed_by_itself_for_longer_than_it_lasts(running: Running) -> None:

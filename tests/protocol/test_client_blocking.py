@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -90,3 +92,107 @@ def test_stop_reset_io_and_status_have_their_blocking_twins(cell: BlockingCell, 
         assert robot.io({"gripper": True}).outputs == {"gripper": True}
     while not server.peer.commands.empty():
         server.peer.commands.get_nowait()
+
+
+def test_a_script_that_does_not_wait_sends_one_increment_a_state_and_gets_every_verdict(
+    cell: BlockingCell,
+) -> None:
+    with cell.lease("fr") as robot:
+        verdicts = robot.verdicts()
+        sent = [robot.send(DQ) for _, state in zip(range(30), robot.states(), strict=False)]
+        got = [next(verdicts) for _ in sent]
+    assert sorted(verdict.seq for verdict in got) == sent == list(range(1, 31))
+
+
+def test_where_a_verdict_is_lost_a_script_is_told_so_and_goes_on(cell: BlockingCell, server: Server) -> None:
+    with cell.lease("fr") as robot:
+        robot.move(DQ)
+        server.peer.judges = False
+        assert robot.move(DQ).outcome is Outcome.UNKNOWN
+        server.peer.judges = True
+        assert robot.move(DQ).outcome is Outcome.ADMITTED
+
+
+def test_when_the_lease_is_taken_a_script_is_told_by_its_next_increment(cell: BlockingCell) -> None:
+    with cell.lease("fr", client="first") as first:
+        first.move(DQ)
+        with (
+            cell.lease("fr", client="second", take=True),
+            pytest.raises(RefusedError, match="second holds it now"),
+        ):
+            first.move(DQ)
+
+
+def test_sending_without_a_lease_or_to_a_closed_connection_is_told(server: Server) -> None:
+    cell = connect(server.description.hli, client="notebook").open()
+    with cell.lease("fr") as robot:
+        robot.send(DQ)
+    with pytest.raises(RefusedError, match="given back"):
+        robot.send(DQ)
+    cell.close()
+    with pytest.raises(ServiceUnreachableError, match="connection was closed"):
+        cell.status()
+
+
+def test_a_notebook_opens_and_closes_cell_and_lease_and_no_thread_stays(
+    cell: BlockingCell, server: Server
+) -> None:
+    before = client_threads()
+    notebook = connect(server.description.hli, client="notebook").open()
+    robot = notebook.lease("fr").open()
+    robot.move(DQ)
+    assert cell.status().robots["fr"].lease.holder == "notebook"
+    robot.close()
+    robot.close()
+    assert cell.status().robots["fr"].lease.holder is None
+    robot = notebook.lease("fr").open()
+    robot.send(DQ)
+    notebook.close()
+    robot.close()
+    notebook.close()
+    assert cell.status().robots["fr"].lease.holder is None
+    assert client_threads() == before
+    assert server.peer.commands.empty()
+
+
+BLOCKING = """
+import sys
+from deltaq_protocol.blocking import connect
+cell = connect(sys.argv[1], client="forgetful").open()
+robot = cell.lease("fr").open()
+for state, _ in zip(robot.states(), range(5)):
+    robot.send([0.001] * 6)
+print(cell.status().robots["fr"].lease.holder)
+"""
+
+ASYNC = """
+import asyncio, sys
+from deltaq_protocol import connect
+
+async def main():
+    cell = await connect(sys.argv[1], client="forgetful").open()
+    robot = await cell.lease("fr").open()
+    print((await robot.move([0.001] * 6)).outcome, (await cell.status()).robots["fr"].lease.holder)
+
+"""
+SCRIPTS = {
+    "blocking": BLOCKING,
+    "blocking, an error": BLOCKING + "raise SystemExit(0)",
+    "asyncio.run": ASYNC + "asyncio.run(main())",
+    # a task that is pending when its loop is forgotten is told by asyncio itself, whosever task it is
+    "a loop that is left as it is": ASYNC
+    + "import logging; logging.disable()\nasyncio.new_event_loop().run_until_complete(main())",
+}
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("script", SCRIPTS.values(), ids=SCRIPTS.keys())
+def test_whoever_forgets_to_close_gives_the_lease_back_at_the_end_without_a_noise(
+    cell: BlockingCell, server: Server, script: str
+) -> None:
+    command = [sys.executable, "-c", script, server.description.hli]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "forgetful" in done.stdout
+    assert cell.status().robots["fr"].lease.holder is None
+    assert server.peer.commands.empty()

@@ -55,6 +55,15 @@ def test_an_endpoint_where_nobody_listens_fails_when_it_must_be_reached_and_says
         open_session(connect=[nowhere], must_connect=True)
 
 
+def test_an_address_that_is_taken_cannot_be_listened_on_and_the_reason_is_the_systems_alone() -> None:
+    taken = endpoint()
+    first = open_session(listen=[taken])
+    with pytest.raises(ServiceUnreachableError, match=f"cannot listen on {taken}.*in use") as told:
+        open_session(listen=[taken])
+    assert ".rs" not in str(told.value)
+    first.close()
+
+
 def test_a_session_that_keeps_trying_opens_at_once_though_nobody_is_there_yet() -> None:
     started = time.monotonic()
     open_session(connect=[endpoint()]).close()

@@ -191,11 +191,31 @@ def test_a_robot_whose_states_stopped_coming_is_not_ready_and_the_age_is_named()
 
 def test_an_increment_that_is_malformed_gets_an_error_not_a_verdict() -> None:
     bench = Bench().ready()
-    outputs = bench.move(1, extra=1)
+    outputs = bench.move(1, extra=1, type="increment")
     error = only(Error, outputs)
     assert error.code is ReasonCode.MALFORMED
     assert "extra" in error.message
+    assert (error.request, error.robot, error.seq) == ("increment", "fr", 1)
     assert not sent(Verdict, outputs)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"type": "io", "robot": "gr", "outputs": "all"}, ("io", "gr", None)),
+        ({"type": "io", "robot": 7, "seq": 3}, ("io", None, 3)),
+        ({"type": "x" * 100, "robot": "y" * 100, "seq": 1.5}, ("x" * 64, "y" * 64, None)),
+        ({"type": ["io"], "robot": None, "seq": True}, (None, None, None)),
+        ({}, (None, None, None)),
+    ],
+)
+def test_an_error_names_what_it_answers_as_far_as_that_can_be_told(
+    given: dict[str, Any], named: tuple[str | None, str | None, int | None]
+) -> None:
+    bench = Bench()
+    malformed = InvalidMessageError("bad", ReasonCode.MALFORMED, given)
+    error = only(Error, bench.core.increments.on_malformed(malformed, bench.client))
+    assert (error.request, error.robot, error.seq) == named
 
 
 def test_what_is_refused_is_shown_to_everybody_who_watches_too() -> None:
@@ -364,6 +384,7 @@ def test_a_reset_that_the_gate_refuses_comes_back_with_its_reason_and_a_hint(cod
     error = only(Error, bench.core.on_command_reply(CommandReply(id=command.id, accepted=False, code=code)))
     assert error.code is code
     assert "reset of fr refused" in error.message
+    assert (error.request, error.robot) == ("reset", "fr")
     assert "reset again" in error.hint
 
 
@@ -371,6 +392,7 @@ def test_a_reset_of_a_robot_that_the_cell_does_not_have_names_those_it_has() -> 
     bench = Bench()
     error = only(Error, bench.core.requests.on_reset(ResetRequest(robot="ghost"), bench.client, bench.now))
     assert (error.code, error.hint) == (ReasonCode.UNKNOWN_ROBOT, "it has fr, gr")
+    assert (error.request, error.robot) == ("reset", "ghost")
 
 
 def test_where_an_operators_token_is_set_reset_and_take_need_it_and_stop_does_not() -> None:

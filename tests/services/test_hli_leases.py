@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from test_hli_core import Bench, only, refused, sent
 
 from deltaq_protocol.guarded import Command, Request
-from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
+from deltaq_protocol.messages import Error, IoRequest, Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.outputs import Output
 
@@ -44,6 +46,44 @@ def test_a_lease_runs_out_when_nothing_renews_it() -> None:
     assert bench.core.counters["leases_expired"] == 1
 
 
+def test_whoever_loses_a_lease_for_silence_is_told_so_with_the_bound_and_what_to_do() -> None:
+    bench = Bench().ready()
+    bench.now += 1.0
+    error = only(Error, bench.core.on_tick(bench.now))
+    assert (error.code, error.robot, error.request) == (ReasonCode.LEASE_NOT_HELD, "fr", None)
+    assert error.message == "the lease of fr has run out: octave sent nothing for 1 s"
+    assert "renew" in error.hint
+    assert "acquire" in error.hint
+
+
+def test_a_line_of_a_holder_does_not_wake_a_lease_that_has_run_out() -> None:
+    bench = Bench().ready()
+    assert bench.token is not None
+    bench.now += 1.0
+    assert only(Error, bench.core.requests.on_heard([("fr", bench.token)], bench.now)).robot == "fr"
+    assert not bench.lease("renew", lease=bench.token).granted
+
+
+def test_a_line_of_a_former_holder_does_not_keep_the_lease_of_the_next() -> None:
+    bench = Bench().ready()
+    former, bench.token = bench.token, None
+    assert former is not None
+    bench.lease("take")
+    bench.now += 0.9
+    assert bench.core.requests.on_heard([("fr", former)], bench.now) == []
+    bench.now += 0.1
+    assert not bench.lease("renew", lease=bench.token).granted
+
+
+def test_a_copy_of_an_increment_is_no_sign_of_life() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.now += 0.9
+    assert refused(bench.move(1)).code is ReasonCode.REPLAYED_SEQUENCE
+    bench.now += 0.1
+    assert not bench.lease("renew", lease=bench.token).granted
+
+
 def test_a_renewal_and_an_accepted_increment_both_let_the_lease_last_from_now() -> None:
     bench = Bench().ready()
     bench.now += 0.9
@@ -55,12 +95,26 @@ def test_a_renewal_and_an_accepted_increment_both_let_the_lease_last_from_now() 
     assert bench.lease("renew", lease=bench.token).granted
 
 
-def test_an_increment_that_is_refused_does_not_renew_the_lease() -> None:
+@pytest.mark.parametrize(
+    "bad",
+    [{}, {"cycle": 1}, {"cycle": 200}, {"dq": (0.0,) * 7}, {"dq": [None] * 6}, {"dq": "fast"}],
+    ids=["not heard", "stale", "future", "long", "not finite", "no list"],
+)
+def test_an_increment_that_is_refused_is_a_sign_of_a_living_controller(bad: dict[str, Any]) -> None:
     bench = Bench().ready()
     bench.now += 0.9
-    refused(bench.move(1))  # its robot is not heard any more
-    bench.now += 0.1
-    assert not bench.lease("renew", lease=bench.token).granted
+    bench.move(1, **bad)  # its robot is not heard any more, whatever else is wrong with it
+    assert bench.core.counters["requests"] == 0
+    bench.now += 0.9
+    assert bench.lease("renew", lease=bench.token).granted
+
+
+def test_reading_or_setting_outputs_keeps_the_lease() -> None:
+    bench = Bench().ready()
+    bench.now += 0.9
+    bench.core.requests.on_io(IoRequest(robot="fr", lease=bench.token), bench.client, bench.now)
+    bench.now += 0.9
+    assert bench.lease("renew", lease=bench.token).granted
 
 
 def test_acquiring_again_with_the_token_is_a_renewal_and_keeps_the_epoch() -> None:

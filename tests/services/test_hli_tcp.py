@@ -137,6 +137,27 @@ async def test_malformed_lines_get_an_error_each_and_the_connection_lives(runnin
         assert (await client.ask("description", type="describe"))["cell"] == "small"
 
 
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (b'{"type":"increment","robot":"fr","seq":7}', ("increment", "fr", 7)),
+        (b'{"type":"io","robot":"gr","outputs":{"griper":true}}', ("io", "gr", None)),
+        (b'{"type":"dry_run","robot":"fr","dq":[0]}', ("dry_run", "fr", None)),
+        (b'{"type":"contact","contact":"handshake","allowed":true}', ("contact", None, None)),
+        (b'{"type":"reset","robot":"ghost"}', ("reset", "ghost", None)),
+        (b'{"type":"dance","robot":"fr","seq":1}', ("dance", "fr", 1)),
+        (b"nonsense", (None, None, None)),
+    ],
+)
+async def test_an_error_names_the_line_that_it_answers(
+    running: Running, line: bytes, named: tuple[str | None, str | None, int | None]
+) -> None:
+    async with json_client(running.port) as client:
+        client.send_bytes(line + b"\n")
+        error = await client.receive("error")
+        assert (error["request"], error["robot"], error["seq"]) == named
+
+
 async def test_a_hundred_malformed_lines_in_a_row_end_the_connection_and_ninety_nine_do_not(
     running: Running,
 ) -> None:
@@ -187,7 +208,7 @@ async def test_before_the_hello_nothing_is_served_but_a_stop(running: Running) -
     await running.peer.turn()
     async with json_client(running.port, name=None) as client:
         error = await client.ask("lease", type="lease", robot="fr", action="acquire")
-        assert error["code"] == "not_permitted"
+        assert (error["code"], error["request"], error["robot"]) == ("not_permitted", "lease", "fr")
         assert '"type":"hello"' in error["hint"]
         assert (await client.ask("done", type="stop"))["what"] == "stop"
         assert (await running.commanded()).reason is ReasonCode.OPERATOR_STOP
@@ -216,7 +237,8 @@ async def test_without_a_gate_a_stop_is_answered_unreachable(running: Running) -
     await running.peer.turn()
     running.peer.obeys = False
     async with json_client(running.port) as client:
-        assert (await client.ask("done", type="stop"))["code"] == "unreachable"
+        error = await client.ask("done", type="stop")
+        assert (error["code"], error["request"]) == ("unreachable", "stop")
 
 
 async def test_outputs_are_set_by_name_and_read_back(running: Running) -> None:
@@ -270,6 +292,52 @@ async def test_a_client_that_falls_silent_without_closing_loses_its_lease(runnin
         await silent.receive("verdict")
         assert (await running.commanded()).reason is ReasonCode.CONTROLLER_LOST
         assert (await leased(following))["holder"] == "next"
+
+
+async def test_a_client_that_loses_its_lease_for_silence_is_told_so_in_words(running: Running) -> None:
+    async with json_client(running.port) as silent:
+        await running.peer.turn()
+        await leased(silent)
+        error = await silent.receive("error")
+        assert (error["code"], error["robot"]) == ("lease_not_held", "fr")
+        assert error["message"] == "the lease of fr has run out: octave sent nothing for 1 s"
+        assert '"action":"renew"' in error["hint"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        {"type": "describe"},
+        {"type": "io", "robot": "gr"},
+        {"type": "dry_run", "robot": "fr", "dq": [0.0]},
+        {"type": "lease", "robot": "gr", "action": "renew"},
+        {"type": "increment", "robot": "gr", "seq": 1, "cycle": 1, "dq": ZEROS},
+        {"type": "increment", "robot": "fr", "seq": 1, "cycle": 1, "dq": [None] * 6},
+    ],
+    ids=lambda line: str(line.get("action", line["type"])),
+)
+async def test_any_valid_line_keeps_the_leases_of_its_connection(
+    running: Running, line: dict[str, Any]
+) -> None:
+    async with json_client(running.port) as client:
+        await running.peer.turn()
+        await leased(client)
+        (lease,) = [lease for lease in [running.hli.core._books.leases.of("fr")] if lease]
+        before_s = lease.expires_s
+        await client.ask("description", "io", "lease", "verdict", **line)
+        assert lease.expires_s > before_s
+
+
+async def test_a_malformed_line_does_not_keep_a_lease(running: Running) -> None:
+    async with json_client(running.port) as client:
+        await running.peer.turn()
+        await leased(client)
+        (lease,) = [lease for lease in [running.hli.core._books.leases.of("fr")] if lease]
+        before_s = lease.expires_s
+        for line in (b"nonsense\n", b'{"type":"io"}\n', b'{"type":"increment","robot":"fr"}\n'):
+            client.send_bytes(line)
+            await client.receive("error")
+        assert lease.expires_s == before_s
 
 
 async def test_a_gate_that_comes_back_is_found_again(running: Running) -> None:

@@ -19,15 +19,16 @@ TOLERANCE_OFF = 0.3
 class Rig:
     """The orders to one robot, which reports what it is told to report."""
 
-    def __init__(self):
-        self.tracker = Tracker("fr", small_cell().robots["fr"], CYCLE_S, LAG)
+    def __init__(self, robot="fr"):
+        self.robot = robot
+        self.tracker = Tracker(robot, small_cell().robots[robot], CYCLE_S, LAG)
         self.orders = Orders(self.tracker, HLI_TIMEOUT)
         self.cycle = 100
 
     def state(self, phase=Phase.READY, **changes):
         """One cycle of the robot passes."""
         self.cycle += 1
-        self.tracker.observe(server_state("fr", self.cycle, phase, **changes))
+        self.tracker.observe(server_state(self.robot, self.cycle, phase, **changes))
         self.orders.cycle_passed()
         self.orders.judge()
         return self.orders
@@ -154,7 +155,12 @@ def test_a_held_robot_off_its_setpoint_is_not_reset_and_the_joint_is_named(rig):
     orders = rig.settled(Phase.HELD, q=(0.1, 0.1, 0.1 + TOLERANCE_OFF, 0.1, 0.1, 0.1))
     code, message = orders.reset(1)
     assert code is ReasonCode.CAUSE_STANDS
-    assert message.startswith("joint 3 of fr is 0.3000 off its setpoint")
+    assert message.startswith("joint 3 of fr is 0.3000 rad off its setpoint, at most ")
+
+
+def test_a_joint_of_a_gantry_is_off_its_setpoint_in_metres():
+    orders = Rig("gr").settled(Phase.HELD, q=(0.1 + TOLERANCE_OFF,) + 8 * (0.1,))
+    assert orders.reset(1)[1].startswith("joint 1 of gr is 0.3000 m off its setpoint, at most ")
 
 
 def test_a_reset_asks_for_one_more_than_the_robot_has_had(rig):

@@ -12,10 +12,10 @@ PERIOD_S = 4.0
 def main() -> None:
     with (
         socket.create_connection(("127.0.0.1", int(sys.argv[1])), timeout=10) as sock,
-        sock.makefile("rw", buffering=1) as lines,
+        sock.makefile("r", encoding="utf-8") as lines,
     ):
-        print('{"type":"hello","protocol":1,"client":"mover"}', file=lines)
-        print('{"type":"lease","robot":"fr","action":"acquire"}', file=lines)
+        sock.sendall(b'{"type":"hello","protocol":1,"client":"mover"}\n')
+        sock.sendall(b'{"type":"lease","robot":"fr","action":"acquire"}\n')
         cycle_s, seq = 0.0, 0
         for line in lines:
             message = json.loads(line)
@@ -33,7 +33,7 @@ def main() -> None:
                     "cycle": message["cycle"],
                     "dq": dq,
                 }
-                print(json.dumps(increment), file=lines)
+                sock.sendall(json.dumps(increment).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deltaq_deploy.cli.options import CellOption, JsonOption
+from deltaq_deploy.cli.options import CellOption, JsonOption, UrlOption
 
 if TYPE_CHECKING:
     from deltaq_deploy.running import Listener
@@ -15,19 +15,20 @@ if TYPE_CHECKING:
 
 def hz(
     cell: CellOption = "lab",
+    url: UrlOption = None,
     duration_s: Annotated[float, typer.Option(min=0.1, help="How long to listen.")] = 5.0,
     json: JsonOption = False,
 ) -> None:
     """Measure how often, and how regularly, each stream of a running cell comes."""
     from dataclasses import asdict
 
-    from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json, print_table
     from deltaq_deploy.rates import rate_of
-    from deltaq_deploy.running import listen
+    from deltaq_deploy.running import Where, describe, listen
 
-    description = load_cell(cell)
-    with listen(description) as listener:
+    where = Where.of(cell, url)
+    description = describe(where, "deltaq hz")
+    with listen(where) as listener:
         arrivals = _listen(listener, duration_s)
     rates = {key: rate_of(times) for key, times in sorted(arrivals.items())}
     if json:

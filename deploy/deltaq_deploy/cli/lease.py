@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deltaq_deploy.cli.options import CellOption, JsonOption, RobotOption, TokenOption
+from deltaq_deploy.cli.options import CellOption, JsonOption, RobotOption, TokenOption, UrlOption
 
 if TYPE_CHECKING:
     from deltaq_protocol.messages import LeaseStatus
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 def lease(
     robot: RobotOption,
     cell: CellOption = "lab",
+    url: UrlOption = None,
     take: Annotated[
         bool,
         typer.Option("--take", help="Take it from its holder and keep it until Ctrl-C: nobody can move."),
@@ -29,14 +30,12 @@ def lease(
     """Show who may move a robot, or end that."""
     import time
 
-    from deltaq_cell.load import load_cell
-    from deltaq_deploy.running import connect, known_robot
+    from deltaq_deploy.running import Where, connect, known_robot
 
     if take and release:
         raise typer.BadParameter("choose one of --take and --release")
-    description = load_cell(cell)
-    known_robot(description, robot)
-    with connect(description, "deltaq lease", token) as running:
+    with connect(Where.of(cell, url, robot), "deltaq lease", token) as running:
+        known_robot(running.description, robot)
         if release:
             with running.lease(robot, take=True):
                 pass

@@ -9,6 +9,14 @@ import typer
 CellOption = Annotated[
     str, typer.Option("--cell", help="Name of a shipped cell or path of a YAML file.", show_default=True)
 ]
+UrlOption = Annotated[
+    str | None,
+    typer.Option(
+        "--url",
+        metavar="tcp/HOST:PORT",
+        help="Where the cell's HLI listens, in place of --cell: then no cell file is needed.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 RobotOption = Annotated[str, typer.Option("--robot", help="Name of a robot of the cell.")]
 CriterionOption = Annotated[

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deltaq_deploy.cli.options import CellOption, JsonOption
+from deltaq_deploy.cli.options import CellOption, JsonOption, UrlOption
 
 if TYPE_CHECKING:
     from rich.console import Group
 
-    from deltaq_cell.description import CellDescription
-    from deltaq_protocol.messages import Status
+    from deltaq_protocol.messages import Description, Status
 
 
-def status(cell: CellOption = "lab", json: JsonOption = False) -> None:
+def status(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
     """Show a running cell: phases, leases, age of data, what the gate decided, the nearest pair."""
-    from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import PIPE_WIDTH, console, print_json
-    from deltaq_deploy.running import connect
+    from deltaq_deploy.running import Where, connect
 
-    description = load_cell(cell)
-    with connect(description, "deltaq status") as running:
-        answer = running.status()
+    with connect(Where.of(cell, url), "deltaq status") as running:
+        answer, description = running.status(), running.description
     if json:
         print_json(answer.model_dump(mode="json"))
     else:
@@ -31,7 +28,7 @@ def status(cell: CellOption = "lab", json: JsonOption = False) -> None:
         target.print(shown(answer, description))
 
 
-def shown(answer: Status, cell: CellDescription) -> Group:
+def shown(answer: Status, cell: Description) -> Group:
     """A status as people read it."""
     from rich.console import Group
     from rich.text import Text

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import typer
 
-from deltaq_deploy.cli.options import CellOption, JsonOption
+from deltaq_deploy.cli.options import CellOption, JsonOption, UrlOption
 
 
-def stop(cell: CellOption = "lab", json: JsonOption = False) -> None:
+def stop(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
     """Bring every robot of the cell to rest; each is held until it is reset. Anyone may."""
-    from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json
-    from deltaq_deploy.running import connect
+    from deltaq_deploy.running import Where, connect
 
-    with connect(load_cell(cell), "deltaq stop") as running:
+    with connect(Where.of(cell, url), "deltaq stop") as running:
         done = running.stop()
     if json:
         print_json(done.model_dump(mode="json"))

@@ -8,11 +8,12 @@ from typing import Annotated
 
 import typer
 
-from deltaq_deploy.cli.options import CellOption, JsonOption
+from deltaq_deploy.cli.options import CellOption, JsonOption, UrlOption
 
 
 def top(
     cell: CellOption = "lab",
+    url: UrlOption = None,
     interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two looks.")] = 0.5,
     count: Annotated[int, typer.Option(min=0, help="End after so many looks; 0: at Ctrl-C.")] = 0,
     json: JsonOption = False,
@@ -22,13 +23,11 @@ def top(
 
     from rich.live import Live
 
-    from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import console, print_json
     from deltaq_deploy.cli.status import shown
-    from deltaq_deploy.running import connect
+    from deltaq_deploy.running import Where, connect
 
-    description = load_cell(cell)
-    with connect(description, "deltaq top") as running, contextlib.suppress(KeyboardInterrupt):
+    with connect(Where.of(cell, url), "deltaq top") as running, contextlib.suppress(KeyboardInterrupt):
         screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
         with screen as live:
             for look in counted(1):
@@ -36,7 +35,7 @@ def top(
                 if live is None:
                     print_json(answer.model_dump(mode="json"))
                 else:
-                    live.update(shown(answer, description), refresh=True)
+                    live.update(shown(answer, running.description), refresh=True)
                 if look == count:
                     return
                 time.sleep(interval_s)

@@ -69,11 +69,11 @@ def main() -> None:
 def _move(port: int, robot: str, home: float) -> None:
     with (
         socket.create_connection(("127.0.0.1", port), timeout=10) as sock,
-        sock.makefile("rw", buffering=1) as lines,
+        sock.makefile("r", encoding="utf-8") as lines,  # to read only: one file for both would lose lines
     ):
         acquire = {"type": "lease", "robot": robot, "action": "acquire"}
-        _say(lines, {"type": "hello", "protocol": PROTOCOL_VERSION, "client": "mover"})
-        _say(lines, acquire)
+        _say(sock, {"type": "hello", "protocol": PROTOCOL_VERSION, "client": "mover"})
+        _say(sock, acquire)
         mover: Mover | None = None
         cycle_s, seq, leased, asked_cycle = 0.0, 0, False, 0
         for line in lines:
@@ -88,17 +88,17 @@ def _move(port: int, robot: str, home: float) -> None:
                 # a Robot Server that starts anew counts its cycles from one
                 if not leased and abs(message["cycle"] - asked_cycle) > _RETRY_S / cycle_s:
                     asked_cycle = message["cycle"]
-                    _say(lines, acquire)
+                    _say(sock, acquire)
                 mover = mover or Mover(len(message["q"]), cycle_s, home)
                 seq += 1
                 dq = mover.increment(message["q_cmd"]).tolist()
                 increment = {"type": "increment", "robot": robot, "seq": seq, "cycle": message["cycle"]}
                 if leased:
-                    _say(lines, increment | {"dq": dq})
+                    _say(sock, increment | {"dq": dq})
 
 
-def _say(lines: Any, message: dict[str, Any]) -> None:
-    print(json.dumps(message), file=lines)
+def _say(sock: socket.socket, message: dict[str, Any]) -> None:
+    sock.sendall(json.dumps(message).encode() + b"\n")
 
 
 if __name__ == "__main__":

@@ -10,11 +10,11 @@ from typing import Any
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command
-from deltaq_protocol.messages import Done, IoReply, Phase, Reason, Verdict
+from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.leases import Lease, Leases
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded
+from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
 
@@ -46,7 +46,7 @@ class Books:
         outputs: list[Output] = []
         for lease in self.leases.expired(time_s):
             self.counters["leases_expired"] += 1
-            outputs += self.holder_lost(lease, time_s)
+            outputs += self._told_of_expiry(lease) + self.holder_lost(lease, time_s)
         late, answers = self.commands.overdue(time_s)
         self.counters["commands_unanswered"] += late
         outputs += answers
@@ -90,6 +90,16 @@ class Books:
         self.counters["controllers_lost"] += 1
         command = self.new_command(kind="stop", robot=lease.robot, reason=ReasonCode.CONTROLLER_LOST)
         return outputs + self.command(command, None, Done(what="stop"), time_s)
+
+    def _told_of_expiry(self, lease: Lease) -> list[Output]:
+        if lease.connection is None:
+            return []
+        bound = f"{self.cell.lease_s:g} s"
+        text = f"the lease of {lease.robot} has run out: {lease.client} sent nothing for {bound}"
+        renewal = f'{{"type":"lease","robot":"{lease.robot}","action":"renew"}}'
+        hint = f"acquire it again, and send any valid line at least every {bound}, e.g. {renewal}"
+        error = Error(code=ReasonCode.LEASE_NOT_HELD, message=text, hint=hint, robot=lease.robot)
+        return [ToSender(lease.connection, error)]
 
     def drop_all(self, reason: Reason) -> list[Output]:
         """Refuse every increment that waits, of all robots."""

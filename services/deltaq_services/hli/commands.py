@@ -73,9 +73,14 @@ class Commands:
         if reply.accepted and awaited.done is not None:
             return [ToSender(awaited.sender, awaited.done)]
         code = reply.code or ReasonCode.NOT_PERMITTED
-        robot = f" of {awaited.command.robot}" if awaited.command.robot else ""
+        asked_for = awaited.command.robot
+        robot = f" of {asked_for}" if asked_for else ""
         text = f"{awaited.command.kind}{robot} refused: {reply.message or EXPLANATIONS[code]}"
-        return [ToSender(awaited.sender, Error(code=code, message=text, hint=_HINTS.get(code, "")))]
+        hint = _HINTS.get(code, "")
+        error = Error(
+            code=code, message=text, hint=hint, request=awaited.command.kind, robot=asked_for or None
+        )
+        return [ToSender(awaited.sender, error)]
 
     def _learn(self, epoch: int, newest_id: int) -> None:
         self._epoch = epoch
@@ -99,6 +104,8 @@ class Commands:
                     code=ReasonCode.UNREACHABLE,
                     message=f"the gate did not answer {awaited.command.kind} within {REPLY_DEADLINE_S:g} s",
                     hint="without the gate every robot brakes to rest by itself; see `deltaq status`",
+                    request=awaited.command.kind,
+                    robot=awaited.command.robot or None,
                 ),
             )
             for awaited in late

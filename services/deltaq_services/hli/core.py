@@ -130,7 +130,8 @@ class HliCore:
             self.counters["version_mismatches"] += 1
             text = f"client speaks protocol {hello.protocol}, this server {PROTOCOL_VERSION}"
             hint = "install the deltaq version that the server runs"
-            return [ToSender(sender, Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint))]
+            error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
+            return [ToSender(sender, error)]
         told = self.told
         return [ToSender(sender, Welcome(cell=told.cell, cycle_s=told.cycle_s, robots=told.robots))]
 

@@ -12,7 +12,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.books import Books
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
-from deltaq_services.hli.refusals import at_fault, unknown_robot
+from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import Asked, RobotLink
 
 
@@ -28,13 +28,12 @@ class Increments:
         self._books.counters["increments"] += 1
         robot, seq, cycle = increment.robot, increment.seq, increment.cycle
         lease = self._books.leases.held_with(robot, increment.lease)
-        reason = self._sequence_fault(robot, lease, seq)
+        reason = self._sequence_fault(robot, lease, seq, time_s)
         link = self._books.links.get(robot)
         if reason is None and link is not None:
             reason = link.fault(increment, time_s)
         if reason is not None or lease is None or link is None:
             return outputs + self._books.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
-        self._books.leases.renew(lease, time_s)
         lease.used = True
         send, replaced = link.offer(Asked(increment, lease.epoch, sender))
         if replaced is not None:
@@ -60,7 +59,7 @@ class Increments:
         if verdict is None or (error.code is ReasonCode.MALFORMED and sender is not None):
             return outputs + self.on_malformed(error, sender)
         lease = self._books.leases.held_with(verdict.robot, data.get("lease"))
-        reason = self._sequence_fault(verdict.robot, lease, verdict.seq)
+        reason = self._sequence_fault(verdict.robot, lease, verdict.seq, time_s)
         if reason is None:
             reason = at_fault(data.get("dq"), self._books.cell.robots[verdict.robot], error.code)
         return outputs + self._books.refuse(verdict.robot, verdict.cycle, verdict.seq, reason, sender)
@@ -71,7 +70,8 @@ class Increments:
         if sender is None:
             return []
         hint = "`deltaq schema` prints the schema of every message"
-        return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint))]
+        answered = answered_by_error(error.data)
+        return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
         """A state has come: ask the gate for the increment that waited, or send a sign of life."""
@@ -106,8 +106,11 @@ class Increments:
             ),
         )
 
-    def _sequence_fault(self, robot: str, lease: Lease | None, seq: int) -> Reason | None:
-        """Lease and sequence; a number that was seen is used up, whatever else is wrong with it."""
+    def _sequence_fault(self, robot: str, lease: Lease | None, seq: int, time_s: float) -> Reason | None:
+        """Lease and sequence; a number that was seen is used up, whatever else is wrong with it.
+
+        A number that was not seen before shows that the holder lives, and keeps the lease; a copy shows nothing.
+        """
         if robot not in self._books.links:
             return unknown_robot(robot)
         if lease is None:
@@ -117,4 +120,5 @@ class Increments:
                 code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=float(seq), bound=float(lease.last_seq)
             )
         lease.last_seq = seq
+        self._books.leases.renew(lease, time_s)
         return None

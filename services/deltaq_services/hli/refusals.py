@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol import topics
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
+
+_LONGEST_NAME = 64
 
 
 def refusal(robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
@@ -21,6 +25,16 @@ def refusal(robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | N
     if sender is not None:
         outputs.insert(0, ToSender(sender, verdict))
     return outputs
+
+
+def answered_by_error(data: Mapping[str, object]) -> dict[str, Any]:
+    """The fields of an `Error` that name what it answers, from a request whatever its fields hold."""
+    kind, robot, seq = data.get("type"), data.get("robot"), data.get("seq")
+    return {
+        "request": kind[:_LONGEST_NAME] if isinstance(kind, str) else None,
+        "robot": robot[:_LONGEST_NAME] if isinstance(robot, str) else None,
+        "seq": seq if isinstance(seq, int) and not isinstance(seq, bool) and abs(seq) < 2**63 else None,
+    }
 
 
 def unknown_robot(robot: str) -> Reason:

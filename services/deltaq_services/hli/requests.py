@@ -23,6 +23,8 @@ from deltaq_services.hli.books import Books
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.outputs import Output, Sender, ToSender
 
+_Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest
+
 
 class Requests:
     """Answers requests; those that the gate must carry out are answered when it has.
@@ -80,10 +82,12 @@ class Requests:
     def on_reset(self, request: ResetRequest, sender: Sender, time_s: float) -> list[Output]:
         """Leave `held`: a privilege where an operator's token is set, refused while the cause stands."""
         if request.robot not in self._books.links:
-            return self._error(sender, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
+            return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if not self._is_operator(request.token):
             text = f"reset of {request.robot} needs the operator's token"
-            return self._error(sender, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request")
+            return self._error(
+                sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
+            )
         self._books.counters["resets"] += 1
         command = self._books.new_command(kind="reset", robot=request.robot)
         return self._books.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
@@ -92,10 +96,10 @@ class Requests:
         """Ask the gate what it would say to an increment."""
         link = self._books.links.get(request.robot)
         if link is None:
-            return self._error(sender, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
+            return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if len(request.dq) != link.joints:
             text = f"dq has {len(request.dq)} elements, {request.robot} has {link.joints} joints"
-            return self._error(sender, ReasonCode.BAD_SHAPE, text, "give one element for each joint")
+            return self._error(sender, request, ReasonCode.BAD_SHAPE, text, "give one element for each joint")
         self._books.counters["dry_runs"] += 1
         command = self._books.new_command(kind="dry_run", robot=request.robot, dq=request.dq)
         return self._books.command(command, sender, None, time_s)
@@ -107,10 +111,14 @@ class Requests:
             text = (
                 f"contact: the cell has no contact {request.contact!r}; it has {', '.join(known) or 'none'}"
             )
-            return self._error(sender, ReasonCode.MALFORMED, text, "see `contacts` in the cell's YAML")
+            return self._error(
+                sender, request, ReasonCode.MALFORMED, text, "see `contacts` in the cell's YAML"
+            )
         if not self._is_operator(request.token):
             text = f"contact {request.contact} needs the operator's token"
-            return self._error(sender, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request")
+            return self._error(
+                sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
+            )
         self._books.counters["contacts_switched"] += 1
         command = self._books.new_command(
             kind="contact",
@@ -125,19 +133,22 @@ class Requests:
         outputs = self._books.tick(time_s)
         robot = request.robot
         if robot not in self._books.links:
-            return outputs + self._error(sender, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(robot))
+            return outputs + self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(robot))
         known = self._books.cell.robots[robot].outputs
         foreign = [name for name in request.outputs if name not in known]
         if foreign:
             has = ", ".join(known) or "none"
             text = f"outputs: {foreign[0]!r} is not an output of {robot}; it has {has}"
-            return outputs + self._error(
-                sender, ReasonCode.MALFORMED, text, "see `outputs` in the cell's YAML"
-            )
+            hint = "see `outputs` in the cell's YAML"
+            return outputs + self._error(sender, request, ReasonCode.MALFORMED, text, hint)
         lease = self._books.leases.of(robot)
-        if request.outputs and lease is not None and lease.token != request.lease:
+        if lease is not None and lease.token == request.lease:
+            self._books.leases.renew(lease, time_s)
+        elif request.outputs and lease is not None:
             text = f"{lease.client} holds the lease of {robot}: only the holder sets its outputs"
-            return outputs + self._error(sender, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first")
+            return outputs + self._error(
+                sender, request, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first"
+            )
         state = self._books.links[robot].state
         before = state.outputs if state else {}
         reply = IoReply(robot=robot, outputs=before | request.outputs, inputs=state.inputs if state else {})
@@ -145,6 +156,15 @@ class Requests:
             return [*outputs, ToSender(sender, reply)]
         command = self._books.new_command(kind="io", robot=robot, outputs=request.outputs)
         return outputs + self._books.command(command, sender, reply, time_s)
+
+    def on_heard(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
+        """Something valid came over a connection: its owner lives; `leases` are the robots and tokens it holds."""
+        outputs = self._books.tick(time_s)
+        for robot, token in leases:
+            lease = self._books.leases.held_with(robot, token)
+            if lease is not None:
+                self._books.leases.renew(lease, time_s)
+        return outputs
 
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
         """A connection broke; `leases` are the robots and tokens it held."""
@@ -176,5 +196,9 @@ class Requests:
     def _robots_are(self, robot: str) -> tuple[str, str]:
         return f"the cell has no robot {robot}", "it has " + ", ".join(self._books.links)
 
-    def _error(self, sender: Sender, code: ReasonCode, text: str, hint: str) -> list[Output]:
-        return [ToSender(sender, Error(code=code, message=text, hint=hint))]
+    def _error(
+        self, sender: Sender, request: _Request, code: ReasonCode, text: str, hint: str
+    ) -> list[Output]:
+        robot = None if isinstance(request, ContactRequest) else request.robot
+        error = Error(code=code, message=text, hint=hint, request=request.type, robot=robot)
+        return [ToSender(sender, error)]

@@ -26,6 +26,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.outputs import Output, Sender, ToSender
 from deltaq_services.hli.port import Port
+from deltaq_services.hli.refusals import answered_by_error
 
 MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100
@@ -65,7 +66,7 @@ class Front(Protocol):
 
 
 class TcpConnection(asyncio.Protocol, Sender):
-    """A client over TCP. It holds its leases by being connected.
+    """A client over TCP. It holds its leases by being connected and sending something valid now and then.
 
     A client that reads slowly loses old states, never the newest; one that asks and does not read is
     disconnected.
@@ -188,6 +189,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             outputs = increments.on_malformed(error, self)
         else:
             self._malformed_in_a_row = 0
+            outputs += self._port.core.requests.on_heard(self.leases.items(), now)
         self._port.carry_out(outputs)
         if self._malformed_in_a_row >= MAX_MALFORMED_IN_A_ROW:
             text = f"{MAX_MALFORMED_IN_A_ROW} malformed lines in a row"
@@ -199,7 +201,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         message_type = _TYPES.get(kind) if isinstance(kind, str) else None
         if message_type is None:
             known = ", ".join(_TYPES)
-            raise InvalidMessageError(f"type: must be one of {known}, got {kind!r:.80}", ReasonCode.MALFORMED)
+            text = f"type: must be one of {known}, got {kind!r:.80}"
+            raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
         if message_type is Hello:
             return self._greet(_hello(data))
         if message_type is StopRequest:
@@ -209,7 +212,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         if client is None:
             text = f"a {kind} before the hello"
             hint = f'begin with {{"type":"hello","protocol":{PROTOCOL_VERSION},"client":"your name"}}'
-            return self._told(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint))
+            answered = answered_by_error(data)
+            return self._told(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, **answered))
         if message_type is Increment:
             return self._increment(data, now)
         request = from_map(message_type, data)

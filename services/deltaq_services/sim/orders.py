@@ -104,9 +104,10 @@ class Orders:
             off_path = self._robot.off_path()
             if off_path is not None:
                 joint, distance, tolerance = off_path
+                unit = self._robot.units[joint]
                 return ReasonCode.CAUSE_STANDS, (
-                    f"joint {joint + 1} of {self._robot.name} is {distance:.4f} off its setpoint, "
-                    f"at most {tolerance:.4f} is allowed (rad or m)"
+                    f"joint {joint + 1} of {self._robot.name} is {distance:.4f} {unit} off its setpoint, "
+                    f"at most {tolerance:.4f} {unit} is allowed"
                 )
             self.resets = state.resets + 1
         self._awaited_resets.append(command_id)

@@ -32,6 +32,7 @@ class Tracker:
     """Follows one robot by its states and the admissions sent to it.
 
     Attributes:
+        units: unit of each joint.
         state: the newest state; None before the first.
         in_flight: an admission that no state has confirmed or outdated yet.
         missed: admissions that the Robot Server did not take.
@@ -47,6 +48,7 @@ class Tracker:
         self.restarted = self.displaced = False
         self._fastest = description.max_velocity * cycle_s
         self._lag = max(2, lag_cycles)
+        self.units = description.units
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)

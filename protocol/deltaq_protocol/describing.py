@@ -1,0 +1,55 @@
+"""The first question of every client: which cell is served here, and in which version?"""
+
+from __future__ import annotations
+
+import asyncio
+
+import msgpack
+
+from deltaq_protocol import topics
+from deltaq_protocol.codec import from_map
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.messages import PROTOCOL_VERSION, DescribeRequest, Description
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.wire import Wire
+
+_CONNECT_DEADLINE_S = 2.0
+
+
+async def described(wire: Wire, address: str) -> Description:
+    """Ask for the description; in the first milliseconds of a connection the server's keys are not known yet.
+
+    Args:
+        wire: a connection that has just been opened.
+        address: where to, for people.
+
+    Raises:
+        ServiceUnreachableError: nobody there serves a cell.
+        RefusedError: `protocol_version`, if the server speaks another version.
+    """
+    loop = asyncio.get_running_loop()
+    give_up_s = loop.time() + _CONNECT_DEADLINE_S
+    while True:
+        try:
+            payload = await wire.ask(topics.DESCRIPTION.key("*"), DescribeRequest())
+        except ServiceUnreachableError:
+            if loop.time() >= give_up_s:
+                raise ServiceUnreachableError(
+                    f"{address} answers, but serves no cell; is it the address of an HLI (`hli` in the cell's YAML)?"
+                ) from None
+            await asyncio.sleep(0.01)
+        else:
+            return _of_our_version(payload)
+
+
+def _of_our_version(payload: bytes) -> Description:
+    # the version first: a description of another version may have other fields
+    data = msgpack.unpackb(payload)
+    theirs = data.get("protocol") if isinstance(data, dict) else None
+    if theirs != PROTOCOL_VERSION:
+        raise RefusedError(
+            ReasonCode.PROTOCOL_VERSION,
+            f"the server speaks protocol {theirs}, this client {PROTOCOL_VERSION}",
+            "install the deltaq version that the server runs",
+        )
+    return from_map(Description, data)

@@ -1,0 +1,47 @@
+"""What is used in an `async with` block, or opened and closed by hand where a block is in the way."""
+
+from __future__ import annotations
+
+from contextlib import AbstractAsyncContextManager
+from types import TracebackType
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+_open: set[Opening[Any]] = set()
+"""What was opened and not closed, so that it stays open though its user keeps only what it gave."""
+
+
+class Opening(AbstractAsyncContextManager[T]):
+    """A manager that has `open` and `close` too, for notebooks; it opens once.
+
+    Args:
+        manager: what opens and closes.
+    """
+
+    def __init__(self, manager: AbstractAsyncContextManager[T]) -> None:
+        self._manager = manager
+
+    async def open(self) -> T:
+        """Open, as entering the block does."""
+        value = await self._manager.__aenter__()
+        _open.add(self)
+        return value
+
+    async def close(self) -> None:
+        """Close, as leaving the block does; nothing happens if it is not open."""
+        await self.__aexit__(None, None, None)
+
+    async def __aenter__(self) -> T:
+        return await self.open()
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        if self not in _open:
+            return None
+        _open.discard(self)
+        return await self._manager.__aexit__(kind, error, trace)

@@ -1,0 +1,93 @@
+"""The table of counters: everything that a service counts, and what it means.
+
+The reference is written from it; a test fails where something is counted that has no row. What stands in braces is
+filled in: a name with a variable part is one row. Counts run from the start of the process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+HLI = "hli"
+SIM = "sim"
+ROBOT_SERVER = "robot_server"
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """One row.
+
+    Attributes:
+        service: who counts.
+        name: as in the status, with its variable part in braces.
+        meaning: what was counted.
+    """
+
+    service: str
+    name: str
+    meaning: str
+
+
+COUNTERS: tuple[Counted, ...] = (
+    Counted(HLI, "states", "cycles of robots that were heard"),
+    Counted(HLI, "states_ignored", "states of a robot, or with joints, that the cell does not have"),
+    Counted(HLI, "increments", "increments that came, good or bad"),
+    Counted(HLI, "requests", "increments handed on to the gate: at most one a robot and cycle"),
+    Counted(HLI, "refused", "increments that never reached the gate"),
+    Counted(HLI, "refused_{code}", "those refused for this reason"),
+    Counted(HLI, "signs_of_life", "cycles in which there was no increment to hand on"),
+    Counted(HLI, "verdicts_{outcome}", "verdicts of the gate with this outcome"),
+    Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
+    Counted(
+        HLI, "malformed", "messages of clients that are none; each got an error where its sender is known"
+    ),
+    Counted(HLI, "malformed_guarded", "messages from the guarded realm that are none"),
+    Counted(HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong"),
+    Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
+    Counted(HLI, "leases_granted", "leases that were granted, taken ones included"),
+    Counted(HLI, "leases_taken", "leases that were taken from their holder"),
+    Counted(HLI, "leases_expired", "leases that ran out because the holder was silent"),
+    Counted(HLI, "leases_outdated", "leases ended because the gate knows of later ones"),
+    Counted(HLI, "lease_refused_{code}", "lease requests refused for this reason"),
+    Counted(HLI, "controllers_lost", "holders that vanished without giving back a robot that they had moved"),
+    Counted(HLI, "stops", "stops that were asked for"),
+    Counted(HLI, "resets", "resets that were asked for"),
+    Counted(HLI, "dry_runs", "dry runs that were asked for"),
+    Counted(HLI, "contacts_switched", "contacts that were asked to be allowed or forbidden"),
+    Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
+    Counted(HLI, "connections_lost", "TCP connections that ended"),
+    Counted(HLI, "tcp_connections", "TCP connections that began"),
+    Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
+    Counted(HLI, "tcp_connections_refused", "TCP connections refused because too many were open"),
+    Counted(HLI, "tcp_given_up", "TCP connections ended for a missing hello, long lines or malformed ones"),
+    Counted(HLI, "tcp_not_reading", "TCP connections ended because their client asked and did not read"),
+    Counted(
+        HLI, "tcp_states_skipped", "states replaced by newer ones before a slow TCP client had read them"
+    ),
+    Counted(HLI, "{topic}_dropped", "messages of this topic that came faster than they could be served"),
+    Counted(
+        HLI, "failed", "messages that could not be served for a fault of the HLI's own; its log has each"
+    ),
+    Counted(SIM, "{outcome}", "increments with this outcome"),
+    Counted(SIM, "reason_{code}", "verdicts whose first reason is this one"),
+    Counted(SIM, "command_{kind}", "commands of this kind that were obeyed in their turn"),
+    Counted(SIM, "command_{code}", "commands not obeyed for this reason"),
+    Counted(SIM, "missed_admissions_{robot}", "admissions that the Robot Server of this robot did not take"),
+    Counted(SIM, "unknown_state", "states of a robot, or with joints, that the cell does not have"),
+    Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
+    Counted(SIM, "forged_messages", "messages whose seal is wrong"),
+    Counted(SIM, "invalid_messages", "messages that are none"),
+    Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
+    Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by why, e.g. `admission_late`"),
+    Counted(ROBOT_SERVER, "admission_while_not_ready", "admissions that came while the robot might not move"),
+    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, for want of an admission"),
+    Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
+    Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
+    Counted(ROBOT_SERVER, "reply_missed", "cycles whose reply the KRC did not take"),
+    Counted(ROBOT_SERVER, "session_restarted", "RSI sessions that began anew"),
+    Counted(ROBOT_SERVER, "telegrams_garbled", "datagrams that are no telegram of this robot"),
+    Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams passed over because a newer one had come"),
+    Counted(ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong"),
+    Counted(ROBOT_SERVER, "invalid_{message}", "messages of this type that are none"),
+)
+"""The table."""

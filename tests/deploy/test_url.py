@@ -1,0 +1,79 @@
+"""Verbs that look at a running cell or command it, told its address and nothing else."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from served import Server
+from small_cell import endpoint
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+
+VERBS = {
+    "status": ("status",),
+    "top": ("top", "--count", "1"),
+    "hz": ("hz", "--duration-s", "0.5"),
+    "echo": ("echo", "state", "--robot", "fr", "--count", "2"),
+    "lease": ("lease", "--robot", "fr"),
+    "stop": ("stop",),
+    "reset": ("reset", "--robot", "fr"),
+}
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """A cell whose file no user has."""
+    with Server() as running:
+        yield running
+
+
+def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
+def test_where_nobody_listens_one_line_says_what_to_start(verb: tuple[str, ...]) -> None:
+    nowhere = endpoint()
+    done = deltaq(*verb, "--url", nowhere)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1)
+    assert done.stderr.startswith(f"deltaq: nobody answers at {nowhere}; is the cell up (`deltaq up`)")
+    assert ".rs:" not in done.stderr
+
+
+@pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
+def test_what_is_no_address_is_wrong_usage(verb: tuple[str, ...]) -> None:
+    done = deltaq(*verb, "--url", "127.0.0.1")
+    assert done.returncode == 2
+    assert "'127.0.0.1' is no endpoint; write tcp/HOST:PORT" in done.stderr
+
+
+def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: Server) -> None:
+    for verb in ("echo", "lease", "reset"):
+        arguments = ("state",) if verb == "echo" else ()
+        done = deltaq(verb, *arguments, "--robot", "rf", "--url", server.description.hli)
+        assert done.returncode == 2, verb
+        assert "no robot 'rf' in cell small; it has fr, gr" in done.stderr
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
+def test_the_address_is_enough(server: Server, verb: tuple[str, ...]) -> None:
+    json_too = () if verb[0] == "echo" else ("--json",)
+    done = deltaq(*verb, *json_too, "--url", server.description.hli)
+    assert done.returncode == 0, done.stderr
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(told) == (2 if verb[0] == "echo" else 1)
+    if verb[0] in ("status", "hz"):
+        assert told[0]["cell"] == "small"
+    if verb[0] == "hz":
+        assert told[0]["topics"]["deltaq/small/fr/state"]["count"] > 10
+
+
+@pytest.mark.live
+def test_a_status_for_people_has_the_units_of_a_cell_whose_file_is_not_here(server: Server) -> None:
+    assert "5.7°" in deltaq("status", "--url", server.description.hli).stdout  # 0.1 rad

@@ -1,0 +1,163 @@
+"""Controllers that compute for 150 ms now and then, each as it is printed: no line that was sent to them is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from served import Server
+
+from deltaq_experiments.faults import mover
+
+ROOT = Path(__file__).parents[2]
+TUTORIAL = ROOT / "docs" / "tutorial" / "first-motion.md"
+PRINTED = [
+    *ROOT.glob("*.md"),
+    *(ROOT / "docs").rglob("*.md"),
+    *(
+        file
+        for folder in ("protocol", "cell", "services", "emulator", "controllers", "deploy", "experiments")
+        for file in (ROOT / folder).rglob("*.py")
+    ),
+    *(ROOT / "examples").rglob("*.py"),
+    *(ROOT / "tests").rglob("*.py"),
+]
+
+# A controller decodes each line as it takes it up: that is where this one computes, and where it is watched.
+SLOWED = """
+import json, runpy, sys, time
+
+decode, taken = json.loads, []
+
+def slowly(line):
+    taken.append(decode(line))
+    if len(taken) % 40 == 0:
+        time.sleep(0.15)
+    return taken[-1]
+
+json.loads = slowly
+sys.argv = sys.argv[1:]
+try:
+    runpy.run_path(sys.argv[0], run_name="__main__")
+finally:
+    print("taken", json.dumps(taken))
+"""
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server() as running:
+        yield running
+
+
+def assert_nothing_is_missing(taken: list[dict[str, Any]], increments: int = 20) -> None:
+    """States come without a gap, and so do the verdicts of so many increments at least."""
+    cycles = [message["cycle"] for message in taken if message["type"] == "state"]
+    assert len(cycles) > 30
+    assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
+    seqs = {message["seq"] for message in taken if message["type"] == "verdict"}
+    assert set(range(1, increments + 1)) <= seqs
+
+
+def script_of(document: Path, server: Server) -> str:
+    """The Python that a document prints, told of this server's port."""
+    block = re.search(
+        r"<!-- run: python -->\n```python\n(.*?)^```", document.read_text(), re.MULTILINE | re.DOTALL
+    )
+    assert block
+    return block[1].replace("5210", str(server.description.tcp_port))
+
+
+def run_slowly(script: Path, *arguments: str) -> list[dict[str, Any]]:
+    command = [sys.executable, "-c", SLOWED, str(script), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    taken: list[dict[str, Any]] = json.loads(done.stdout.rpartition("taken ")[2])
+    return taken
+
+
+@pytest.mark.live
+def test_the_socket_example_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
+    server: Server,
+) -> None:
+    port = str(server.description.tcp_port)
+    assert_nothing_is_missing(run_slowly(ROOT / "examples" / "over_a_socket.py", "127.0.0.1", port))
+
+
+@pytest.mark.live
+def test_the_tutorial_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
+    server: Server, tmp_path: Path
+) -> None:
+    script = tmp_path / "first_motion.py"
+    script.write_text(script_of(TUTORIAL, server))
+    assert_nothing_is_missing(run_slowly(script))
+
+
+@pytest.mark.live
+def test_the_controller_of_the_faults_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taken: list[dict[str, Any]] = []
+    answered: set[int] = set()
+    enough, decode = threading.Event(), json.loads
+
+    def slowly(line: str) -> Any:
+        message = decode(line)
+        taken.append(message)
+        if len(taken) % 40 == 0:
+            enough.wait(0.15)  # the server in this interpreter goes on meanwhile
+        if message["type"] == "verdict":
+            answered.add(message["seq"])
+        if answered >= set(range(1, 101)):
+            enough.set()
+        return message
+
+    monkeypatch.setattr(mover, "json", SimpleNamespace(loads=slowly, dumps=json.dumps))
+    with Server() as server:
+        moving = threading.Thread(target=move_until_cut_off, args=(server.description.tcp_port,))
+        moving.start()
+        enough.wait(20)
+    moving.join()
+    assert_nothing_is_missing(taken, increments=100)
+
+
+def move_until_cut_off(port: int) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        mover._move(port, "fr", 0.0)
+
+
+READS_AND_WRITES = re.compile(r"""makefile\(\s*(?:mode\s*=\s*)?["'](?=[^"']*(?:w|\+))(?=[^"']*(?:r|\+))""")
+
+
+@pytest.mark.parametrize(
+    ("code", "forbidden"),
+    [
+        ('sock.makefile("rw", buffering=1)', True),
+        ("sock.makefile('wr')", True),
+        ('sock.makefile(\n    mode="rwb")', True),
+        ('sock.makefile("rb")', False),
+        ('sock.makefile(encoding="utf-8")', False),
+        ('sock.makefile("w")', False),
+    ],
+)
+def test_the_search_finds_a_file_that_is_written_and_read(code: str, forbidden: bool) -> None:
+    assert bool(READS_AND_WRITES.search(code)) is forbidden
+
+
+def test_no_program_or_document_reads_and_writes_a_socket_through_one_file() -> None:
+    """Python drops what is decoded and not yet read at every write to such a file."""
+    found = [
+        str(file.relative_to(ROOT))
+        for file in PRINTED
+        if file != Path(__file__) and READS_AND_WRITES.search(file.read_text(encoding="utf-8"))
+    ]
+    assert found == []
