@@ -55,6 +55,7 @@ class KrcSide:
         self.stop = False
         self.resets = 0
         self.order = None
+        self.missed = False
 
     @property
     def q(self):
@@ -70,17 +71,22 @@ class KrcSide:
             self.ipoc, changes.pop("q", self.q), changes.pop("programmed", self.q_programmed), **changes
         )
 
-    def hand(self, datagram, admission=None):
-        """Hand the server a datagram, the gate being heard; returns its answer as the KRC reads it, or None."""
+    def answer(self, datagram, admission=None):
+        """The server's answer to a datagram in bytes, the gate being heard; None if there is none."""
         supervision = Supervision(robot="fr", epoch=EPOCH, cycle=0, stop=self.order, resets=self.resets)
         measured = self.driver.read(datagram, self.time_s)
         if measured is None:
-            answer = self.driver.unmoved
-        else:
-            q_cmd = self.server.cycle(measured, self.time_s, admission, supervision)
-            answer = self.driver.reply(q_cmd, self.server.outputs, self.server.motion_stop)
-            if self.driver.fault is not None:
-                self.server.reply_refused(self.driver.q_sent)
+            return self.driver.unmoved
+        self.missed = measured.missed_last
+        q_cmd = self.server.cycle(measured, self.time_s, admission, supervision)
+        answer = self.driver.reply(q_cmd, self.server.outputs, self.server.motion_stop)
+        if self.driver.fault is not None:
+            self.server.reply_refused(self.driver.q_sent)
+        return answer
+
+    def hand(self, datagram, admission=None):
+        """Hand the server a datagram; returns its answer as the KRC reads it, or None."""
+        answer = self.answer(datagram, admission)
         if answer is None:
             return None
         told = KRC.decode(answer)

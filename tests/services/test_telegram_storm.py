@@ -1,0 +1,22 @@
+"""Telegrams by the million: whatever comes, a correction changes only where an admission or its brake explains it."""
+
+import pytest
+from telegram_storm import Storm
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_telegram_moves_the_robot(seed):
+    storm = Storm(seed)
+    storm.run(50_000)
+    assert storm.answers > 10_000
+    assert storm.admitted > 5_000
+    assert storm.sessions > 0
+    for counter in ("telegrams_implausible", "session_restarted", "braked_cycles"):
+        assert storm.krc.counters[counter] > 0, counter
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("seed", range(100, 120))
+def test_no_telegram_of_ten_million_moves_the_robot(seed):
+    Storm(seed).run(500_000)
