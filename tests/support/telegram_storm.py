@@ -1,7 +1,7 @@
 """A KRC among forgers, on a bad wire: telegrams by the million, and a ledger of what explains each correction.
 
-Everything comes from the KRC's own address, as a forger on its line can make it seem. The ledger knows what was admitted
-and where the true KRC stands, and believes nothing that driver, core or guard say of themselves.
+Everything comes from the KRC's own address, as a forger on its line can make it seem. The ledger knows what was
+admitted and where the true KRC stands, and believes nothing that driver, core or guard say of themselves.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class Kind(StrEnum):
     FOREIGN = "foreign"
     """It belongs to another session, or to none."""
     CONFIRMED = "confirmed"
-    """It is the last of so many that agree, and stand still, that another session is believed."""
+    """It is the last of so many that agree and stand still, while the session is silent, that another is believed."""
 
 
 class Answer(StrEnum):
@@ -75,6 +75,7 @@ class Answer(StrEnum):
     UNMOVED = "unmoved"
     """The correction that the KRC has by all that the telegram says; none where that might move the robot."""
     NOTHING = "nothing"
+    """It is not answered."""
 
 
 class Judgement(NamedTuple):
@@ -150,6 +151,7 @@ class Session:
         self._plausible = plausible
         self._near = near
         self._cycle_s = cycle_s
+        self._silence_s = silence_s
         self._silence_cycles = max(1, round(silence_s / cycle_s))
         self._least_s = PACE * (CONFIRMATIONS - 1) * cycle_s
         self._time_s = 0.0
@@ -241,6 +243,10 @@ class Session:
 
     def _confirmed(self, time_s: float) -> bool:
         run = self._run
+        if self.last is not None and time_s - self._time_s < self._silence_s:
+            return (
+                False  # a KRC that was heard a moment ago has not begun anew: some of its telegrams were lost
+            )
         return run is not None and run.count >= CONFIRMATIONS and time_s - run.first_s >= self._least_s
 
 
