@@ -45,7 +45,6 @@ class ReasonCode(StrEnum):
     SERVER_LOST = "server_lost"
     SERVER_ENDED = "server_ended"
     REPLY_REFUSED = "reply_refused"
-    RSI_MODE = "rsi_mode"
     TRACKING_ERROR = "tracking_error"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
@@ -84,7 +83,6 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.SERVER_LOST: "the Robot Server was started anew",
     ReasonCode.SERVER_ENDED: "the Robot Server was told to end",
     ReasonCode.REPLY_REFUSED: "the Robot Server did not send a correction that its last check refused",
-    ReasonCode.RSI_MODE: "the KRC adds corrections up: its program has to call RSI_ON(#ABSOLUTE)",
     ReasonCode.TRACKING_ERROR: "the robot left the path that was commanded",
     ReasonCode.CAUSE_STANDS: "the cause of the hold still stands",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",
