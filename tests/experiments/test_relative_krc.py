@@ -1,4 +1,4 @@
-"""A KRC whose program says RSI_ON(#RELATIVE): there a constant correction is a constant speed, until somebody stops it."""
+"""A KRC with RSI_ON(#RELATIVE): there a constant correction is a constant speed, until somebody stops it."""
 
 import numpy as np
 
