@@ -102,8 +102,9 @@ class RsiDriver:
             return self._confirmed(telegram, time_s)
         if answer is Answer.UNMOVED:
             kept = self._kept(telegram)
-            if kept is not None and _equal(kept, self._zero if self._sent is None else self._sent):
-                self.unmoved = self._codec.encode(telegram.ipoc, kept, self._outputs)
+            sent = self._zero if self._sent is None else self._sent
+            if kept is not None and _equal(kept, sent):
+                self.unmoved = self._codec.encode(telegram.ipoc, sent, self._outputs)
         return None
 
     def reply(self, q_cmd: Array, outputs: Mapping[str, bool], stop: bool = False) -> bytes:
@@ -134,8 +135,9 @@ class RsiDriver:
         """A KR C2 begins with a telegram that has nothing but its IPOC."""
         self._opened = True
         self.session.interrupted()
-        if self._sent is None or _equal(self._sent, self._zero):
-            self.unmoved = self._codec.encode(telegram.ipoc, self._zero, self._outputs)
+        sent = self._zero if self._sent is None else self._sent
+        if _equal(sent, self._zero):
+            self.unmoved = self._codec.encode(telegram.ipoc, sent, self._outputs)
 
     @staticmethod
     def _measured(telegram: KrcTelegram, last: KrcTelegram) -> Measurement:
