@@ -8,6 +8,7 @@ its siblings.
 from __future__ import annotations
 
 from functools import cached_property
+from ipaddress import ip_address
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -189,6 +190,13 @@ class Hand(Tool):
     link: str
 
 
+def _is_loopback(address: str) -> bool:
+    try:
+        return ip_address(address).is_loopback
+    except ValueError:  # a name
+        return address == "localhost"
+
+
 class RsiDriver(Description):
     """A KUKA controller reached over RSI: the Robot Server listens on `address:port`, the KRC sends to it."""
 
@@ -208,8 +216,31 @@ class RsiDriver(Description):
     """Per digital output of the robot the TAG of the BOOL of RECEIVE that carries it, such as Do.O1."""
     stop: str | None = None
     """TAG of the BOOL of RECEIVE that ends the motion on the KRC's side, such as Stop; none if it has none."""
+    max_correction_deg: Positive | None = None
+    """No rotating axis is sent a correction beyond this; none: as far as the joint limits, and a margin, allow."""
+    max_correction_mm: Positive | None = None
+    """The same for a linear axis."""
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """The emulator's operator panel listens here; a real KRC has none."""
+
+    @model_validator(mode="after")
+    def _listens_to_one_krc(self) -> Self:
+        if self.krc_address is None and not _is_loopback(self.address):
+            raise ValueError(
+                f"krc_address is not given though address is {self.address}: whoever reaches that address could "
+                "pass for the KRC; give the KRC's own address, such as krc_address: 192.168.10.20"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _keeps_stop_from_users(self) -> Self:
+        for name, tag in self.outputs.items():
+            if tag == self.stop:
+                raise ValueError(
+                    f"outputs.{name} is {tag}, which is driver.stop: users set outputs, and the Robot Server "
+                    "alone ends the motion; give the output another BOOL of RECEIVE"
+                )
+        return self
 
 
 class KinematicDriver(Description):

@@ -32,6 +32,7 @@ from deltaq_protocol.reasons import EXPLANATIONS
 from deltaq_protocol.topics import TOPICS
 from deltaq_services.counters import COUNTERS
 from deltaq_services.phases import MAY_MOVE, TRANSITIONS, Event
+from deltaq_services.robot_server import session
 
 FOLDER = Path(__file__).parents[2] / "docs" / "reference"
 WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
@@ -47,6 +48,7 @@ def pages() -> dict[str, str]:
         "counters.md": _counters(),
         "phases.md": _phases(),
         "krc.md": _krc(),
+        "rsi-sessions.md": _sessions(),
         "criteria.md": _criteria(),
         "cell.md": _cell(),
         "services.md": _services(),
@@ -184,6 +186,34 @@ def _krc() -> str:
             "## Messages on the pendant",
             "Codes that begin with KSS are the maker's numbers; the wording is not.",
             _table(("code", "text"), messages),
+        ]
+    )
+
+
+def _sessions() -> str:
+    rows = (
+        (f"`{row.belief}`", f"`{row.kind}`", f"`{row.answer}`", f"`{row.next_belief}`")
+        for row in session.AUTOMATON
+    )
+    tables = [
+        _table(
+            (name, "meaning"),
+            ((f"`{one}`", text) for one, text in zip(members, _texts_of_members(members), strict=True)),
+        )
+        for name, members in (
+            ("belief", session.Belief),
+            ("telegram", session.Kind),
+            ("answer", session.Answer),
+        )
+    ]
+    return "\n\n".join(
+        [
+            "# Sessions of a KRC",
+            f"A session is believed after {session.CONFIRMATIONS} telegrams in a row that agree and stand still, and "
+            f"come no faster than {1 / session.PACE:g} times their own pace."
+            " [What else is believed of a telegram, and why](../explanation/the-last-metre.md).",
+            _table(("belief", "telegram", "answer", "next belief"), rows),
+            *tables,
         ]
     )
 

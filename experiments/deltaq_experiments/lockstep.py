@@ -106,15 +106,17 @@ class Arm:
             if telegram is None:
                 self.server.krc_silent(time_s)
                 return self.server.state
-            measured = self.rsi.read(telegram)
+            measured = self.rsi.read(telegram, time_s)
             self.q = self.krc.sample.q
         if measured is None:
-            if self.krc is not None and self.rsi is not None and self.rsi.opening_reply is not None:
-                self.krc.receive(self.rsi.opening_reply)
+            if self.krc is not None and self.rsi is not None and self.rsi.unmoved is not None:
+                self.krc.receive(self.rsi.unmoved)
             return None
         q_cmd = self.server.cycle(measured, time_s, admission, supervision)
         if self.krc is not None and self.rsi is not None:
-            self.krc.receive(self.rsi.reply(q_cmd, self.server.outputs))
+            self.krc.receive(self.rsi.reply(q_cmd, self.server.outputs, self.server.motion_stop))
+            if self.rsi.fault is not None:
+                self.server.reply_refused(self.rsi.q_sent)
         else:
             self.q = q_cmd
         return self.server.state
@@ -256,5 +258,6 @@ def _arm(cell: CellModel, name: str, robot: RobotModel, cell_file: Path, q_start
         lambda q: T_base_world @ robot.forward(q),
         KrcSettings.load(),
     )
-    codec = SensorCodec(config, axes, description.driver.inputs, description.driver.outputs)
-    return Arm(krc, RsiDriver(codec, cycle_s), server, q_start)
+    driver = description.driver
+    codec = SensorCodec(config, axes, driver.inputs, driver.outputs, driver.stop)
+    return Arm(krc, RsiDriver(codec, cell.description, name, server.counters), server, q_start)

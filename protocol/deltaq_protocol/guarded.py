@@ -28,8 +28,10 @@ class ServerState(Message):
     """State of one robot as its Robot Server publishes it, after it replied to the KRC.
 
     `process` is a number that no other process of this Robot Server has: each begins with cycle 1, and knows nothing of
-    the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment. `sequence` is the
-    admission it follows in gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n everywhere.
+    the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment; `q_reset`, of a held
+    robot, is the setpoint that the KRC has instead in a session that began since, and that a reset takes. `sequence`
+    is the admission it follows in gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n
+    everywhere.
     """
 
     robot: Name
@@ -46,6 +48,7 @@ class ServerState(Message):
     phase: Phase
     reason: ReasonCode | None = None
     resets: Count = 0
+    q_reset: Joints | None = None
     inputs: dict[str, bool] = {}
     outputs: dict[str, bool] = {}
     counters: dict[str, int] = {}
@@ -53,8 +56,9 @@ class ServerState(Message):
     @model_validator(mode="after")
     def _has_n_joints_everywhere(self) -> Self:
         n = len(self.q)
-        for name, joints in (("q_cmd", self.q_cmd), ("dq", self.dq), ("plan.dq", self.plan.dq)):
-            if len(joints) != n:
+        told = (("q_cmd", self.q_cmd), ("dq", self.dq), ("plan.dq", self.plan.dq), ("q_reset", self.q_reset))
+        for name, joints in told:
+            if joints is not None and len(joints) != n:
                 raise ValueError(f"{name} has {len(joints)} joints, q has {n}")
         return self
 

@@ -43,6 +43,8 @@ class ReasonCode(StrEnum):
     GATE_LOST = "gate_lost"
     KRC_LOST = "krc_lost"
     SERVER_LOST = "server_lost"
+    SERVER_ENDED = "server_ended"
+    REPLY_REFUSED = "reply_refused"
     TRACKING_ERROR = "tracking_error"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
@@ -79,6 +81,8 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.GATE_LOST: "the System Integrity Module fell silent",
     ReasonCode.KRC_LOST: "the robot controller (KRC) fell silent",
     ReasonCode.SERVER_LOST: "the Robot Server was started anew",
+    ReasonCode.SERVER_ENDED: "the Robot Server was told to end",
+    ReasonCode.REPLY_REFUSED: "the Robot Server did not send a correction that its last check refused",
     ReasonCode.TRACKING_ERROR: "the robot left the path that was commanded",
     ReasonCode.CAUSE_STANDS: "the cause of the hold still stands",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",

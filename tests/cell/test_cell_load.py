@@ -1,5 +1,6 @@
 """Loading a cell: every way a file can be wrong is told with its place, all at once."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -348,3 +349,27 @@ def test_a_signal_without_a_tag_in_the_file_of_its_controller_is_refused(tmp_pat
         CellError, match=r"outputs names gripper, tool_changer, lamp, and driver\.outputs gives a TAG"
     ):
         load_cell(file)
+
+
+RSI_DRIVER = "driver: {{kind: rsi, port: 49152, ethernet_xml: fr_ethernet.xml, {fields}}}"
+
+
+def load_with_driver(folder: Path, fields: str) -> None:
+    load_cell(write(folder, MINI.replace("driver: {kind: kinematic}", RSI_DRIVER.format(fields=fields))))
+
+
+@pytest.mark.parametrize("address", ["192.168.10.10", "0.0.0.0", "127.example.org"])
+def test_a_server_that_others_can_reach_is_told_its_krc(tmp_path, address):
+    with pytest.raises(CellError, match=rf"krc_address is not given though address is {re.escape(address)}"):
+        load_with_driver(tmp_path, f"address: {address}")
+    load_with_driver(tmp_path, f"address: {address}, krc_address: 192.168.10.20")
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "127.9.9.9", "localhost"])
+def test_on_the_loopback_the_krc_need_not_be_named(tmp_path, address):
+    load_with_driver(tmp_path, f"address: {address}")
+
+
+def test_users_cannot_be_given_the_stop_signal_as_an_output(tmp_path):
+    with pytest.raises(CellError, match=r"outputs\.gripper is Stop, which is driver\.stop"):
+        load_with_driver(tmp_path, "stop: Stop, outputs: {gripper: Stop}")

@@ -15,7 +15,6 @@ from deltaq_protocol.rsi import (
     EthernetConfigError,
     KrcCodec,
     KrcReport,
-    RelativeRounder,
     SensorCodec,
     TelegramError,
 )
@@ -296,27 +295,6 @@ def test_both_ends_understand_each_other_within_half_a_decimal(
     assert np.abs((heard.correction - q) * axes.commanded).max() <= 0.5e-6 + 1e-9
 
 
-@given(st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=200))
-def test_the_rounding_of_relative_corrections_never_accumulates(increments: list[float]) -> None:
-    rounder = RelativeRounder(ARM_AXES)
-    sensor, krc = SensorCodec(CANONICAL, ARM_AXES), KrcCodec(CANONICAL, ARM_AXES)
-    sent = []
-    for increment in increments:
-        dq = rounder.round(np.full(6, increment))
-        sent.append(krc.decode(sensor.encode(1, dq)).correction[0])
-    difference = math.degrees(math.fsum(sent) - math.fsum(increments))
-    assert abs(difference) <= 0.5e-6 + 1e-12
-    assert -math.degrees(rounder.remainder[0]) == pytest.approx(difference, abs=1e-12)
-
-
-def test_a_new_session_begins_without_a_remainder() -> None:
-    rounder = RelativeRounder(ARM_AXES)
-    rounder.round(np.full(6, 1e-9))
-    assert rounder.remainder.any()
-    rounder.reset()
-    assert not rounder.remainder.any()
-
-
 @given(st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3))
 def test_a_pose_survives_kukas_angles(angles: list[float]) -> None:
     T = matrix_from_pose(0.1, 0.2, 0.3, *angles)
@@ -328,3 +306,29 @@ def test_a_pose_with_b_at_ninety_degrees_is_written_with_c_zero() -> None:
     pose = pose_from_matrix(T)
     assert pose[3:] == pytest.approx((0.3, math.pi / 2, 0.0))
     assert matrix_from_pose(*pose) == pytest.approx(T, abs=1e-12)
+
+
+WITH_STOP = ARM_CORRECTION + element("Do.O1", "BOOL", 7) + element("Stop", "BOOL", 8)
+
+
+def test_stop_has_a_signal_of_its_own_and_is_off_unless_asked_for() -> None:
+    config = make_config(CANONICAL_SEND, WITH_STOP)
+    sensor = SensorCodec(config, ARM_AXES, outputs={"gripper": "Do.O1"}, stop="Stop")
+    krc = KrcCodec(config, ARM_AXES, outputs={"gripper": "Do.O1", "stop": "Stop"})
+    still = np.zeros(6)
+    assert krc.decode(sensor.encode(1, still, {"gripper": True})).outputs == {"gripper": True, "stop": False}
+    assert krc.decode(sensor.encode(1, still, stop=True)).outputs == {"gripper": False, "stop": True}
+
+
+def test_an_output_of_a_user_cannot_share_the_stop_signal_nor_set_it() -> None:
+    config = make_config(CANONICAL_SEND, WITH_STOP)
+    with pytest.raises(
+        EthernetConfigError, match=r"Stop of RECEIVE is named for gripper and for driver\.stop"
+    ):
+        SensorCodec(config, ARM_AXES, outputs={"gripper": "Stop"}, stop="Stop")
+    with pytest.raises(
+        EthernetConfigError, match=r"no BOOL signal Halt, which the cell names for driver\.stop"
+    ):
+        SensorCodec(config, ARM_AXES, stop="Halt")
+    with pytest.raises(TelegramError, match=r"driver\.stop"):
+        SensorCodec(config, ARM_AXES, stop="Stop").encode(1, np.zeros(6), {"driver.stop": True})

@@ -349,9 +349,104 @@ def test_every_further_session_is_counted(rig):
     assert rig.counters["session_restarted"] == 2
 
 
-def test_a_new_session_starts_from_the_measured_place_at_rest(rig):
+def test_a_new_session_changes_no_setpoint_before_a_reset(rig):
     rig.run_up(3)
-    state = rig.cycle(q_start=FR.home)
-    assert state.q_cmd == tuple(FR.home.tolist())
+    before = rig.server.state
+    elsewhere = FR.home + 0.1
+    state = rig.cycle(q_start=elsewhere)
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
+    assert (state.q_cmd, state.q_reset) == (before.q_cmd, tuple(elsewhere.tolist()))
     assert not any(state.dq)
-    assert state.reason is ReasonCode.KRC_LOST
+    np.testing.assert_array_equal(rig.q, elsewhere)  # what the KRC has is what it is sent
+    rig.resets += 1
+    state = rig.cycle()
+    assert (state.phase, state.q_cmd, state.q_reset) == (Phase.READY, tuple(elsewhere.tolist()), None)
+    assert rig.cycle(rig.admission(STEP)).phase is Phase.ENGAGED
+    np.testing.assert_array_equal(rig.q, elsewhere + STEP)
+
+
+def test_before_it_is_linked_the_newest_session_is_where_it_begins():
+    server = RobotServer(CELL, "fr", process=1)
+    for q in (FR.home, FR.home + 0.1):
+        np.testing.assert_array_equal(server.cycle(Measurement(12, q, q_start=q), 0.0), q)
+    assert (server.state.phase, server.state.q_cmd, server.state.q_reset) == (
+        Phase.OFFLINE,
+        tuple((FR.home + 0.1).tolist()),
+        None,
+    )
+
+
+def test_a_reset_waits_until_the_robot_is_where_it_was_sent(rig):
+    rig.cycle(q_start=FR.home + 0.1)
+    rig.resets += 1
+    rig.q = FR.home + 0.1 + 1.01 * FR.tracking_tolerance
+    assert rig.cycle().phase is Phase.HELD
+    rig.q = FR.home + 0.1 + 0.99 * FR.tracking_tolerance
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_reply_that_was_not_sent_holds_the_robot_where_the_krc_was_sent(rig):
+    rig.run_up(3)
+    before = np.array(rig.server.state.q_cmd)
+    rig.cycle(rig.admission(4 * STEP))
+    rig.server.reply_refused(before)
+    state = rig.server.state
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.REPLY_REFUSED)
+    assert (state.q_reset, state.dq) == (tuple(before.tolist()), (0.0,) * 6)
+    assert state.plan.step == state.plan.brake_cycles
+    assert rig.counters["replies_refused"] == 1
+    for _ in range(3):
+        rig.cycle()
+        np.testing.assert_array_equal(rig.q, before)
+    rig.resets += 1
+    assert rig.cycle().q_cmd == tuple(before.tolist())
+
+
+LAG = math.ceil(CELL.gate.servo_lag_s / CELL.cycle_s)
+
+
+def test_a_robot_that_is_not_where_it_was_sent_is_held_once_it_has_had_the_time(rig):
+    rig.run_up(3)
+    while any(rig.server.state.dq):
+        rig.cycle()
+    off = rig.q + 1.01 * FR.tracking_tolerance
+    for _ in range(LAG):
+        rig.q = off
+        assert rig.cycle().phase is Phase.READY
+    rig.q = off
+    state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.TRACKING_ERROR)
+    assert not rig.server.motion_stop  # it stands
+
+
+def test_motion_that_goes_on_after_the_setpoint_rests_is_ended_by_the_krc(rig):
+    rig.run_up(3)
+    while any(rig.server.state.dq):
+        rig.cycle()
+    adrift = rig.q.copy()
+    raised = []
+    for _ in range(LAG + 10):
+        adrift += 0.4 * FR.tracking_tolerance
+        rig.q = adrift.copy()
+        rig.cycle()
+        raised.append(rig.server.motion_stop)
+    # the drives have had their time after LAG cycles; three further on they are more than the tolerance away from there
+    assert raised.index(True) == LAG + 3
+    assert all(raised[LAG + 3 :])
+    assert rig.counters["motion_stops"] == 1
+    assert rig.server.state.reason is ReasonCode.TRACKING_ERROR
+    rig.resets += 1
+    rig.q = np.array(rig.server.state.q_cmd)
+    assert rig.cycle().phase is Phase.READY
+    assert not rig.server.motion_stop
+
+
+def test_told_to_end_it_brakes_first_and_rests_when_the_drives_have_caught_up(rig):
+    rig.run_up(3)
+    rig.server.end()
+    rest = 0
+    while not rig.server.at_rest:
+        state = rig.cycle(rig.admission(4 * STEP))
+        assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.SERVER_ENDED)
+        rest += not any(state.dq)
+    assert rest == LAG + 1

@@ -1,47 +1,136 @@
-"""The Robot Server's socket: the newest of what waits is answered, and a flood does not hold it up for ever."""
+"""The Robot Server's socket: the KRC is answered whoever else speaks, and no error of the socket goes further."""
 
 import socket
 from collections import Counter
 from types import SimpleNamespace
 
-from deltaq_services.robot_server.shell import _MOST_WAITING, _newest
+import pytest
+from krc_side import CELL, FR, XML, telegram
+from private_cell import free_ports
+
+from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_services.robot_server.krc_socket import MOST_READ, MOST_WAITING, KrcSocket
+from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.shell import sensor_codec
 
 
-def bound():
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.bind(("127.0.0.1", 0))
-    sock.setblocking(False)
-    return sock
+class Bench:
+    """A Robot Server's socket on a port of its own, and a KRC that may be joined by others."""
+
+    def __init__(self):
+        self.counters = Counter()
+        self.rsi = RsiDriver(sensor_codec(CELL, "fr", XML), CELL, "fr", self.counters)
+        driver = FR.driver.model_copy(update={"port": free_ports(1)[0]})
+        self.server = KrcSocket(driver, 0.25, self.rsi, self.counters)
+        self.senders = [socket.socket(type=socket.SOCK_DGRAM) for _ in range(2)]
+        for sender in self.senders:
+            sender.connect((driver.address, driver.port))
+        self.krc, self.other = self.senders
+
+    def believe(self):
+        for count in range(4):
+            self.krc.send(telegram(1000 + 12 * count))
+            self.server.read(0.012 * count)
+        return self
 
 
-def test_of_telegrams_that_waited_the_newest_is_taken_and_the_others_are_counted():
-    server = SimpleNamespace(counters=Counter())
-    with bound() as sock, socket.socket(type=socket.SOCK_DGRAM) as krc:
-        for number in range(100):
-            krc.sendto(b"%d" % number, sock.getsockname())
-        datagram, sender = _newest(sock, server)
-        assert datagram == b"99"
-        assert sender[1] == krc.getsockname()[1]
-        assert server.counters["telegrams_skipped"] == 99
+@pytest.fixture
+def bench():
+    bench = Bench()
+    with bench.server:
+        yield bench
+    for sender in bench.senders:
+        sender.close()
 
 
-def test_a_flood_that_never_ends_is_left_after_a_bound():
-    server = SimpleNamespace(counters=Counter())
-    with bound() as sock:
-        endless = SimpleNamespace(recvfrom=lambda _: (b"flood", sock.getsockname()))
-        assert _newest(endless, server)[0] == b"flood"
-    assert server.counters["telegrams_skipped"] == _MOST_WAITING
+def test_of_telegrams_that_waited_the_newest_is_taken_and_the_others_are_counted(bench):
+    bench.believe()
+    for number in range(20):
+        bench.krc.send(telegram(1048 + 12 * number))
+    assert bench.server.read(0.3).ipoc == 1048 + 12 * 19
+    assert bench.counters["telegrams_skipped"] == 19
 
 
-def test_a_socket_holds_fewer_telegrams_than_are_drained():
-    with bound() as sock, socket.socket(type=socket.SOCK_DGRAM) as flood:
-        for _ in range(4 * _MOST_WAITING):
-            flood.sendto(b"x" * 300, sock.getsockname())
-        held = 0
-        while True:
-            try:
-                sock.recv(1000)
-            except BlockingIOError:
-                break
-            held += 1
-    assert 0 < held < _MOST_WAITING
+def test_a_flood_from_others_hides_no_telegram(bench):
+    bench.believe()
+    bench.krc.send(telegram(1048))
+    for _ in range(100):
+        bench.other.send(telegram(9_000_000))
+    assert bench.server.read(0.048).ipoc == 1048
+    assert bench.counters["telegrams_second_krc"] == 100
+    assert f"a second KRC at 127.0.0.1:{bench.other.getsockname()[1]}" in bench.server.detail
+
+
+def test_rubbish_from_the_krcs_own_port_hides_no_telegram_before_it(bench):
+    bench.believe()
+    bench.krc.send(telegram(1048))
+    for rubbish in (b"", b"<Rob", b"x" * 60_000, b"\x00" * 4097):
+        bench.krc.send(rubbish)
+    assert bench.server.read(0.048).ipoc == 1048
+    assert bench.counters["telegrams_garbled"] == 4
+
+
+def test_a_flood_that_never_ends_is_left_after_a_bound(bench):
+    reads = []
+    sender = bench.krc.getsockname()
+    real = bench.server._sock
+    bench.server._sock = SimpleNamespace(recvfrom=lambda _: reads.append(1) or (b"flood", sender))
+    assert bench.server.read(0.0) is None
+    bench.server._sock = real
+    assert len(reads) == MOST_WAITING
+    assert bench.counters["telegrams_garbled"] == MOST_READ
+    assert bench.counters["telegrams_skipped"] == MOST_WAITING - MOST_READ
+
+
+def test_an_error_of_the_socket_is_counted_and_the_next_telegram_read(bench):
+    real = bench.server._sock
+    told = iter([ConnectionRefusedError(), OSError(101, "unreachable"), (telegram(1000), ("127.0.0.1", 9))])
+
+    def recvfrom(_):
+        item = next(told, BlockingIOError())
+        if isinstance(item, OSError):
+            raise item
+        return item
+
+    bench.server._sock = SimpleNamespace(recvfrom=recvfrom)
+    bench.server.read(0.0)
+    bench.server._sock = real
+    assert bench.counters["socket_errors"] == 2
+    assert bench.server.peer.address == ("127.0.0.1", 9)
+
+
+def test_a_reply_that_cannot_be_sent_is_counted(bench):
+    bench.believe()
+    bench.server.send(b"x" * 70_000)  # longer than a datagram can be
+    assert bench.counters["replies_unsent"] == 1
+
+
+def test_it_says_by_how_much_the_ipoc_grows(bench):
+    assert bench.server.detail == ""
+    assert bench.believe().server.detail == "IPOC grows by 12 a cycle"
+
+
+def test_an_address_that_nobody_knows_is_told():
+    driver = FR.driver.model_copy(update={"krc_address": "no.such.krc.invalid"})
+    with pytest.raises(ServiceUnreachableError, match=r"krc_address 'no\.such\.krc\.invalid' is not known"):
+        KrcSocket(driver, 0.25, SimpleNamespace(), Counter())
+
+
+def test_a_port_that_is_taken_is_told(bench):
+    port = bench.krc.getpeername()[1]
+    driver = FR.driver.model_copy(update={"port": port})
+    with pytest.raises(ServiceUnreachableError, match=f"cannot listen for RSI on UDP 127.0.0.1:{port}"):
+        KrcSocket(driver, 0.25, bench.rsi, Counter())
+
+
+def test_a_socket_holds_fewer_telegrams_than_are_drained(bench):
+    for _ in range(4 * MOST_WAITING):
+        bench.krc.send(b"x" * 300)
+    held = 0
+    while True:
+        try:
+            bench.server._sock.recv(1000)
+        except BlockingIOError:
+            break
+        held += 1
+    assert 0 < held < MOST_WAITING

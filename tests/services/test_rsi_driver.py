@@ -1,112 +1,305 @@
-"""RSI as the Robot Server reads it: sessions, missed replies, and joining one that is under way."""
+"""RSI as the Robot Server reads it: what is believed, what is answered, and that no telegram moves the robot."""
+
+import math
+import re
 
 import numpy as np
 import pytest
+from krc_side import CELL, FR, KRC, KrcSide, telegram
 
-from deltaq_cell.find import find_cell, resolve_near
-from deltaq_cell.load import load_cell
-from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, SensorCodec, TelegramError, load_ethernet_xml
-from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.rsi import TelegramError
+from deltaq_services.robot_server.session import CONFIRMATIONS, Belief
 
-CELL = load_cell("lab")
-FR = CELL.robots["fr"]
-CONFIG = load_ethernet_xml(resolve_near(find_cell("lab"), FR.driver.ethernet_xml))
-AXES = AxisMap.of(FR.joint_names, FR.units, FR.driver.krc)
-KRC = KrcCodec(CONFIG, AXES, FR.driver.inputs, FR.driver.outputs, 4)
 STEP = np.full(6, np.deg2rad(1.0))
-
-
-def telegram(ipoc, q=FR.home, programmed=FR.home, delay=0):
-    pose = (0.0,) * 6
-    return KRC.encode(KrcReport(ipoc, q, programmed, pose, pose, delay, dict.fromkeys(FR.inputs, False)))
+SILENCE = math.ceil(CELL.gate.krc_timeout_s / CELL.cycle_s)
+OFF = np.array([np.deg2rad(1.4), 0, 0, 0, 0, 0])
 
 
 @pytest.fixture
-def driver():
-    return RsiDriver(SensorCodec(CONFIG, AXES, FR.driver.inputs, FR.driver.outputs), CELL.cycle_s)
+def krc():
+    return KrcSide().begin()
 
 
-def correction(driver, q_cmd):
-    return KRC.decode(driver.reply(q_cmd, {})).correction
+def test_a_session_is_believed_after_telegrams_that_agree_and_until_then_nothing_is_corrected():
+    krc = KrcSide()
+    for _ in range(CONFIRMATIONS - 1):
+        np.testing.assert_array_equal(krc.cycle().correction, np.zeros(6))
+        assert krc.driver.session.belief is Belief.UNKNOWN
+    np.testing.assert_array_equal(krc.cycle().correction, np.zeros(6))
+    assert krc.driver.session.belief is Belief.BELIEVED
+    np.testing.assert_allclose(krc.server.state.q_cmd, FR.home, atol=1e-6)
 
 
-def test_a_session_starts_where_the_robot_stands_with_no_correction(driver):
-    measured = driver.read(telegram(1000))
-    np.testing.assert_allclose(measured.q_start, FR.home, atol=1e-6)
-    np.testing.assert_allclose(correction(driver, measured.q_start), 0.0, atol=1e-8)
+def test_a_robot_that_moves_before_its_first_session_is_waited_for():
+    krc = KrcSide()
+    for count in range(2 * CONFIRMATIONS):
+        krc.cycle(q=FR.home + count * 0.1 * STEP)
+    assert krc.driver.session.belief is Belief.UNKNOWN
+    assert krc.server.state is None
 
 
-def test_the_session_goes_on_while_the_ipoc_does(driver):
-    driver.read(telegram(1000))
-    assert driver.read(telegram(1012)).q_start is None
-    assert driver.read(telegram(1036)).q_start is None  # one telegram was lost on the way
+def test_the_session_goes_on_over_telegrams_that_were_lost(krc):
+    krc.tick(5)
+    assert krc.cycle() is not None
+    assert krc.counters["session_restarted"] == 0
 
 
-def test_corrections_are_offsets_from_the_programmed_path_whatever_is_measured(driver):
-    driver.read(telegram(1000))
-    driver.read(telegram(1012, q=FR.home + 0.3 * STEP))
-    np.testing.assert_allclose(correction(driver, FR.home + STEP), STEP, atol=1e-8)
+def test_corrections_are_offsets_from_the_programmed_path_whatever_is_measured(krc):
+    krc.cycle(q=FR.home + 0.3 * STEP)
+    told = KRC.decode(krc.driver.reply(krc.driver.q_sent + STEP, {}))
+    np.testing.assert_allclose(told.correction, STEP, atol=1e-8)
 
 
-@pytest.mark.parametrize("ipoc", [500, 1007, 1000 + 12 * 200])
-def test_an_ipoc_that_leaps_begins_a_new_session(driver, ipoc):
-    driver.read(telegram(1000))
-    assert driver.read(telegram(ipoc)).q_start is not None
+def test_the_two_datagrams_that_moved_the_arm_move_nothing(krc):
+    krc.drive()
+    before = krc.correction
+    for _ in range(20):
+        krc.hand(telegram(krc.ipoc + 12 * 5000, krc.q + OFF))
+        krc.hand(telegram(krc.ipoc, krc.q + OFF))
+        krc.cycle()
+        np.testing.assert_array_equal(krc.correction, before)
+    assert krc.counters["session_restarted"] == 0
 
 
-def test_a_telegram_that_comes_twice_or_late_is_not_answered_and_ends_no_session(driver):
-    driver.read(telegram(1000))
-    driver.read(telegram(1012))
-    assert driver.read(telegram(1012)) is None
-    assert driver.read(telegram(1000)) is None
-    assert driver.ipoc == 1012
-    assert driver.read(telegram(1024)).q_start is None
+def test_a_forged_session_from_an_upset_clock_is_not_believed_while_the_true_one_goes_on(krc):
+    krc.drive()
+    before = krc.correction
+    for _ in range(20):
+        for count in range(10):
+            krc.hand(telegram(5_000_000 + 12 * count, FR.home, FR.home))
+            krc.hand(telegram(9_000_000 + 12 * count, FR.home + OFF, FR.home + OFF))
+        krc.cycle()
+    np.testing.assert_array_equal(krc.correction, before)
+    assert krc.counters["session_restarted"] == 0
 
 
-def test_an_ipoc_that_stays_behind_is_a_clock_set_back_and_begins_a_new_session(driver):
-    driver.read(telegram(1000))
-    driver.read(telegram(1012))
-    assert driver.read(telegram(952)) is None
-    assert driver.read(telegram(964)).q_start is not None
+def test_a_forged_session_is_not_believed_even_where_the_true_krcs_telegrams_are_lost_for_a_while(krc):
+    krc.drive()
+    before = krc.correction
+    for count in range(SILENCE - 1):
+        krc.tick()
+        krc.hand(telegram(5_000_000 + 12 * count, FR.home, FR.home))
+    krc.cycle()
+    np.testing.assert_array_equal(krc.correction, before)
+    assert krc.counters["session_restarted"] == 0
 
 
-def test_the_ipoc_may_wrap_within_a_session(driver):
-    driver.read(telegram(2**32 - 4))
-    assert driver.read(telegram(8)).q_start is None
+def test_a_burst_of_telegrams_that_agree_is_no_session_since_no_krc_can_hurry():
+    krc = KrcSide()
+    krc.tick()
+    for count in range(10):
+        krc.hand(telegram(1000 + 12 * count))
+    assert krc.driver.session.belief is Belief.UNKNOWN
 
 
-def test_a_programmed_path_that_moved_begins_a_new_session(driver):
-    driver.read(telegram(1000))
-    measured = driver.read(telegram(1012, q=FR.home + STEP, programmed=FR.home + STEP))
-    np.testing.assert_allclose(measured.q_start, FR.home + STEP, atol=1e-6)
+def test_a_telegram_that_says_that_rsi_begins_anew_is_not_answered_with_a_leap_back(krc):
+    krc.drive()
+    assert krc.hand(KRC.encode_ipoc_only(krc.ipoc)) is None
+    before = krc.correction
+    krc.cycle()
+    np.testing.assert_array_equal(krc.correction, before)
 
 
-def test_a_delay_that_grew_says_that_the_last_reply_was_missed(driver):
-    assert not driver.read(telegram(1000, delay=3)).missed_last
-    assert not driver.read(telegram(1012, delay=3)).missed_last
-    assert driver.read(telegram(1024, delay=4)).missed_last
-    assert not driver.read(telegram(1036, delay=4)).missed_last
+@pytest.mark.parametrize("leap", [-5000, 7, 12 * 5000])
+def test_an_ipoc_that_leaps_for_good_is_another_session_that_stands_where_it_stood(krc, leap):
+    krc.drive()
+    before = krc.correction
+    krc.ipoc += leap
+    for _ in range(SILENCE + CONFIRMATIONS):
+        krc.cycle()
+        np.testing.assert_allclose(krc.correction, before, atol=1e-8)
+    assert krc.counters["session_restarted"] == 1
 
 
-def test_a_session_joined_in_motion_is_not_answered_before_the_robot_stands(driver):
-    for count in range(1, 4):
-        assert driver.read(telegram(1000 + 12 * count, q=FR.home + count * STEP)) is None
-    assert driver.opening_reply is None
-    measured = driver.read(telegram(1048, q=FR.home + 3 * STEP))
-    np.testing.assert_allclose(measured.q_start, FR.home + 3 * STEP, atol=1e-6)
-    np.testing.assert_allclose(correction(driver, measured.q_start), 3 * STEP, atol=1e-6)
+def test_a_clock_set_back_a_little_moves_nothing_until_it_has_caught_up(krc):
+    krc.drive()
+    before = krc.correction
+    krc.ipoc -= 48
+    for _ in range(10):
+        krc.cycle()
+        np.testing.assert_array_equal(krc.correction, before)
+    assert krc.counters["session_restarted"] == 0
+    assert krc.driver.session.belief is Belief.BELIEVED
 
 
-def test_the_first_telegram_of_a_kr_c2_is_answered_with_no_correction(driver):
-    assert driver.read(KRC.encode_ipoc_only(1000)) is None
-    reply = KRC.decode(driver.opening_reply)
-    assert reply.ipoc == 1000
-    np.testing.assert_array_equal(reply.correction, np.zeros(6))
-    assert driver.read(telegram(1012)).q_start is not None
+def test_a_telegram_that_comes_twice_or_late_is_not_answered_and_ends_no_session(krc):
+    before = krc.own()
+    krc.cycle()
+    assert krc.hand(krc.own()) is None
+    assert krc.hand(before) is None
+    assert krc.cycle() is not None
+    assert krc.counters["session_restarted"] == 0
 
 
-def test_what_is_no_telegram_is_an_error_and_changes_nothing(driver):
-    driver.read(telegram(1000))
+def test_one_garbled_stamp_ends_no_session(krc):
+    krc.tick()
+    krc.hand(telegram(krc.ipoc + 12 * 3))
+    for _ in range(8):
+        krc.cycle()
+    krc.hand(telegram(krc.ipoc + 12 * 20))
+    for _ in range(8):
+        assert krc.cycle() is not None
+    assert krc.counters["session_restarted"] == 0
+
+
+def test_the_ipoc_may_wrap_within_a_session():
+    krc = KrcSide()
+    krc.ipoc = 2**32 - 100
+    krc.begin()
+    for _ in range(20):
+        assert krc.cycle() is not None
+    assert krc.counters["session_restarted"] == 0
+
+
+@pytest.mark.parametrize("step", [1, 4, 12])
+def test_the_step_of_the_ipoc_is_learned(step):
+    krc = KrcSide(step=step).begin()
+    assert krc.driver.session.step == step
+    for _ in range(20):
+        assert krc.cycle() is not None
+    krc.tick(3)
+    assert krc.cycle() is not None
+    assert krc.hand(krc.own()) is None
+    assert krc.counters["session_restarted"] == 0
+
+
+def cell_with(**fields):
+    driver = FR.driver.model_copy(update=fields)
+    robots = {**CELL.robots, "fr": FR.model_copy(update={"driver": driver})}
+    return CELL.model_copy(update={"robots": robots})
+
+
+def test_of_a_step_that_the_cell_gives_no_other_is_believed():
+    krc = KrcSide(step=12, cell=cell_with(ipoc_step=1)).begin()
+    assert krc.driver.session.belief is Belief.UNKNOWN
+    krc = KrcSide(step=1, cell=cell_with(ipoc_step=1)).begin()
+    assert krc.driver.session.belief is Belief.BELIEVED
+
+
+def test_a_program_started_again_elsewhere_is_a_session_without_correction(krc):
+    krc.drive()
+    krc.tick(100)
+    krc.q_programmed, krc.correction = krc.q + 0.2 * STEP, np.zeros(6)
+    for _ in range(SILENCE + CONFIRMATIONS):
+        krc.cycle()
+        np.testing.assert_array_equal(krc.correction, np.zeros(6))
+    assert krc.counters["session_restarted"] == 1
+
+
+def test_a_program_that_drove_home_before_it_started_again_is_not_sent_its_old_correction(krc):
+    krc.drive()
+    krc.tick(200)
+    krc.correction = np.zeros(6)
+    for _ in range(SILENCE + CONFIRMATIONS):
+        krc.cycle()
+        np.testing.assert_array_equal(krc.correction, np.zeros(6))
+
+
+def test_a_session_that_stands_where_nothing_explains_it_is_not_answered(krc):
+    krc.drive()
+    krc.tick(200)
+    for _ in range(20):
+        assert krc.cycle(q=FR.home + 3 * STEP) is None
+    assert "neither where it was sent nor" in krc.driver.detail
+
+
+def test_a_server_started_anew_takes_the_correction_that_the_krc_has_once_the_robot_stands():
+    krc = KrcSide()
+    krc.correction = 3 * STEP
+    for count in range(3):
+        assert krc.cycle(q=krc.q + 0.1 * (3 - count) * STEP) is None
+    for _ in range(CONFIRMATIONS):
+        krc.cycle()
+    np.testing.assert_allclose(krc.correction, 3 * STEP, atol=2e-6)
+    np.testing.assert_allclose(krc.server.state.q_cmd, krc.q, atol=2e-6)
+
+
+def test_one_flipped_digit_of_the_programmed_position_moves_nothing(krc):
+    krc.drive()
+    before = krc.correction
+    told = krc.cycle(programmed=FR.home + 30 * OFF / 1.4)
+    np.testing.assert_array_equal(told.correction, before)
+    assert krc.counters["telegrams_implausible"] == 1
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "why"),
+    [
+        (9_999_999.0, r"a1 is above its limit and a margin: 174\d\d\d, allowed 3\.49159 "),
+        (-500.0, r"a1 is below its limit and a margin: -10\.\d+, allowed -3\.49159 "),
+        (40.0, r"a1 cannot have moved so far in 1 cycles: 0\.69\d+, allowed 0\.0525088 "),
+    ],
+)
+def test_a_position_that_cannot_be_true_is_counted_told_and_answered_with_the_last_correction(
+    krc, capsys, off_deg, why
+):
+    krc.drive()
+    before, state = krc.correction, krc.server.state
+    for count in (1, 2):
+        told = krc.cycle(q=krc.q + np.array([np.deg2rad(off_deg), 0, 0, 0, 0, 0]))
+        np.testing.assert_array_equal(told.correction, before)
+        assert krc.counters["telegrams_implausible"] == count
+    assert krc.server.state == state  # nobody is told what nobody believes
+    out = capsys.readouterr().out
+    assert re.match("first implausible telegram: " + why, out)
+    assert out.count("\n") == 1
+
+
+def test_after_lost_telegrams_a_joint_may_be_further_away(krc):
+    krc.tick(10)
+    krc.cycle(q=FR.home + 10 * OFF)
+    assert krc.counters["telegrams_implausible"] == 0
+
+
+def test_outputs_stay_on_in_answers_that_move_nothing():
+    krc = KrcSide().begin()
+    krc.cycle()
+    krc.driver.reply(krc.driver.q_sent, {})
+    assert krc.cycle(q=FR.home + 10 * STEP).outputs == {"stop": False}
+
+
+def test_a_delay_that_grew_says_that_the_last_reply_was_missed(krc):
+    krc.cycle(delay=3)
+    for delay, missed in ((3, False), (4, True), (4, False)):
+        krc.tick()
+        assert krc.driver.read(krc.own(delay=delay), krc.time_s).missed_last is missed
+
+
+def test_the_first_telegram_of_a_kr_c2_is_answered_with_no_correction():
+    krc = KrcSide()
+    krc.tick()
+    told = krc.hand(KRC.encode_ipoc_only(krc.ipoc))
+    assert told.ipoc == krc.ipoc
+    np.testing.assert_array_equal(told.correction, np.zeros(6))
+    krc.begin()
+    assert krc.driver.session.belief is Belief.BELIEVED
+
+
+def test_a_setpoint_that_leaps_is_not_sent_and_holds_the_robot(krc):
+    krc.tick()
+    assert krc.driver.read(krc.own(), krc.time_s) is not None
+    told = KRC.decode(krc.driver.reply(krc.driver.q_sent + 3 * STEP, {}))
+    np.testing.assert_array_equal(told.correction, np.zeros(6))
+    assert krc.driver.fault.what == "leaps"
+    np.testing.assert_allclose(krc.driver.q_sent, FR.home, atol=1e-6)
+
+
+def test_no_correction_goes_beyond_what_the_cell_allows():
+    krc = KrcSide(cell=cell_with(max_correction_deg=2.0)).begin().drive()
+    state = krc.server.state
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.REPLY_REFUSED)
+    assert np.degrees(np.abs(krc.correction)).max() < 2.0
+    assert krc.driver.fault is None  # it goes on sending what it sent
+    krc.resets += 1
+    krc.cycle()
+    assert krc.server.state.phase is Phase.READY
+    np.testing.assert_allclose(krc.server.state.q_cmd, krc.q, atol=1e-8)
+
+
+def test_what_is_no_telegram_is_an_error_and_changes_nothing(krc):
     with pytest.raises(TelegramError):
-        driver.read(b"<Rob Type='nobody'>")
-    assert driver.read(telegram(1012)).q_start is None
+        krc.driver.read(b"<Rob Type='nobody'>", krc.time_s)
+    assert krc.cycle() is not None
+    assert krc.counters["session_restarted"] == 0

@@ -159,6 +159,24 @@ def test_where_the_robot_is_does_not_belong_to_the_tube_if_it_follows_its_setpoi
     assert len(tracker.standing().points) == LAG
 
 
+def test_in_a_new_session_the_robot_is_reckoned_with_where_the_krc_has_it(tracker):
+    for cycle in range(1, 1 + LAG):
+        tracker.observe(state(cycle, 0.1))
+    for cycle in range(1 + LAG, 1 + 2 * LAG):
+        tracker.observe(state(cycle, 0.1, q=0.5, q_reset=(0.5,) * 6))
+    assert tracker.at_rest()
+    assert tracker.off_path() is None
+    assert set(first_joint(tracker.standing())) == {0.5}
+    tracker.observe(state(1 + 2 * LAG, 0.5))  # the reset took it
+    assert tracker.at_rest()
+
+
+def test_a_robot_that_does_not_stand_where_the_krc_of_a_new_session_has_it_is_off_its_path(tracker):
+    for cycle in range(1, 1 + LAG):
+        tracker.observe(state(cycle, 0.1, q=0.1, q_reset=(0.5,) * 6))
+    assert tracker.off_path() is not None
+
+
 def test_a_robot_is_at_rest_when_its_drives_have_caught_up_and_nothing_is_left_to_send(tracker):
     tracker.observe(state(1, 0.1))
     for cycle in range(2, LAG + 2):

@@ -115,20 +115,23 @@ class VirtualArm:
 
     def _answer(self, datagram: bytes, now_s: float) -> None:
         self._waiting = None
-        self._heard_s = now_s
         try:
-            measured = self._rsi.read(datagram)
+            measured = self._rsi.read(datagram, now_s)
         except TelegramError:
             self._server.counters["telegrams_garbled"] += 1
             return
         if measured is None:
-            if self._rsi.opening_reply is not None:
-                self.from_pc.put(now_s, self._rsi.opening_reply)
+            if self._rsi.unmoved is not None:
+                self.from_pc.put(now_s, self._rsi.unmoved)
             return
+        self._heard_s = now_s
         admission, self._admission = self._admission, None
         supervision, self._supervision = self._supervision, None
         q_cmd = self._server.cycle(measured, now_s + self.clock_s, admission, supervision)
-        self.from_pc.put(now_s, self._rsi.reply(q_cmd, self._server.outputs))
+        reply = self._rsi.reply(q_cmd, self._server.outputs, self._server.motion_stop)
+        self.from_pc.put(now_s, reply)
+        if self._rsi.fault is not None:
+            self._server.reply_refused(self._rsi.q_sent)
         self._say()
 
     def _say(self) -> None:

@@ -80,7 +80,8 @@ class LoadedCell:
         driver = description.robots[robot].driver
         assert isinstance(driver, RsiDescription)  # `load` has seen to that
         codec = sensor_codec(description, robot, self._ethernet_xml(driver))
-        return RobotServer(description, robot, process), RsiDriver(codec, description.cycle_s)
+        server = RobotServer(description, robot, process)
+        return server, RsiDriver(codec, description, robot, server.counters)
 
     def tool_pose(self, robot: str, q: tuple[float, ...]) -> ToolPose:
         """Pose of a robot's tool at `q` (n,) [rad or m]."""

@@ -149,6 +149,12 @@ class Ledger:
         if before is None or told.begins:
             if any(after.dq):
                 raise Violation(Property.CERTIFIED, "a session began with motion")
+            if before is not None and before.phase is not Phase.OFFLINE and after.q_cmd != before.q_cmd:
+                raise Violation(Property.CERTIFIED, "a session moved the setpoint before a reset")
+            return ()
+        if _was_reset(told) and before.q_reset is not None:
+            if after.q_cmd != before.q_reset or any(after.dq):
+                raise Violation(Property.CERTIFIED, "a reset took a setpoint that the KRC did not have")
             return ()
         moved = after.q_cmd[0] - before.q_cmd[0]
         if after.sequence != before.sequence and after.sequence != 0:

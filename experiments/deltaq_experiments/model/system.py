@@ -29,7 +29,15 @@ from deltaq_experiments.model.one_joint import (
     one_joint_sim,
 )
 from deltaq_experiments.model.world import SentState, SentSupervision, Turn, World
-from deltaq_protocol.guarded import Admission, Command, CommandReply, GateMemory, Request, Supervision
+from deltaq_protocol.guarded import (
+    Admission,
+    Command,
+    CommandReply,
+    GateMemory,
+    Request,
+    ServerState,
+    Supervision,
+)
 from deltaq_protocol.messages import Message, Phase
 from deltaq_services.robot_server.core import Measurement, RobotServer
 from deltaq_services.sim.answers import Output
@@ -144,7 +152,7 @@ class System:
         begins = begins or before is None
         admission = world.admissions[a] if a is not None else None
         sent = world.supervisions[s] if s is not None else None
-        q = world.q if missed or before is None else before.q_cmd[0]
+        q = world.q if missed or before is None else _sent(before)
         measured = np.array([q + (_PUSHED if world.displaced and not begins else 0.0)])
         server = _copied(world.server)
         server.cycle(
@@ -165,7 +173,7 @@ class System:
         )
         ledger = world.ledger.telegram(told)
         if not begins:
-            course.judge(world.gate.robots[ROBOT].tracker, server.state.q_cmd[0], ledger.course)
+            course.judge(world.gate.robots[ROBOT].tracker, _sent(server.state), ledger.course)
         return replace(
             world,
             server=server,
@@ -200,7 +208,7 @@ class System:
         return replace(
             world,
             server=self._new_server(world.server.process + 1),
-            q=world.server.state.q_cmd[0],
+            q=_sent(world.server.state),
             new_admission=False,
             new_supervision=False,
             ledger=world.ledger.server_crashed(world.server.state.phase is Phase.OFFLINE),
@@ -326,6 +334,11 @@ def _commanded(ledger: Ledger, command: Command, outputs: list[Output], gate: Ga
 def _request(world: World, cycle: int, steps: int) -> Request:
     seq = world.gate.robots[ROBOT].seq + 1
     return Request(robot=ROBOT, cycle=cycle, lease_epoch=1, seq=seq, dq=(steps * STEP,))
+
+
+def _sent(state: ServerState) -> float:
+    """Where the KRC was sent last [m]."""
+    return (state.q_cmd if state.q_reset is None else state.q_reset)[0]
 
 
 def _copied(server: RobotServer) -> RobotServer:

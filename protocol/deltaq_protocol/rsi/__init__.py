@@ -8,7 +8,6 @@ from deltaq_protocol.rsi.axes import AxisMap
 from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import Element, ElementType, EthernetConfig, load_ethernet_xml
 from deltaq_protocol.rsi.krc_codec import KrcCodec, KrcReport, SensorTelegram
-from deltaq_protocol.rsi.rounding import RelativeRounder
 from deltaq_protocol.rsi.sensor_codec import KrcTelegram, SensorCodec
 
 __all__ = [
@@ -20,7 +19,6 @@ __all__ = [
     "KrcCodec",
     "KrcReport",
     "KrcTelegram",
-    "RelativeRounder",
     "SensorCodec",
     "SensorTelegram",
     "TelegramError",

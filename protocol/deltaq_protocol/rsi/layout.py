@@ -17,6 +17,9 @@ from deltaq_protocol.rsi.ethernet_xml import (
 
 MAX_IPOC = 2**32 - 1
 
+DECIMALS = 6
+"""Decimals of a correction on the wire."""
+
 NUMBER = r"[-+]?[0-9]{1,16}(?:\.[0-9]{0,16})?(?:[eE][-+]?[0-9]{1,2})?"
 """A decimal number as controllers write it; too short to overflow."""
 

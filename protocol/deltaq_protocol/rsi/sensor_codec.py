@@ -18,6 +18,7 @@ from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, Array, Ax
 from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (
+    DECIMALS,
     MAX_IPOC,
     NUMBER,
     Field,
@@ -27,13 +28,14 @@ from deltaq_protocol.rsi.layout import (
     receive_fields,
     send_fields,
 )
-from deltaq_protocol.rsi.rounding import DECIMALS
 
 MAX_TELEGRAM_BYTES = 4096
 MAX_TEXT = 80
 _MAX_CORRECTION = 1e6
 # some controllers write TYPE
 _TYPE = '(?i:Type)="KUKA"'
+_STOP = "driver.stop"
+"""The stop among the signals of RECEIVE; no output of a user can have that name."""
 
 
 class KrcTelegram(NamedTuple):
@@ -67,9 +69,11 @@ class SensorCodec:
         axes: the robot's joints.
         inputs: per name of a digital input the TAG of its BOOL of SEND.
         outputs: per name of a digital output the TAG of its BOOL of RECEIVE.
+        stop: TAG of the BOOL of RECEIVE that ends the motion on the controller's side; None if it has none.
 
     Attributes:
         axes: as given.
+        has_programmed: whether the controller sends its programmed position.
 
     Raises:
         EthernetConfigError: if the configuration has no measured position or no correction of some joint, or
@@ -82,12 +86,13 @@ class SensorCodec:
         axes: AxisMap,
         inputs: Mapping[str, str] = MappingProxyType({}),
         outputs: Mapping[str, str] = MappingProxyType({}),
+        stop: str | None = None,
     ) -> None:
         self._config = config
         self.axes = axes
         self._fields = send_fields(config)
         self._compile_decoder(inputs)
-        self._compile_encoder(outputs)
+        self._compile_encoder(outputs, stop)
 
     @property
     def joints(self) -> int:
@@ -127,6 +132,7 @@ class SensorCodec:
         self._pose_places = places(pose)
         self._delay_place = None if delay is None else place_of[delay]
         self._input_places = {name: place_of[field] for name, field in digital.items()}
+        self.has_programmed = self._programmed_places is not None
         self._per_reported = 1.0 / self.axes.reported
         self._pose_scale = (1.0 / MM_PER_M,) * 3 + (1.0 / DEG_PER_RAD,) * 3
 
@@ -141,23 +147,27 @@ class SensorCodec:
         pattern = pattern.replace("%IPOC%", "([0-9]{1,10})")
         return re.compile(rb"\s*" + pattern.encode() + rb"\s*")
 
-    def _compile_encoder(self, outputs: Mapping[str, str]) -> None:
+    def _compile_encoder(self, outputs: Mapping[str, str], stop: str | None) -> None:
         fields = receive_fields(self._config)
+        signals = dict(outputs) if stop is None else {**outputs, _STOP: stop}
         axis_of = {field: axis for axis, field in correction_fields(self._config, self.axes).items()}
         output_of = {
-            field: name for name, field in digital_fields(self._config, "RECEIVE", fields, outputs).items()
+            field: name for name, field in digital_fields(self._config, "RECEIVE", fields, signals).items()
         }
         joints = len(self.axes)
         self._outputs = tuple(outputs)
         self.has_text = any(field.element.internal == "EStr" for field in fields)
-        # the template's places, as indices into corrections, then outputs, then text, then IPOC
+        # the template's places, as indices into corrections, then outputs, then text, then IPOC, then stop
         self._places: list[int] = []
 
         def value(field: Field) -> str:
             if (axis := axis_of.get(field)) in self.axes.axes:
                 self._places.append(self.axes.axes.index(axis))
                 return f"%.{DECIMALS}f"
-            if (name := output_of.get(field)) is not None:
+            if (name := output_of.get(field)) == _STOP:
+                self._places.append(joints + len(outputs) + 2)
+                return "%d"
+            if name is not None:
                 self._places.append(joints + self._outputs.index(name))
                 return "%d"
             if field.element.internal == "EStr":
@@ -229,7 +239,12 @@ class SensorCodec:
         )
 
     def encode(
-        self, ipoc: int, correction: Array, outputs: Mapping[str, bool] | None = None, text: str = ""
+        self,
+        ipoc: int,
+        correction: Array,
+        outputs: Mapping[str, bool] | None = None,
+        text: str = "",
+        stop: bool = False,
     ) -> bytes:
         """Write the reply to the telegram with that IPOC.
 
@@ -239,6 +254,7 @@ class SensorCodec:
             outputs: digital outputs by name; those not given are off.
             text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to
                 80 characters.
+            stop: end the motion on the controller's side, where it was told how.
 
         Raises:
             TelegramError: if the correction has not n elements, or one that is not finite or too large to be
@@ -269,5 +285,6 @@ class SensorCodec:
             *(bool(outputs and outputs.get(name)) for name in self._outputs),
             escape(text[:MAX_TEXT]).encode("ascii", "replace"),
             ipoc,
+            stop,
         ]
         return self._template % tuple([pool[place] for place in self._places])

@@ -33,7 +33,7 @@ class Measurement:
     Attributes:
         ipoc: the KRC's stamp of this cycle.
         q: (n,) measured configuration [rad or m].
-        q_start: (n,) configuration to hold on a new session; None while the session goes on.
+        q_start: (n,) setpoint that the KRC has in the session that begins; None while the session goes on.
         missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
         inputs: digital inputs by name.
     """
@@ -54,23 +54,29 @@ class RobotServer:
         process: a number that no other process of this Robot Server has.
 
     Attributes:
-        state: what is published after each cycle; None before the first telegram.
         outputs: digital outputs to be set, by name.
+        motion_stop: the KRC shall end the motion itself, since this robot moves on though its setpoint rests.
         counters: how often what happened.
     """
 
     def __init__(self, cell: CellDescription, robot: str, process: int) -> None:
         self.robot = robot
         self.process = process
-        self.state: ServerState | None = None
         self.outputs: dict[str, bool] = dict.fromkeys(cell.robots[robot].outputs, False)
+        self.motion_stop = False
         self.counters: Counter[str] = Counter()
         self._bounds = Bounds.of(cell.robots[robot], cell.cycle_s)
+        self._tolerance = cell.robots[robot].tracking_tolerance
+        self._lag_cycles = math.ceil(cell.gate.servo_lag_s / cell.cycle_s)
         self._gate_timeout_cycles = math.ceil(cell.gate.gate_timeout_s / cell.cycle_s)
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
+        self._cycles_at_rest = 0
+        self._q = np.zeros(0)
         self._q_cmd = np.zeros(0)
+        self._q_reset: Array | None = None
+        self._q_settled: Array | None = None
         self._dq = np.zeros(0)
         self._plan = Plan(dq=(0.0,), brake_cycles=1, step=1)
         self._plan_dq = np.zeros(0)
@@ -80,6 +86,19 @@ class RobotServer:
         self._phase = Phase.OFFLINE
         self._reason: ReasonCode | None = None
         self._cycle = 0
+        self._state: ServerState | None = None
+        self._told: tuple[Measurement, float] | None = None
+
+    @property
+    def state(self) -> ServerState | None:
+        """What is published after each cycle; None before the first. Made when it is asked for: after the reply."""
+        self._make_state()
+        return self._state
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the brake has ended and the drives have had the time to catch up."""
+        return self._cycles_at_rest > self._lag_cycles
 
     def cycle(
         self,
@@ -101,7 +120,10 @@ class RobotServer:
         """
         if measured.q_start is not None:
             self._begin_session(measured.q_start)
+        self._make_state()  # the one that this cycle's admission follows
         self._cycle += 1
+        self._q = measured.q
+        self._watch(measured.q)
         self._supervise(supervision)
         if measured.missed_last:
             # the KRC still stands at the setpoint before: send the missed one again instead of a double step
@@ -112,20 +134,22 @@ class RobotServer:
         else:
             self._cycles_missed = 0
             self._advance(admission)
-        self.state = self._publishable(measured, time_s)
-        return self._q_cmd
+        self._cycles_at_rest = 0 if self._dq.any() else min(self._cycles_at_rest + 1, self._lag_cycles + 1)
+        self._told, self._state = (measured, time_s), None
+        return self._held_at
 
     def krc_silent(self, time_s: float) -> None:
         """The KRC sent nothing for longer than it may: hold, until it is back and someone resets."""
         self.counters["krc_silent"] += 1
-        if self.state is not None:
+        state = self.state
+        if state is not None:
             self._stop(ReasonCode.KRC_LOST)
             if self._phase is Phase.HELD:
                 self._reason = ReasonCode.KRC_LOST  # of several causes this one stands
             # the KRC has held its last correction by now: what is left of a brake would set the robot in motion
             self._dq = np.zeros_like(self._q_cmd)
             self._rest()
-            self.state = self.state.model_copy(
+            self._state = state.model_copy(
                 update={
                     "phase": self._phase,
                     "reason": self._reason,
@@ -135,13 +159,56 @@ class RobotServer:
                 }
             )
 
+    def reply_refused(self, q_sent: Array) -> None:
+        """The last reply was not sent as it was decided: hold where the KRC was sent instead.
+
+        Args:
+            q_sent: (n,) setpoint that the KRC has [rad or m].
+        """
+        self.counters["replies_refused"] += 1
+        self._stop(ReasonCode.REPLY_REFUSED)
+        self._q_reset = q_sent.copy()
+        self._dq = np.zeros_like(q_sent)
+        self._rest()
+        self._state = None
+
+    def end(self) -> None:
+        """Come to rest along the brake, and stay there: this process was told to end."""
+        self._stop(ReasonCode.SERVER_ENDED)
+
+    @property
+    def _held_at(self) -> Array:
+        """(n,) setpoint that the KRC has: its own in a new session, until a reset takes it for ours."""
+        return self._q_cmd if self._q_reset is None else self._q_reset
+
     def _begin_session(self, q_start: Array) -> None:
-        if self.state is not None:
+        if self._cycle > 0:
             self.counters["session_restarted"] += 1
             self._stop(ReasonCode.KRC_LOST)
-        self._q_cmd = q_start.copy()
+        if self._phase is Phase.OFFLINE:
+            self._q_cmd = q_start.copy()
+        else:
+            self._q_reset = q_start.copy()
         self._dq = np.zeros_like(q_start)
+        self._cycles_at_rest = 0
         self._rest()
+
+    def _watch(self, q: Array) -> None:
+        """Hold a robot that is not where it was sent though it has had the time, and end its motion if it goes on."""
+        if not self.at_rest:
+            self._q_settled = None
+            return
+        if self._q_settled is None:
+            self._q_settled = q
+        if self._is_near(q, self._held_at):
+            return
+        self._stop(ReasonCode.TRACKING_ERROR)
+        if not self.motion_stop and not self._is_near(q, self._q_settled):
+            self.motion_stop = True
+            self.counters["motion_stops"] += 1
+
+    def _is_near(self, q: Array, other: Array) -> bool:
+        return bool((np.abs(q - other) <= self._tolerance).all())
 
     def _rest(self) -> None:
         self._plan_dq = np.zeros_like(self._q_cmd)
@@ -158,8 +225,10 @@ class RobotServer:
             self._epoch = supervision.epoch
             self._resets = supervision.resets  # those were given to an earlier process
             self._enter(Event.LINKED)
-        at_rest = self._plan.step >= self._plan.brake_cycles
+        at_rest = self._plan.step >= self._plan.brake_cycles and self._is_near(self._q, self._held_at)
         if self._phase is Phase.HELD and supervision.resets > self._resets and at_rest:
+            self._q_cmd, self._q_reset = self._held_at, None
+            self.motion_stop = False
             self._resets = supervision.resets
             self._epoch = supervision.epoch
             self._sequence = 0
@@ -210,6 +279,10 @@ class RobotServer:
     def _enter(self, event: Event) -> None:
         self._phase = next_phase(self._phase, event)
 
+    def _make_state(self) -> None:
+        if self._state is None and self._told is not None:
+            self._state = self._publishable(*self._told)
+
     def _publishable(self, measured: Measurement, time_s: float) -> ServerState:
         return ServerState(
             robot=self.robot,
@@ -219,6 +292,7 @@ class RobotServer:
             time_s=time_s,
             q=tuple(measured.q.tolist()),
             q_cmd=tuple(self._q_cmd.tolist()),
+            q_reset=None if self._q_reset is None else tuple(self._q_reset.tolist()),
             dq=tuple(self._dq.tolist()),
             plan=self._plan,
             epoch=self._epoch,

@@ -2,25 +2,29 @@
 
 An absolute correction is an offset from where the programmed path stands, so rounding to the telegram's decimals
 never accumulates. With `DEF_ASPos` in the telegram that place is known even if this process joins a session
-that is under way; without it, the first measured position is taken for it.
+that is under way; without it, the first measured position is taken for it. It is fixed for a session.
+
+Nothing here moves the robot but the setpoint: any other answer is the correction that the KRC has already.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.description import CellDescription
+from deltaq_cell.description import RsiDriver as RsiDescription
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
+from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_services.robot_server.core import Measurement
+from deltaq_services.robot_server.plausibility import Plausibility
+from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
+from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session
 
 Array = NDArray[np.float64]
-
-_IPOC_WRAP = 2**32
-_LARGEST_GAP_CYCLES = 100
-"""An IPOC that leaps further than this belongs to a new session."""
-
-_STILL = 1e-5
-"""Change of a measured joint between telegrams that counts as standing still [rad or m]."""
 
 
 class RsiDriver:
@@ -28,89 +32,173 @@ class RsiDriver:
 
     Args:
         codec: telegrams of the robot.
-        cycle_s: sample time; the IPOC counts milliseconds.
+        cell: the cell.
+        robot: the robot's name.
+        counters: where telegrams that were not believed are counted.
 
     Attributes:
-        ipoc: stamp of the telegram read last.
-        opening_reply: answer to a telegram that opens a session and reports no joints, as a KR C2 sends it.
+        unmoved: answer to a telegram that was read as None: the correction that the KRC has; None: do not answer.
+        fault: why the guard refused the last setpoint; None if it did not.
+        session: what is believed of the telegrams.
+        detail: what is amiss, for people; empty if nothing is.
     """
 
-    def __init__(self, codec: SensorCodec, cycle_s: float) -> None:
+    def __init__(self, codec: SensorCodec, cell: CellDescription, robot: str, counters: Counter[str]) -> None:
+        description = cell.robots[robot]
+        driver = description.driver
+        assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
+        self.unmoved: bytes | None = None
+        self.fault: ReplyFault | None = None
+        self.detail = ""
         self._codec = codec
-        self._cycle_ms = round(cycle_s * 1000)
-        self._last: KrcTelegram | None = None
+        self._counters = counters
+        self._plausible = Plausibility.of(description, cell.cycle_s)
+        self._near = description.tracking_tolerance
+        self.session = Session(
+            cell.cycle_s, cell.gate.krc_timeout_s, driver.ipoc_step, self._plausible, self._near
+        )
+        self._most = (description.max_velocity * cell.cycle_s).tolist()
+        self._widest = _widest(description.units, driver)
         self._origin: Array | None = None
-        self._no_correction = np.zeros(codec.joints)
-        self._overtaken: int | None = None
-        self.ipoc = 0
-        self.opening_reply: bytes | None = None
+        self._lower: list[float] = []
+        self._upper: list[float] = []
+        self._zero = np.zeros(codec.joints)
+        self._sent: Array | None = None
+        self._opened = False
+        self._outputs: Mapping[str, bool] = {}
 
-    def read(self, datagram: bytes) -> Measurement | None:
+    def read(self, datagram: bytes, time_s: float) -> Measurement | None:
         """Read a telegram.
 
+        Args:
+            datagram: as it came from the KRC.
+            time_s: when it came, on a monotonic clock.
+
         Returns:
-            What it measures; None if it must not be answered with a setpoint: it came twice or was overtaken, it
-            reports no joints (the first telegram of a KR C2), or a session was joined with the robot moving.
+            What it measures; None if it must not be answered with a setpoint, but with `unmoved`: it came twice or was
+            overtaken, reports no joints (the first telegram of a KR C2), says what cannot be true, or may be of a
+            session that is not believed yet.
 
         Raises:
             TelegramError: if it is no telegram of this robot.
         """
         telegram = self._codec.decode(datagram)
-        self.opening_reply = None
-        if self._out_of_turn(telegram):
-            return None
-        last, self._last, self.ipoc = self._last, telegram, telegram.ipoc
+        self.unmoved = None
         if telegram.q is None:
-            self._origin = None
-            self.opening_reply = self._codec.encode(telegram.ipoc, self._no_correction)
+            self._opens(telegram)
             return None
-        begins = self._origin is None or self._new_session(last, telegram)
-        if begins:
-            self._origin = None
-            origin = telegram.q if telegram.q_programmed is None else telegram.q_programmed
-            corrected = bool(np.any(np.abs(telegram.q - origin) > _STILL))
-            still = (
-                last is not None and last.q is not None and bool(np.all(np.abs(telegram.q - last.q) < _STILL))
+        place_fault = self._plausible.of_place(telegram.q.tolist())
+        if place_fault is not None:
+            self._implausible(telegram, str(place_fault))
+            return None
+        last = self.session.last
+        kind, answer, why = self.session.judge(telegram, time_s)
+        if kind is Kind.NEXT and last is not None:
+            self._opened = False
+            return self._measured(telegram, last)
+        if kind is Kind.GARBLED:
+            self._implausible(telegram, why)
+        if kind is Kind.CONFIRMED:
+            return self._confirmed(telegram, time_s)
+        if answer is Answer.UNMOVED:
+            kept = self._kept(telegram)
+            sent = self._zero if self._sent is None else self._sent
+            if kept is not None and _equal(kept, sent):
+                self.unmoved = self._codec.encode(telegram.ipoc, sent, self._outputs)
+        return None
+
+    def reply(self, q_cmd: Array, outputs: Mapping[str, bool], stop: bool = False) -> bytes:
+        """The answer to the telegram read last, with the setpoint (n,) [rad or m].
+
+        A correction that the guard refuses is not sent: the last one is repeated, and `fault` says why.
+        """
+        assert self._origin is not None  # there is no setpoint without a session
+        assert self._sent is not None  # a session begins with the correction that the KRC has
+        assert self.session.last is not None  # and with a telegram
+        correction = q_cmd - self._origin
+        self.fault = reply_fault(
+            correction.tolist(), self._sent.tolist(), self._most, self._lower, self._upper
+        )
+        if self.fault is None:
+            self._sent = correction
+        self._outputs = dict(outputs)
+        return self._codec.encode(self.session.last.ipoc, self._sent, outputs, stop=stop)
+
+    @property
+    def q_sent(self) -> Array:
+        """(n,) setpoint that the KRC was sent last [rad or m]."""
+        assert self._origin is not None  # asked only after a reply
+        assert self._sent is not None  # asked only after a reply
+        return self._origin + self._sent
+
+    def _opens(self, telegram: KrcTelegram) -> None:
+        """A KR C2 begins with a telegram that has nothing but its IPOC."""
+        self._opened = True
+        self.session.interrupted()
+        sent = self._zero if self._sent is None else self._sent
+        if _equal(sent, self._zero):
+            self.unmoved = self._codec.encode(telegram.ipoc, sent, self._outputs)
+
+    @staticmethod
+    def _measured(telegram: KrcTelegram, last: KrcTelegram) -> Measurement:
+        assert telegram.q is not None  # a session consists of telegrams with a position
+        late = 0 if telegram.delay is None or last.delay is None else telegram.delay - last.delay
+        return Measurement(telegram.ipoc, telegram.q, missed_last=late > 0, inputs=telegram.inputs)
+
+    def _confirmed(self, telegram: KrcTelegram, time_s: float) -> Measurement | None:
+        """Begin a session from the correction that the KRC has."""
+        kept = self._kept(telegram)
+        if kept is None:
+            self.detail = (
+                "a new session of the KRC stands neither where it was sent nor at its programmed position"
             )
-            if corrected and not still:
-                return None
-            self._origin = origin
-        missed = (
-            not begins
-            and last is not None
-            and telegram.delay is not None
-            and telegram.delay > (last.delay or 0)
-        )
-        return Measurement(
-            ipoc=telegram.ipoc,
-            q=telegram.q,
-            q_start=telegram.q if begins else None,
-            missed_last=missed,
-            inputs=telegram.inputs,
-        )
+            return None
+        assert telegram.q is not None  # asked only of telegrams with a position
+        self.session.believe(telegram, time_s)
+        self._opened, self.detail = False, ""
+        self._sent = kept
+        self._origin = telegram.q - kept if telegram.q_programmed is None else telegram.q_programmed
+        self._lower = np.maximum(np.array(self._plausible.lower) - self._origin, -self._widest).tolist()
+        self._upper = np.minimum(np.array(self._plausible.upper) - self._origin, self._widest).tolist()
+        return Measurement(telegram.ipoc, telegram.q, q_start=self._origin + kept, inputs=telegram.inputs)
 
-    def reply(self, q_cmd: Array, outputs: dict[str, bool]) -> bytes:
-        """The answer to the telegram read last, with the setpoint (n,) [rad or m]."""
-        assert self._origin is not None  # there is no setpoint without a measurement
-        return self._codec.encode(self.ipoc, q_cmd - self._origin, outputs)
+    def _kept(self, telegram: KrcTelegram) -> Array | None:
+        """(n,) correction that the KRC has, by where the robot stands; None if that cannot be told."""
+        q, programmed, sent = telegram.q, telegram.q_programmed, self._sent
+        assert q is not None  # asked only of telegrams with a position
+        if programmed is None:
+            anew = sent is None or self._opened or _equal(sent, self._zero)
+            return self._zero if anew else None
+        if sent is None:
+            return self._zero if _equal(q, programmed) else q - programmed
+        off_sent = float(np.max(np.abs(q - programmed - sent) / self._near))
+        off_programmed = float(np.max(np.abs(q - programmed) / self._near))
+        same_place = self._origin is not None and _equal(programmed, self._origin)
+        if same_place and off_sent <= min(1.0, off_programmed):
+            return sent
+        return self._zero if off_programmed <= 1.0 else None
 
-    def _out_of_turn(self, telegram: KrcTelegram) -> bool:
-        """Whether the wire delivered a telegram twice or late; two that follow each other are a clock set back."""
-        if self._last is None or self._origin is None:
-            return False
-        behind = (self._last.ipoc - telegram.ipoc) % _IPOC_WRAP
-        if behind % self._cycle_ms or behind > _LARGEST_GAP_CYCLES * self._cycle_ms:
-            return False
-        follows = self._overtaken == (telegram.ipoc - self._cycle_ms) % _IPOC_WRAP
-        self._overtaken = telegram.ipoc
-        return behind == 0 or not follows
+    def _implausible(self, telegram: KrcTelegram, why: str) -> None:
+        """Count a telegram that says what cannot be true; while a session goes on its answer is the last correction."""
+        self._counters["telegrams_implausible"] += 1
+        if self._counters["telegrams_implausible"] == 1:
+            print(f"first implausible telegram: {why}", flush=True)
+        if self.session.belief is Belief.BELIEVED and self._sent is not None:
+            self.unmoved = self._codec.encode(telegram.ipoc, self._sent, self._outputs)
 
-    def _new_session(self, last: KrcTelegram | None, telegram: KrcTelegram) -> bool:
-        if last is None or last.q is None:
-            return True
-        step = (telegram.ipoc - last.ipoc) % _IPOC_WRAP
-        if step % self._cycle_ms or not 0 < step <= _LARGEST_GAP_CYCLES * self._cycle_ms:
-            return True
-        if telegram.q_programmed is None or last.q_programmed is None:
-            return False
-        return bool(np.any(np.abs(telegram.q_programmed - last.q_programmed) > _STILL))
+
+def _widest(units: tuple[str, ...], driver: RsiDescription) -> Array:
+    """(n,) correction that the cell allows at most [rad or m]; infinite where it names none."""
+    degrees, millimetres = driver.max_correction_deg, driver.max_correction_mm
+    return np.array(
+        [
+            np.inf if most is None else most / per
+            for most, per in (
+                (degrees, DEG_PER_RAD) if unit == "rad" else (millimetres, MM_PER_M) for unit in units
+            )
+        ]
+    )
+
+
+def _equal(one: Array, other: Array) -> bool:
+    return bool(np.all(np.abs(one - other) <= STILL))

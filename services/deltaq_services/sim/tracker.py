@@ -74,7 +74,8 @@ class Tracker:
             if (state.epoch, state.sequence) != (self.in_flight.epoch, self.in_flight.sequence):
                 self.missed += 1
             self.in_flight = None
-        self._history.append(np.array(state.q_cmd))
+        # in a new session the drives are held where the KRC says, and that is where a reset will go on from
+        self._history.append(np.array(state.q_cmd if state.q_reset is None else state.q_reset))
         return True
 
     def _is_displaced(self, before: ServerState, state: ServerState) -> bool:

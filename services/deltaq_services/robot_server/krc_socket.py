@@ -1,0 +1,146 @@
+"""The socket between a Robot Server and its KRC: nothing that arrives on it, and no error of it, ends the process."""
+
+from __future__ import annotations
+
+import socket
+from collections import Counter, deque
+from types import TracebackType
+from typing import Self
+
+from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.rsi import TelegramError
+from deltaq_services.robot_server.core import Measurement
+from deltaq_services.robot_server.peer import Address, Peer, Sender
+from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+_DATAGRAM_BYTES = 65_536
+MOST_WAITING = 1024
+"""Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
+
+MOST_READ = 8
+"""Of those that the KRC seems to have sent, so many of the newest are read in search of one that is a telegram."""
+
+
+class KrcSocket:
+    """Takes telegrams from one KRC and answers it.
+
+    Args:
+        driver: where to listen, and for whom.
+        silence_s: after which the KRC may come from another port.
+        rsi: reads telegrams.
+        counters: where everything else is counted.
+
+    Raises:
+        ServiceUnreachableError: if the address cannot be had, or that of the KRC is not known.
+    """
+
+    def __init__(
+        self, driver: RsiDescription, silence_s: float, rsi: RsiDriver, counters: Counter[str]
+    ) -> None:
+        self.peer = Peer(_resolved(driver.krc_address), silence_s)
+        self._rsi = rsi
+        self._counters = counters
+        self._sock = _bound(driver)
+        self._sender: Address | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sock.close()
+
+    def fileno(self) -> int:
+        """Descriptor to be polled."""
+        return self._sock.fileno()
+
+    @property
+    def detail(self) -> str:
+        """What there is to tell people of the KRC."""
+        step = self._rsi.session.step
+        ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
+        return "; ".join(filter(None, (self._rsi.detail, self.peer.stranger, ipoc)))
+
+    def read(self, now_s: float) -> Measurement | None:
+        """Read the newest telegram among all that waits.
+
+        Args:
+            now_s: on a monotonic clock.
+
+        Returns:
+            What it measures; None if there is none to be answered with a setpoint, see `RsiDriver.read`.
+        """
+        self._rsi.unmoved = None
+        waiting = self._drain(now_s)
+        while waiting:
+            datagram, sender = waiting.pop()
+            try:
+                measured = self._rsi.read(datagram, now_s)
+            except TelegramError as error:
+                self._counters["telegrams_garbled"] += 1
+                if self._counters["telegrams_garbled"] == 1:
+                    print(f"first garbled telegram: {error}", flush=True)
+                continue
+            self._skipped(len(waiting))
+            self._sender = sender
+            self.peer.believed(sender, now_s)
+            return measured
+        return None
+
+    def send(self, reply: bytes) -> None:
+        """Answer the telegram that was read last."""
+        assert self._sender is not None  # there is no reply without a telegram
+        try:
+            self._sock.sendto(reply, self._sender)
+        except OSError:  # no route, no buffer, nobody there: to the KRC it is a lost reply
+            self._counters["replies_unsent"] += 1
+
+    def _drain(self, now_s: float) -> deque[tuple[bytes, Address]]:
+        """The newest datagrams of the KRC, oldest first; older ones are past their time, others are not its own."""
+        waiting: deque[tuple[bytes, Address]] = deque(maxlen=MOST_READ)
+        for _ in range(MOST_WAITING):
+            try:
+                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES)
+            except BlockingIOError:
+                break
+            except OSError:  # an earlier reply found nobody there
+                self._counters["socket_errors"] += 1
+                continue
+            who = self.peer.judge(sender, now_s)
+            if who is not Sender.KRC:
+                self._counters[who] += 1
+                continue
+            self._skipped(len(waiting) // MOST_READ)
+            waiting.append((datagram, sender))
+        return waiting
+
+    def _skipped(self, count: int) -> None:
+        if count:
+            self._counters["telegrams_skipped"] += count
+
+
+def _resolved(address: str | None) -> str | None:
+    if address is None:
+        return None
+    try:
+        return socket.gethostbyname(address)
+    except OSError as error:
+        raise ServiceUnreachableError(
+            f"krc_address {address!r} is not known: {error}; give the KRC's address in numbers"
+        ) from error
+
+
+def _bound(driver: RsiDescription) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    try:
+        sock.bind((driver.address, driver.port))
+    except OSError as error:
+        sock.close()
+        raise ServiceUnreachableError(
+            f"cannot listen for RSI on UDP {driver.address}:{driver.port}: {error.strerror}; "
+            "is another Robot Server running, or the address not this machine's?"
+        ) from error
+    return sock

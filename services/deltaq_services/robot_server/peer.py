@@ -1,0 +1,64 @@
+"""Whom a Robot Server listens to: the one KRC whose telegrams it has believed, and nobody beside it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+Address = tuple[str, int]
+
+
+class Sender(StrEnum):
+    """Who a datagram is from; all but the KRC's are dropped, and counted under these names."""
+
+    KRC = "telegrams_from_krc"
+    FOREIGN = "telegrams_foreign"
+    """From another address than the cell gives to the KRC, or from no port that could be answered."""
+    SECOND_KRC = "telegrams_second_krc"
+    """From the right address, but another port than that of the KRC that is being answered."""
+
+
+class Peer:
+    """The sender whose telegrams are read.
+
+    Its port is no configuration: a KRC, and an emulator, choose one when they start. That of the first valid telegram
+    is kept until the KRC has been silent for `silence_s`; from then on the next valid telegram names it anew.
+
+    Args:
+        krc_address: the KRC's own; None on a loopback, where any sender may be the first.
+        silence_s: after which the KRC may come from another port.
+
+    Attributes:
+        address: of the KRC; None while it is not known.
+        stranger: who was dropped last, for people; empty if nobody was.
+    """
+
+    def __init__(self, krc_address: str | None, silence_s: float) -> None:
+        self.address: Address | None = None
+        self.stranger = ""
+        self._krc_address = krc_address
+        self._silence_s = silence_s
+        self._heard_s = 0.0
+
+    def judge(self, sender: Address, now_s: float) -> Sender:
+        """Who a datagram is from, before a byte of it is read.
+
+        Args:
+            sender: its address and port.
+            now_s: on a monotonic clock.
+        """
+        if sender == self.address:
+            return Sender.KRC
+        host, port = sender[:2]
+        if port == 0 or self._krc_address not in (None, host):
+            self.stranger = f"a stranger at {host}:{port}"
+            return Sender.FOREIGN
+        if self.address is None or now_s - self._heard_s > self._silence_s:
+            return Sender.KRC
+        self.stranger = f"a second KRC at {host}:{port}"
+        return Sender.SECOND_KRC
+
+    def believed(self, sender: Address, now_s: float) -> None:
+        """A telegram of this sender was valid."""
+        if sender != self.address:
+            self.stranger = ""  # it may have been this one
+        self.address, self._heard_s = sender, now_s

@@ -1,0 +1,256 @@
+"""Sessions of a KRC: when one is believed to have begun, and which telegrams belong to it.
+
+A session is RSI running from one RSI_ON to its end: its corrections are offsets from where it began. Believing in a
+new one changes what every correction means, so one telegram is never enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_protocol.rsi import KrcTelegram
+from deltaq_services.robot_server.plausibility import Plausibility
+
+Array = NDArray[np.float64]
+
+CONFIRMATIONS = 4
+"""Telegrams in a row that agree before a session is believed. Two agree when one is doubled, three give the IPOC's step
+twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late replies, as it does
+unless told otherwise, waits for four."""
+
+PACE = 0.5
+"""Share of their own time in which such telegrams may come: a real KRC cannot hurry, a burst of forged ones does."""
+
+STILL = 1e-5
+"""Change of a joint between telegrams that counts as standing still [rad or m]."""
+
+IPOC_WRAP = 2**32
+_LARGEST_STEP = 1000
+_OVERTAKEN_CYCLES = 100
+"""A telegram this far behind may have been overtaken on the wire; one further behind has another clock."""
+
+_JITTER_CYCLES = 3
+"""How far the IPOC may run ahead of the time that has passed: less than it takes to believe in another session, so that
+one garbled stamp does not end the session whose telegrams then seem overtaken."""
+
+
+class Belief(StrEnum):
+    """What is believed of the telegrams that come."""
+
+    UNKNOWN = "unknown"
+    """No session was believed yet."""
+    BELIEVED = "believed"
+    """A session goes on."""
+    DOUBTED = "doubted"
+    """A session was believed, and telegrams come that do not belong to it."""
+
+
+class Kind(StrEnum):
+    """What a telegram is to the session that is believed."""
+
+    NEXT = "next"
+    """It follows the last one soon enough, and its programmed position is the same."""
+    REPEATED = "repeated"
+    """It came twice, or was overtaken on the wire."""
+    GARBLED = "garbled"
+    """It follows the last one, and a position in it cannot be true."""
+    FOREIGN = "foreign"
+    """It belongs to another session, or to none."""
+    CONFIRMED = "confirmed"
+    """It is the last of so many that agree and stand still, while the session is silent, that another is believed."""
+
+
+class Answer(StrEnum):
+    """What a telegram is answered with."""
+
+    SETPOINT = "setpoint"
+    """The correction of this cycle."""
+    LAST = "last"
+    """The correction that was sent last, again."""
+    UNMOVED = "unmoved"
+    """The correction that the KRC has by all that the telegram says; none where that might move the robot."""
+    NOTHING = "nothing"
+    """It is not answered."""
+
+
+class Judgement(NamedTuple):
+    """What a telegram is, what it is answered with, and of a garbled one why."""
+
+    kind: Kind
+    answer: Answer
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """In `belief`, a telegram of `kind` is answered with `answer` and leads to `next_belief`."""
+
+    belief: Belief
+    kind: Kind
+    answer: Answer
+    next_belief: Belief
+
+
+AUTOMATON: tuple[Row, ...] = (
+    Row(Belief.UNKNOWN, Kind.FOREIGN, Answer.UNMOVED, Belief.UNKNOWN),
+    Row(Belief.UNKNOWN, Kind.REPEATED, Answer.NOTHING, Belief.UNKNOWN),
+    Row(Belief.UNKNOWN, Kind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
+    Row(Belief.BELIEVED, Kind.NEXT, Answer.SETPOINT, Belief.BELIEVED),
+    Row(Belief.BELIEVED, Kind.REPEATED, Answer.NOTHING, Belief.BELIEVED),
+    Row(Belief.BELIEVED, Kind.GARBLED, Answer.LAST, Belief.BELIEVED),
+    Row(Belief.BELIEVED, Kind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
+    Row(Belief.DOUBTED, Kind.NEXT, Answer.SETPOINT, Belief.BELIEVED),
+    Row(Belief.DOUBTED, Kind.REPEATED, Answer.NOTHING, Belief.DOUBTED),
+    Row(Belief.DOUBTED, Kind.GARBLED, Answer.NOTHING, Belief.DOUBTED),
+    Row(Belief.DOUBTED, Kind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
+    Row(Belief.DOUBTED, Kind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
+)
+"""The automaton of a session: whatever a telegram says, one of these rows is what comes of it."""
+
+_ROWS = {(row.belief, row.kind): row for row in AUTOMATON}
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Telegrams in a row that may be those of another session."""
+
+    count: int
+    first_s: float
+    step: int | None
+    newest: KrcTelegram
+
+
+class Session:
+    """Follows the sessions of one KRC by its telegrams.
+
+    Args:
+        cycle_s: sample time.
+        silence_s: after which a KRC counts as silent.
+        ipoc_step: by how much the IPOC grows in a cycle; None: learned from the telegrams that a session begins with.
+        plausible: where the robot can be.
+        near: (n,) how far it may be from where it was sent [rad or m].
+
+    Attributes:
+        belief: what is believed now.
+        step: by how much the IPOC grows in a cycle; None while it is not known.
+        last: the newest telegram of the session; None before the first.
+    """
+
+    def __init__(
+        self, cycle_s: float, silence_s: float, ipoc_step: int | None, plausible: Plausibility, near: Array
+    ) -> None:
+        self.belief = Belief.UNKNOWN
+        self.step = ipoc_step
+        self.last: KrcTelegram | None = None
+        self._given_step = ipoc_step
+        self._plausible = plausible
+        self._near = near
+        self._cycle_s = cycle_s
+        self._silence_s = silence_s
+        self._silence_cycles = max(1, round(silence_s / cycle_s))
+        self._least_s = PACE * (CONFIRMATIONS - 1) * cycle_s
+        self._time_s = 0.0
+        self._run: _Run | None = None
+
+    def judge(self, telegram: KrcTelegram, time_s: float) -> Judgement:
+        """What a telegram is, and what it is answered with.
+
+        Args:
+            telegram: it has a position where the robot can be.
+            time_s: when it arrived, on a monotonic clock.
+        """
+        kind, why = self._kind(telegram, time_s)
+        if kind is Kind.NEXT:
+            self._goes_on(telegram, time_s)
+        if kind in (Kind.NEXT, Kind.GARBLED):
+            self._run = None
+        else:
+            grew = self._follow(telegram, time_s)
+            if kind is Kind.REPEATED and grew:
+                kind = Kind.FOREIGN  # two that follow one another are a clock set back
+            if kind is Kind.FOREIGN and self._confirmed(time_s):
+                kind = Kind.CONFIRMED
+        row = _ROWS[self.belief, kind]
+        if kind is not Kind.CONFIRMED:
+            self.belief = row.next_belief
+        return Judgement(kind, row.answer, why)
+
+    def believe(self, telegram: KrcTelegram, time_s: float) -> None:
+        """Begin the session that was confirmed by this telegram."""
+        assert self._run is not None  # it was confirmed by a run
+        self.belief, self.step, self._run = Belief.BELIEVED, self._run.step, None
+        self._goes_on(telegram, time_s)
+
+    def interrupted(self) -> None:
+        """A telegram says that RSI begins anew."""
+        self._run = None
+        if self.belief is Belief.BELIEVED:
+            self.belief = Belief.DOUBTED
+
+    def _goes_on(self, telegram: KrcTelegram, time_s: float) -> None:
+        self.last, self._time_s = telegram, time_s
+
+    def _kind(self, telegram: KrcTelegram, time_s: float) -> tuple[Kind, str]:
+        repeats = self._run is not None and self._run.newest.ipoc == telegram.ipoc
+        other = Kind.REPEATED if repeats else Kind.FOREIGN
+        last = self.last
+        if last is None:
+            return other, ""
+        step = self.step or 1
+        behind = (last.ipoc - telegram.ipoc) % IPOC_WRAP
+        if behind % step == 0 and behind <= _OVERTAKEN_CYCLES * step:
+            return Kind.REPEATED, ""
+        ahead = (telegram.ipoc - last.ipoc) % IPOC_WRAP
+        passed = (time_s - self._time_s) / self._cycle_s + _JITTER_CYCLES
+        if ahead % step or ahead > min(self._silence_cycles, passed) * step:
+            return other, ""
+        if not _same(telegram.q_programmed, last.q_programmed):
+            if self._stands_where_programmed(telegram):
+                return Kind.FOREIGN, ""
+            return Kind.GARBLED, "its programmed position is neither the session's nor the robot's"
+        assert telegram.q is not None  # asked only of telegrams with a position
+        assert last.q is not None  # the session consists of such
+        fault = self._plausible.of_motion(telegram.q.tolist(), last.q.tolist(), ahead // step)
+        return (Kind.NEXT, "") if fault is None else (Kind.GARBLED, str(fault))
+
+    def _stands_where_programmed(self, telegram: KrcTelegram) -> bool:
+        if telegram.q is None or telegram.q_programmed is None:
+            return False
+        return bool(np.all(np.abs(telegram.q - telegram.q_programmed) <= self._near))
+
+    def _follow(self, telegram: KrcTelegram, time_s: float) -> bool:
+        """Count a telegram that is not the session's; whether it agrees with the one before."""
+        run = self._run
+        if run is not None:
+            step = (telegram.ipoc - run.newest.ipoc) % IPOC_WRAP
+            if step == 0:
+                return False
+            if (
+                step == (self._given_step or run.step or step)
+                and step <= _LARGEST_STEP
+                and _same(telegram.q_programmed, run.newest.q_programmed)
+                and _same(telegram.q, run.newest.q)
+            ):
+                self._run = _Run(run.count + 1, run.first_s, step, telegram)
+                return True
+        self._run = _Run(1, time_s, None, telegram)
+        return False
+
+    def _confirmed(self, time_s: float) -> bool:
+        run = self._run
+        if self.last is not None and time_s - self._time_s < self._silence_s:
+            return (
+                False  # a KRC that was heard a moment ago has not begun anew: some of its telegrams were lost
+            )
+        return run is not None and run.count >= CONFIRMATIONS and time_s - run.first_s >= self._least_s
+
+
+def _same(one: Array | None, other: Array | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return bool(np.all(np.abs(one - other) < STILL))
