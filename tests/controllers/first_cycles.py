@@ -23,7 +23,6 @@ import numpy as np
 from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.summary import description_message
 from deltaq_controllers.advisor.counsel import Counsel
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.rehearsal import Rehearsal
@@ -115,9 +114,10 @@ class QuietCell(Cell):
     """A cell without a wire; while a lease is held, what Python waits for is `late`."""
 
     def __init__(self, name: str, waits: Waits) -> None:
-        self.description = description_message(name)
+        cell = CellModel.load(name)
+        self.description = cell.description_message()
         self.robots = self.description.robots
-        self.models = CellModel.load(name).robots
+        self.models = cell.robots
         self.waits = waits
         self.early: dict[str, list[str]] = {}
         self.late: dict[str, list[str]] = {}

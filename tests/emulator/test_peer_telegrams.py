@@ -6,6 +6,7 @@ the emulated one must take; what a KRC sends the Robot Server must take. `REFUSE
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,20 @@ from RSIPI.xml_handler import XMLGenerator
 
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_protocol.rsi import AxisMap, KrcCodec, KrcReport, SensorCodec, TelegramError, load_ethernet_xml
+from deltaq_protocol.rsi.ethernet_xml import parse_ethernet_xml
 
 ARM = tuple(f"a{i}" for i in range(1, 7))
-FLOOR = load_ethernet_xml(resolve_near(find_cell("lab"), "fr_ethernet.xml"))
+SHIPPED = resolve_near(find_cell("lab"), "fr_ethernet.xml").read_text(encoding="utf-8")
+SEND = (
+    '<ELEMENT TAG="Di.I1" TYPE="BOOL" INDX="1"/><ELEMENT TAG="Di.I2" TYPE="BOOL" INDX="2"/></ELEMENTS></SEND>'
+)
+RECEIVE = '<ELEMENT TAG="Do.O1" TYPE="BOOL" INDX="20" HOLDON="1"/><ELEMENT TAG="Do.O2" TYPE="BOOL" INDX="21" HOLDON="1"/>'
+FLOOR = parse_ethernet_xml(
+    re.sub(r"</ELEMENTS>\s*</SEND>", SEND, SHIPPED).replace(
+        '<ELEMENT TAG="Stop"', f'{RECEIVE}<ELEMENT TAG="Stop"'
+    )
+)
+"""The floor robot's, with two digital signals each way."""
 AXES = AxisMap.of(ARM, ("rad",) * 6, "krc4")
 KRC = KrcCodec(FLOOR, AXES, outputs={"gripper": "Do.O1"}, stop="Stop")
 PC = SensorCodec(FLOOR, AXES, inputs={"closed": "Di.I1"})
