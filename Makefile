@@ -16,7 +16,7 @@ MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
-.PHONY: help install demo test lint nightly mutation container-test wheels image docs figures constraints clean
+.PHONY: help install demo test quick lint nightly mutation container-test wheels image docs figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -42,7 +42,11 @@ demo: $(INSTALLED) ## start the emulated lab cell and let the camera follow, for
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) lint ## lint, types, rooms, tests
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile -m 'not live'
+	$(BIN)/pytest -m live
+
+quick: $(INSTALLED) lint ## lint, types, rooms, and the tests that take no time
+	$(BIN)/pytest -n 2 --dist loadfile -m 'not live and not long'
 
 lint: $(INSTALLED) ## lint, format, types, rooms
 	$(BIN)/ruff check

@@ -1,7 +1,6 @@
 """Tests that start real processes share a machine whose load they cannot choose."""
 
 import signal
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -11,16 +10,26 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("exploring", deadline=None, max_examples=2000)
 settings.load_profile("repeatable")
 
-PROCESSES = ("tests/deploy", "tests/live")
+ONLY_IF_ASKED = ("nightly", "container")
+"""Tests under these markers run only where `-m` names the marker; whatever else `-m` says adds to that."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # whoever starts the tests in the background ignores Ctrl-C for them, and for the processes that must obey it here
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_collection_modifyitems(items):
-    """Try a test of live processes again before it counts as failed; what is pure gets one try."""
+def pytest_collection_modifyitems(config, items):
+    """Leave out what runs only if asked, and try a test of live processes again before it counts as failed.
+
+    A second try is a fault to be explained: it is shown as R, and named at the end of the run.
+    """
+    asked = config.option.markexpr
+    left_out = [name for name in ONLY_IF_ASKED if name not in asked]
+    kept, deselected = [], []
     for item in items:
-        folder = str(Path(str(item.path)).parent)
-        if item.get_closest_marker("live") is not None or folder.endswith(PROCESSES):
-            item.add_marker(pytest.mark.flaky(reruns=2))
+        (deselected if any(map(item.get_closest_marker, left_out)) else kept).append(item)
+        if item.get_closest_marker("live") is not None:
+            item.add_marker(pytest.mark.flaky(reruns=1))
+    if deselected:
+        config.hook.pytest_deselected(items=deselected)
+        items[:] = kept

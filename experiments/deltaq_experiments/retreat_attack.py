@@ -16,6 +16,8 @@ from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.proximity import Proximity
@@ -177,7 +179,8 @@ def main() -> None:
             parser.error(f"--{name} {count}: at least 1")
     seeds = range(options.seed, options.seed + options.situations)
     with get_context("spawn").Pool(options.processes, _prepare, (options.cell,)) as pool:
-        outcomes = list(pool.imap_unordered(_run, seeds, chunksize=8))
+        played = pool.imap_unordered(_run, seeds, chunksize=8)
+        outcomes = list(track(played, "situations", len(seeds), console=Console(stderr=True)))
     print(json.dumps(summary(outcomes)))
 
 

@@ -24,7 +24,9 @@ SHIPPED = resolve_near(find_cell("lab"), "fr_ethernet.xml").read_text(encoding="
 SEND = (
     '<ELEMENT TAG="Di.I1" TYPE="BOOL" INDX="1"/><ELEMENT TAG="Di.I2" TYPE="BOOL" INDX="2"/></ELEMENTS></SEND>'
 )
-RECEIVE = '<ELEMENT TAG="Do.O1" TYPE="BOOL" INDX="20" HOLDON="1"/><ELEMENT TAG="Do.O2" TYPE="BOOL" INDX="21" HOLDON="1"/>'
+RECEIVE = "".join(
+    f'<ELEMENT TAG="Do.O{number}" TYPE="BOOL" INDX="{19 + number}" HOLDON="1"/>' for number in (1, 2)
+)
 FLOOR = parse_ethernet_xml(
     re.sub(r"</ELEMENTS>\s*</SEND>", SEND, SHIPPED).replace(
         '<ELEMENT TAG="Stop"', f'{RECEIVE}<ELEMENT TAG="Stop"'
