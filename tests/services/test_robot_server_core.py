@@ -400,6 +400,8 @@ def test_a_reply_that_was_not_sent_holds_the_robot_where_the_krc_was_sent(rig):
         np.testing.assert_array_equal(rig.q, before)
     rig.resets += 1
     assert rig.cycle().q_cmd == tuple(before.tolist())
+    rig.server.reply_refused(before)
+    assert rig.counters["replies_refused"] == 2
 
 
 LAG = math.ceil(CELL.gate.servo_lag_s / CELL.cycle_s)
@@ -438,7 +440,13 @@ def test_motion_that_goes_on_after_the_setpoint_rests_is_ended_by_the_krc(rig):
     rig.resets += 1
     rig.q = np.array(rig.server.state.q_cmd)
     assert rig.cycle().phase is Phase.READY
-    assert not rig.server.motion_stop
+    assert rig.server.motion_stop is False
+    adrift = rig.q.copy()
+    while not rig.server.motion_stop:
+        adrift += 0.4 * FR.tracking_tolerance
+        rig.q = adrift.copy()
+        rig.cycle()
+    assert rig.counters["motion_stops"] == 2
 
 
 def test_told_to_end_it_brakes_first_and_rests_when_the_drives_have_caught_up(rig):
