@@ -41,9 +41,10 @@ class RunningCell:
         pytest.fail(f"the launcher ended without a line with {text!r}; it said\n{''.join(self.lines)}")
 
     def children(self) -> list[int]:
-        """Process ids of the services."""
+        """Process ids of the services, without the warden that ends them if the launcher is killed."""
         threads = Path(f"/proc/{self.launcher.pid}/task").iterdir()
-        return [int(pid) for thread in threads for pid in (thread / "children").read_text().split()]
+        children = [int(pid) for thread in threads for pid in (thread / "children").read_text().split()]
+        return [pid for pid in children if b"warden" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 def run(command: list[str]) -> subprocess.CompletedProcess[str]:
