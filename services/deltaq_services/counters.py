@@ -83,6 +83,16 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, for want of an admission"),
     Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
     Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
+    Counted(
+        ROBOT_SERVER, "motion_stops", "times that the KRC was told to end a motion that went on by itself"
+    ),
+    Counted(ROBOT_SERVER, "replies_refused", "replies that the last check did not let go to the drives"),
+    Counted(ROBOT_SERVER, "replies_unsent", "replies that the socket did not take"),
+    Counted(ROBOT_SERVER, "socket_errors", "errors of the socket while it was read"),
+    Counted(
+        ROBOT_SERVER, "{sender}", "datagrams of others than the KRC, by who, e.g. `telegrams_second_krc`"
+    ),
+    Counted(ROBOT_SERVER, "telegrams_implausible", "telegrams that say what cannot be true"),
     Counted(ROBOT_SERVER, "reply_missed", "cycles whose reply the KRC did not take"),
     Counted(ROBOT_SERVER, "session_restarted", "RSI sessions that began anew"),
     Counted(ROBOT_SERVER, "telegrams_garbled", "datagrams that are no telegram of this robot"),

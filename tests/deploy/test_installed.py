@@ -47,7 +47,8 @@ def test_the_command_of_a_bare_install_says_what_to_install(bare: Installed, wor
 def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed) -> None:
     assert missing(complete) == set()
     done = complete.run("deltaq", "check", "lab")
-    assert (done.returncode, done.stdout) == (0, "lab: good\n"), done.stderr
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("lab: good\n")
 
 
 def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Installed, tmp_path: Path) -> None:

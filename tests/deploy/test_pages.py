@@ -26,6 +26,14 @@ SHORT = ("first-motion.md", "describe-a-cell.md", "record.md")
 """What a reader does first; the other pages follow in `make nightly`."""
 
 NOT_RUN = {
+    "bring-your-own-robot.md": ["installs from a package index", "a line of a cell"],
+    "commission.md": [
+        "tests/deploy/test_commission.py runs it beside an emulated controller",
+        "waits for keys",
+        "tests/deploy/test_commission.py runs it beside an emulated controller",
+        "tests/deploy/test_commission.py runs it beside an emulated controller",
+    ],
+    "talk-over-a-socket.md": ["tests/services/test_printed_conversation.py holds it with a running HLI"],
     "README.md": [
         "makes an environment of its own; the next block runs the same demonstration",
         "installs from a package index",

@@ -118,7 +118,6 @@ def test_without_a_stop_in_the_cell_the_signal_is_any_other() -> None:
     [
         ("Halt", "no BOOL signal Halt, which the cell names for driver.stop"),
         ("AK.A1", "no BOOL signal AK.A1"),
-        ("Do.O1", "Do.O1 of RECEIVE is named for gripper and for driver.stop"),
     ],
 )
 def test_a_stop_that_cannot_be_is_refused(tag: str, message: str) -> None:

@@ -83,11 +83,17 @@ def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_se
     told = {
         "state": {
             "process", "_q_cmd", "_dq", "_plan", "_plan_dq", "_epoch", "_sequence", "_phase", "_reason", "_cycle",
+            "_q_reset", "_told",
         },
-        "key": {"_cycles_without_gate", "_cycles_missed", "_resets", "state"},
+        "key": {
+            "_cycles_without_gate", "_cycles_missed", "_cycles_at_rest", "_q_settled", "_resets", "_state",
+            "motion_stop",
+        },
         "fixed or only counted": {
-            "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles",
+            "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles", "_tolerance",
+            "_lag_cycles",
         },
+        "taken from each telegram": {"_q"},
     }  # fmt: skip
     assert set(vars(System().start(0).server)) == set.union(*told.values())
 

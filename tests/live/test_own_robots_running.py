@@ -52,13 +52,10 @@ def up(cell: Path) -> Iterator[None]:
     assert launcher.returncode == 0, rest
 
 
-def block(what: str, language: str) -> str:
-    """A block of the guide that says by what it is run, or which file it is."""
-    found = re.findall(
-        rf"<!-- {what} -->\n```{language}\n(.*?)^```", GUIDE.read_text(), re.MULTILINE | re.DOTALL
-    )
-    assert len(found) == 1, what
-    return str(found[0])
+def blocks(what: str, language: str) -> list[str]:
+    """The blocks of the guide that are run so, or the one that is this file."""
+    marked = rf"<!-- {what} -->\n```{language}\n(.*?)^```"
+    return re.findall(marked, GUIDE.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def shell(text: str, folder: Path) -> str:
@@ -85,16 +82,17 @@ def test_the_guide_leads_from_two_published_urdfs_to_a_replayed_motion(tmp_path:
     find_file(
         "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
     )  # the extra `dev` has it
-    (tmp_path / "arms.yaml").write_text(on_other_ports(block("file: arms.yaml", "yaml")))
-    (tmp_path / "wave.yaml").write_text(block("file: wave.yaml", "yaml"))
-    checked = shell(block("run: check", "sh"), tmp_path)
+    (tmp_path / "arms.yaml").write_text(on_other_ports(*blocks("write: arms.yaml", "yaml")))
+    (tmp_path / "wave.yaml").write_text(*blocks("write: wave.yaml", "yaml"))
+    check, move, replay = blocks("run: sh", "sh")
+    checked = shell(check, tmp_path)
     assert checked.startswith("arms.yaml: good")
     assert "panda_link6 - panda_link7" in checked
     with up(tmp_path / "arms.yaml"):
-        told = shell(block("run: cell", "sh"), tmp_path)
+        told = shell(move, tmp_path)
     assert "ur was driven" in told
     assert "panda" in told
-    replayed = json.loads(shell(block("run: replay", "sh").strip() + " --json", tmp_path))
+    replayed = json.loads(shell(replay.strip() + " --json", tmp_path))
     assert replayed["good"]
     assert replayed["verdicts"] > 0
     assert replayed["fingerprint"] == replayed["recorded_fingerprint"]

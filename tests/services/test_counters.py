@@ -17,6 +17,7 @@ COUNTED_BY_VARIABLE = {
     "decision.outcome": "{outcome}",
     "Outcome.REFUSED": "{outcome}",
     "why": "{refusal}",
+    "who": "{sender}",
 }
 """Counters whose whole name is in a variable, and their rows."""
 
