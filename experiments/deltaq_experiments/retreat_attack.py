@@ -133,6 +133,11 @@ class RetreatAttack:
         outwards: Array = steepest / max(float(np.max(np.abs(steepest) / fastest)), 1e-12)
         if ask == "creep":
             return -outwards * _CREEP * float(10.0 ** random.uniform(0, 4))
+        if ask == "outwards":
+            # a joint at its limit would hold all others
+            robot = self._cell.robots[name]
+            blocked = np.where(outwards > 0, q[name] >= robot.upper, q[name] <= robot.lower)
+            outwards[blocked] = 0.0
         share = float(random.uniform(0.01, 1.0))
         return outwards * (share if ask == "outwards" else -share)
 
