@@ -21,7 +21,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def pytest_collection_modifyitems(config, items):
     """Leave out what runs only if asked, and try a test of live processes again before it counts as failed.
 
-    A second try is a fault to be explained: it is shown as R, and named at the end of the run.
+    A further try is a fault to be explained: it is shown as R, and named at the end of the run.
     """
     asked = config.option.markexpr
     left_out = [name for name in ONLY_IF_ASKED if name not in asked]
@@ -29,7 +29,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         (deselected if any(map(item.get_closest_marker, left_out)) else kept).append(item)
         if item.get_closest_marker("live") is not None:
-            item.add_marker(pytest.mark.flaky(reruns=1))
+            item.add_marker(pytest.mark.flaky(reruns=2))
     if deselected:
         config.hook.pytest_deselected(items=deselected)
         items[:] = kept

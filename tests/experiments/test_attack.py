@@ -26,7 +26,7 @@ def assert_nothing_gave_way(report):
 @pytest.mark.timeout(1800)
 def test_fifty_thousand_decisions_under_attack_break_nothing():
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        reports = list(pool.map(attacked, range(13)))
+        reports = list(pool.map(attacked, range(14)))
     for report in reports:
         assert_nothing_gave_way(report)
     assert sum(report.decided for report in reports) > 50_000
