@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -129,13 +130,22 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def executed(cell: Path, *arguments: str) -> dict[str, Any]:
-    """Go to the best option; what was found, with the robot at rest there and given back."""
-    command = [DELTAQ, "advise", "--cell", str(cell), "--execute", "1", "--json", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    """Go to the best option that has a path; what was found, with the robot at rest there and given back."""
+
+    def advise(option: int) -> subprocess.CompletedProcess[str]:
+        command = [DELTAQ, "advise", "--cell", str(cell), "--execute", str(option), "--json", *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+    option, done = 1, advise(1)
+    if instead := re.search(
+        r"options with a path: (\d+)", done.stderr
+    ):  # which a busy machine may not find in time
+        option = int(instead[1])
+        done = advise(option)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     driven = found["executed"]
-    assert (driven["option"], driven["reached"]) == (1, True)
+    assert (driven["option"], driven["reached"]) == (option, True)
     # a machine that is busy with other things loses cycles, and after each the robot speeds up again
     assert driven["outcomes"]["admitted"] > sum(driven["outcomes"].values()) / 2
     assert driven["outcomes"]["refused"] == 0
@@ -144,7 +154,7 @@ def executed(cell: Path, *arguments: str) -> dict[str, Any]:
     status = subprocess.run(command, capture_output=True, text=True, check=False)
     robot = json.loads(status.stdout)["robots"]["dawm"]
     assert robot["lease"]["holder"] is None
-    np.testing.assert_allclose(robot["q"], found["options"][0]["q"], atol=1e-4)
+    np.testing.assert_allclose(robot["q"], found["options"][option - 1]["q"], atol=1e-4)
     return found
 
 
