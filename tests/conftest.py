@@ -30,6 +30,9 @@ def pytest_collection_modifyitems(config, items):
         (deselected if any(map(item.get_closest_marker, left_out)) else kept).append(item)
         if item.get_closest_marker("live") is not None:
             item.add_marker(pytest.mark.flaky(reruns=2))
+    # files with long tests go first, so that no worker is left alone with one at the end
+    long = {item.path for item in kept if item.get_closest_marker("long") is not None}
+    kept.sort(key=lambda item: item.path not in long)
     if deselected:
         config.hook.pytest_deselected(items=deselected)
-        items[:] = kept
+    items[:] = kept

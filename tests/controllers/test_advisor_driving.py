@@ -32,6 +32,7 @@ def path_of(option: Option) -> Array:
     return option.path
 
 
+@pytest.mark.long
 def test_a_timed_path_keeps_the_joints_limits_and_begins_and_ends_at_rest(option: Option) -> None:
     setpoints = timed(path_of(option), TRACKER, CYCLE_S)
     dq = np.diff(setpoints, axis=0, prepend=setpoints[:1], append=setpoints[-1:])

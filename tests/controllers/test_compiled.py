@@ -79,12 +79,14 @@ def increments(text: str) -> np.ndarray:
     return np.array([[float.fromhex(value) for value in line.split()] for line in text.splitlines()])
 
 
+@pytest.mark.long
 def test_the_machine_code_of_a_law_gives_what_its_python_does() -> None:
     compiled, python = increments(run(LAW)), increments(run(LAW, NUMBA_DISABLE_JIT="1"))
     assert np.abs(compiled).max() > 1e-4
     np.testing.assert_allclose(compiled, python, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.long
 def test_no_cycle_waits_for_the_compiler_whatever_kind_of_arrays_the_views_have() -> None:
     told = run(CYCLES).split()
     assert told[::2] == ["paper"] * 2 + ["predictive"] * 2 + ["qp"] * 2

@@ -17,6 +17,7 @@ def stays_inside_when_braked(robot: RobotModel, q: np.ndarray, dq: np.ndarray) -
     return bool((end <= robot.upper).all() and (end >= robot.lower).all())
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(ROBOTS), st.integers(0, 2**32 - 1), st.floats(0.01, 50.0), st.integers(1, 60))
 def test_whatever_is_wanted_every_increment_is_within_limits_and_can_be_braked(

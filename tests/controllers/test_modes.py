@@ -247,6 +247,7 @@ def test_the_hands_stay_wherever_the_gate_brakes_a_self_motion(robot: str, joint
     assert off_rad < KEPT_RAD
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "joints"),
     [

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from driving import PlainDrive, StackDrive, model
 
 from deltaq_controllers.modes.limitation import Limit, from_verdict
@@ -83,6 +84,7 @@ def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
     assert run.robot.forward(run.now)[2, 3] > low + 0.1
 
 
+@pytest.mark.long
 def test_what_the_gate_holds_is_named_and_joint_mode_leads_out() -> None:
     run = StackDrive("gr", COUPLED)
     held = run.drive(8.0, z=-0.3)

@@ -10,6 +10,7 @@ def done_well(figures: ModeFigures) -> bool:
     return figures.peg_off_mm < 1.5 and figures.peg_tilt_deg < 0.5 and figures.valve_off_mm < 1.5
 
 
+@pytest.mark.long
 def test_coupled_mode_puts_the_peg_in_straight_and_turns_the_valve_in_place() -> None:
     (figures,) = run(modes=["coupled"])
     assert done_well(figures)

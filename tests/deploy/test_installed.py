@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from installed import ROOT, Installed
 
+pytestmark = pytest.mark.long
+
 HEAVY = {"typer", "rich", "pinocchio", "coal", "numba", "ruamel.yaml", "matplotlib", "mcap"}
 INSTALL_PAGE = ROOT / "docs" / "how-to" / "install.md"
 

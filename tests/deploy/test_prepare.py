@@ -103,6 +103,7 @@ def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_pa
     assert not machine_code.is_complete("", "paper")
 
 
+@pytest.mark.long
 def test_a_function_is_told_when_it_is_compiled_and_not_when_it_is_found_on_disk(tmp_path: Path) -> None:
     law = tmp_path / "law.py"
     law.write_text(ONE_LAW)

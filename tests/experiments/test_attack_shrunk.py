@@ -82,6 +82,7 @@ def broken(moves):
 STILL = (0,) * 6, (0,) * 9
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(MOVES)
 @example([Move((10, 0, 0, 0, 0, 0), STILL[1], 8, "nothing"), Move((-10, 0, 0, 0, 0, 0), STILL[1], 8, "fr")])
@@ -89,6 +90,7 @@ def test_no_short_attack_beside_one_another_breaks_anything(moves):
     assert broken(moves) is None
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_a_gate_that_certifies_anything_is_found_out_and_its_failure_is_shrunk():
     careless = patch.object(Certifier, "certify", lambda *_: Certificate(holds=True, binding=None))

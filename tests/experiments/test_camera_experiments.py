@@ -89,6 +89,7 @@ def test_a_distance_about_which_it_swings_is_reached_on_average_only() -> None:
     assert told.why_not == "reached on average only: the leader moves on meanwhile"
 
 
+@pytest.mark.long
 def test_a_leader_that_attacks_the_lens_touches_nothing() -> None:
     outcome = collision.run(Options(controller="qp", duration_s=4.5, settle_s=0.0, leader_speed_m_s=0.5))
     report = outcome.report

@@ -24,10 +24,12 @@ def documented():
     return [line for block in blocks for line in block.splitlines()]
 
 
+@pytest.mark.long
 def test_the_services_hold_every_property_whatever_is_asked_of_them():
     assert explore(System(), faults=0, cycles=MOST_CYCLES).counterexample is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("line", documented(), ids=lambda line: line.partition("model ")[2])
 def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_the_page_tells(line):
     command = [sys.executable, *shlex.split(line)[1:]]

@@ -242,6 +242,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.long
 def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:

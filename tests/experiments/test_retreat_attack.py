@@ -11,6 +11,7 @@ def attack():
     return RetreatAttack("lab")
 
 
+@pytest.mark.long
 def test_nothing_comes_nearer_than_it_was(attack):
     figures = summary([attack.run(seed) for seed in range(20)])
     assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures
@@ -18,6 +19,7 @@ def test_nothing_comes_nearer_than_it_was(attack):
     assert figures["decisions"]["admitted"] + figures["decisions"]["scaled"] > 50
 
 
+@pytest.mark.long
 def test_who_stands_in_a_violation_is_let_out_of_it(attack):
     outwards = [attack.run(seed, ask="outwards") for seed in range(100, 118)]
     figures = summary(outwards)
@@ -25,6 +27,7 @@ def test_who_stands_in_a_violation_is_let_out_of_it(attack):
     assert figures["outwards"]["let_out"] == figures["outwards"]["situations"] >= 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("forgotten", ["between setpoints", "since it began"])
 def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkeypatch, forgotten):
     if forgotten == "between setpoints":

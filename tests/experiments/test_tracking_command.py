@@ -16,6 +16,7 @@ def deltaq(*arguments, timeout=300):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.long
 def test_the_paper_keeps_the_leader_in_view_within_a_degree_and_two_centimetres():
     status, out, error = deltaq(
         "experiment", "tracking", "--controller", "paper", "--leader-speed-m-s", "0.25", "--latency-s", "0.06", "--json"
@@ -70,6 +71,7 @@ def test_live_every_experiment_runs_and_draws(name, tmp_path):
         assert report["contacts"] == 0
 
 
+@pytest.mark.long
 def test_bench_tells_ratios_against_a_reference_of_the_same_run():
     status, out, error = deltaq("bench", "--cycles", "20", "--json")
     assert status in (0, 1), error

@@ -58,6 +58,7 @@ def test_a_robot_in_the_floor_is_not_certified_and_the_pair_is_named(cell, proxi
     assert "structure/floor" in near.nearest.pair
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**32 - 1))
 def test_no_sample_of_a_certified_tube_is_nearer_than_the_stop_distance(cell, proximity, oracle, seed):

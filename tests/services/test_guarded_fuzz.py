@@ -78,6 +78,7 @@ def lab() -> CellModel:
     return CellModel.load("lab")
 
 
+@pytest.mark.long
 @lasting
 @given(messages=st.lists(states() | REQUESTS | COMMANDS, max_size=12))
 def test_the_gate_takes_whatever_is_a_message_and_says_nothing_but_messages(

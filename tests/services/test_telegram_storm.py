@@ -4,6 +4,7 @@ import pytest
 from telegram_storm import Storm
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_no_telegram_moves_the_robot(seed):
     storm = Storm(seed)
