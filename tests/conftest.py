@@ -1,8 +1,7 @@
-"""Tests that start real processes share a machine whose load they cannot choose."""
+"""What every run of the tests shares: the examples that are drawn, what is left out, and the order."""
 
 import signal
 
-import pytest
 from hypothesis import settings
 
 # a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
@@ -19,17 +18,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what runs only if asked, and try a test of live processes again before it counts as failed.
-
-    A further try is a fault to be explained: it is shown as R, and named at the end of the run.
-    """
+    """Leave out what runs only if asked, and begin with the files that take long."""
     asked = config.option.markexpr
     left_out = [name for name in ONLY_IF_ASKED if name not in asked]
     kept, deselected = [], []
     for item in items:
         (deselected if any(map(item.get_closest_marker, left_out)) else kept).append(item)
-        if item.get_closest_marker("live") is not None:
-            item.add_marker(pytest.mark.flaky(reruns=2))
     # files with long tests go first, so that no worker is left alone with one at the end
     long = {item.path for item in kept if item.get_closest_marker("long") is not None}
     kept.sort(key=lambda item: item.path not in long)
