@@ -14,25 +14,30 @@ import pytest
 from deltaq_cell.extents import Extents
 from deltaq_cell.separation import Separation
 
-ROBOTS = {"one": (0, 1, 2, 3), "other": (4, 5)}
-PRISMATIC = (0, 3, 5)
-JOINTS = 6
+ROBOTS = {"one": (0, 1, 2, 3, 4), "other": (5, 6)}
+PRISMATIC = (0, 3, 6)
+JOINTS = 7
 SHAPES = {
     "one/link": (coal.Box(0.2, 0.3, 0.4), (0, 1)),
-    "one/arm": (coal.Cylinder(0.1, 0.5), (0, 1, 2)),
+    "one/left": (coal.Cylinder(0.1, 0.5), (0, 1, 2)),
     "one/hand": (coal.Sphere(0.1), (0, 1, 2, 3)),
-    "other/arm": (coal.Capsule(0.07, 0.3), (4,)),
-    "other/hand": (coal.Cylinder(0.2, 0.1), (4, 5)),
+    "one/right": (coal.Box(0.1, 0.2, 0.3), (0, 1, 4)),
+    "other/arm": (coal.Capsule(0.07, 0.3), (5,)),
+    "other/hand": (coal.Cylinder(0.2, 0.1), (5, 6)),
     "floor": (coal.Cylinder(0.5, 0.1), ()),
     "wall": (coal.Sphere(0.4), ()),
 }
 PAIRS = [
-    ("one/arm", "floor"),
+    ("one/left", "floor"),
     ("wall", "one/hand"),
     ("one/link", "one/hand"),
-    ("one/hand", "one/arm"),
-    ("one/arm", "other/hand"),
+    ("one/hand", "one/left"),
+    ("one/right", "one/hand"),
+    ("one/left", "one/right"),
+    ("one/left", "other/hand"),
     ("other/arm", "one/link"),
+    ("other/hand", "one/right"),
+    ("one/hand", "other/arm"),
 ]
 
 
@@ -64,13 +69,15 @@ class Scene:
     def __init__(self, random, length=0.1, width=0.01):
         self.random = random
         self.axes = [unit(random) for _ in range(JOINTS)]
+        self.axes[2] = np.array([1.0, 0.0, 0.0])  # as an axis may be that has two zeros
         self.points = random.uniform(-1, 1, (JOINTS, 3))
         self.direction = random.uniform(-1, 1, JOINTS) * length
         self.deviation = random.uniform(0, 1, JOINTS) * width
         self.separation, self.bodies = Separation(JOINTS), {}
         self.add("floor", "wall")
-        for robot in ROBOTS:
-            self.add(*[name for name in SHAPES if name.startswith(f"{robot}/")])
+        added = [self.add(*[name for name in SHAPES if name.startswith(f"{robot}/")]) for robot in ROBOTS]
+        for places, names, joints in added:
+            self.move(places, names, joints)
         # a number that is not zero for the first of them
         assert self.separation.pair_up([("wall", "one/link")]) == 0
         self.first = self.separation.pair_up(PAIRS)
@@ -95,19 +102,22 @@ class Scene:
             )
         if not joints:
             self.separation.add(names, extents)
-            return
-        among = slice(joints[0], joints[-1] + 1)
+            return None
         moved_by = np.array([[joint in SHAPES[name][1] for joint in joints] for name in names])
         elsewhere = Extents(
             [pin.GeometryObject(item.name, 0, somewhere(self.random), item.geometry) for item in objects]
         )
-        places = self.separation.add(names, elsewhere, among, moved_by)
+        places = self.separation.add(names, elsewhere, slice(joints[0], joints[-1] + 1), moved_by)
+        return places, names, joints
+
+    def move(self, places, names, joints):
+        among = slice(joints[0], joints[-1] + 1)
         arms = np.array([[self.arm(name, joint) for joint in joints] for name in names])
         J = np.array([self.twist(joint, 1.0) for joint in joints]).T
         half = np.abs(self.direction) + self.deviation
-        self.separation.move(
-            places, extents.corners, extents.axis, among, arms, J, self.direction[among], half[among]
-        )
+        corners = np.array([self.bodies[name].corners for name in names])
+        axes = np.array([self.bodies[name].axis for name in names])
+        self.separation.move(places, corners, axes, among, arms, J, self.direction[among], half[among])
 
     def arm(self, name, joint):
         """Greatest distance of a point of a body from a joint's axis, 1 if that is prismatic or moves it not."""
@@ -204,7 +214,9 @@ def normal(scene, pair, random):
 FAR = [10.0] * len(PAIRS)
 
 
-@pytest.fixture(scope="module", params=[(1, 0.01), (2, 0.1), (3, 0.3), (4, 0.03)])
+@pytest.fixture(
+    scope="module", params=[(seed, length) for seed in range(1, 4) for length in (0.01, 0.05, 0.3)]
+)
 def drawn(request):
     """A scene, a normal for each pair, and the rooms of a standing and two turning planes."""
     seed, length = request.param
@@ -225,7 +237,14 @@ def test_each_pair_is_judged_for_itself(drawn):
     scene, normals, rooms = drawn
     every_second = np.arange(len(PAIRS)) % 2
     asked = rooms.max(axis=1) + np.where(every_second, -1e-9, 1e-9)
-    assert scene.keeps(PAIRS, normals, FAR, asked) == [False, True] * 3
+    assert scene.keeps(PAIRS, normals, FAR, asked) == [False, True] * 5
     for index, pair in enumerate(PAIRS):
         alone = scene.keeps([pair], [normals[index]], [10.0], [asked[index]])
         assert alone == [bool(every_second[index])]
+
+
+def test_bodies_that_are_too_near_at_the_middle_are_not_looked_at_along_planes(drawn):
+    scene, normals, rooms = drawn
+    asked = np.maximum(rooms.max(axis=1), 0.0) - 1e-9
+    kept = scene.keeps(PAIRS, normals, asked - 1e-6, asked)
+    assert all(item is False for item in kept)
