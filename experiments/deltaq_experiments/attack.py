@@ -132,13 +132,14 @@ def _ask(
         name: robot.forward(np.array(_state(stack, name).q_cmd))[:3, 3]
         for name, robot in stack.cell.robots.items()
     }
+    leases = stack.hli.status(stack.time_s, Counter()).robots
     for name, adversary in adversaries.items():
         others = [tool for other, tool in tools.items() if other != name]
         target = others[0] if others else np.zeros(3)
         if _state(stack, name).phase is Phase.HELD:
             stack.reset(name)
             record.resets += 1
-        if stack.hli.status(stack.time_s, Counter()).robots[name].lease.holder is None:
+        if leases[name].lease.holder is None:
             stack.acquire(name, f"adversary-{name}")
         dq = adversary.increment(np.array(_state(stack, name).q_cmd), target)
         record.tactics[adversary.tactic_name] += 1

@@ -1,25 +1,25 @@
 """An oracle of its own: how near bodies really came, and whether a limit was passed.
 
 It shares nothing with the gate but the bodies and the kinematics: every recorded configuration is placed as it
-is, every pair is measured, nothing is inflated or bounded. Limits are judged on the emulated controller's
+is and every pair that can be nearest is measured; nothing is inflated. Limits are judged on the emulated controller's
 record of its own setpoints, not on what anybody meant to send.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import GateDescription
 from deltaq_cell.robot import RobotModel
+from deltaq_experiments.pair_distances import PairDistances
 
 Array = NDArray[np.float64]
-
+Indices = NDArray[np.intp]
 
 STRUCTURE = "structure"
 """Owner of the bodies that stand still."""
@@ -38,111 +38,74 @@ class ClearanceOracle:
 
     Args:
         cell: the cell.
+
+    Attributes:
+        stop_distances_m: (pairs,) what each pair has to keep.
     """
 
     def __init__(self, cell: CellModel) -> None:
-        self._robots = cell.robots
-        self._data = {name: robot.model.createData() for name, robot in cell.robots.items()}
-        self._robot_geometry = {name: robot.geometry for name, robot in cell.robots.items()}
-        self._robot_data = {name: robot.geometry.createData() for name, robot in cell.robots.items()}
-        self._all = pin.GeometryModel()
-        self._owner: list[tuple[str, int]] = []
-        for name, robot in cell.robots.items():
-            for index, body in enumerate(robot.geometry.geometryObjects):
-                self._add(body, name, index)
-        for index, body in enumerate(cell.structure):
-            self._add(body, STRUCTURE, index)
-        self._structure = [body.placement for body in cell.structure]
+        self._names: list[str] = []
+        owners: list[str] = []
+        for owner, bodies in [
+            *((name, robot.geometry.geometryObjects) for name, robot in cell.robots.items()),
+            (STRUCTURE, cell.structure),
+        ]:
+            self._names += [body.name for body in bodies]
+            owners += [owner] * len(bodies)
         never = {frozenset(p) for robot in cell.robots.values() for p in robot.never_checked_pairs()}
-        self._foreign = self._pairs(never, lambda one, other: one != other)
-        self._own = self._pairs(never, lambda one, other: one == other != STRUCTURE)
-        self._robot_pairs = self._pairs(
-            never, lambda one, other: one != other and STRUCTURE not in (one, other)
-        )
-        self._watched = [
-            (pairs, list(range(len(pairs[0].collisionPairs)))) for pairs in (self._foreign, self._own)
+        self._pairs = [
+            (one, other)
+            for one, other in combinations(range(len(owners)), 2)
+            if owners[one] != STRUCTURE and frozenset((self._names[one], self._names[other])) not in never
         ]
+        self._distances = PairDistances(cell.robots, cell.structure, self._pairs)
+        owned_by = np.array([(owners[one], owners[other]) for one, other in self._pairs]).reshape(-1, 2)
+        own = owned_by[:, 0] == owned_by[:, 1]
+        self._all = np.arange(len(self._pairs))
+        self._own, self._foreign = self._all[own], self._all[~own]
+        self._of_two_robots = self._all[~own & (owned_by[:, 1] != STRUCTURE)]
+        gate = cell.description.gate
+        self.stop_distances_m: Array = np.where(own, gate.self_stop_distance_m, gate.stop_distance_m)
 
     def between_robots_and_structure(self, configurations: Mapping[str, Array]) -> Near:
         """Least distance between robots, and between robots and structure; (n,) [rad or m] per robot."""
-        return self._least(self._foreign, configurations)
+        return self._nearest(self._foreign, configurations)
 
     def between_robots(self, configurations: Mapping[str, Array]) -> Near:
         """Least distance between bodies of two robots; (n,) [rad or m] per robot."""
-        return self._least(self._robot_pairs, configurations)
+        return self._nearest(self._of_two_robots, configurations)
 
     def of_one_robot(self, configurations: Mapping[str, Array]) -> Near:
         """Least distance between two bodies of one robot; (n,) [rad or m] per robot."""
-        return self._least(self._own, configurations)
+        return self._nearest(self._own, configurations)
 
-    def distances(self, configurations: Mapping[str, Array]) -> Array:
-        """(pairs,) distance of every pair that is watched, always in the same order [m]."""
-        found = []
-        for pairs, watched in self._watched:
-            self._least(pairs, configurations)
-            results = pairs[1].distanceResults
-            found.append([results[index].min_distance for index in watched])
-        return np.concatenate(found)
+    def least_room_m(self, configurations: Mapping[str, Array], levels_m: Array) -> float:
+        """Least that a pair has beyond its level, of all pairs; infinite if there are none.
 
-    def stop_distances(self, gate: GateDescription) -> Array:
-        """(pairs,) what each pair of `distances` has to keep [m]."""
-        stops = (gate.stop_distance_m, gate.self_stop_distance_m)
-        return np.repeat(stops, [len(watched) for _, watched in self._watched])
+        Args:
+            configurations: (n,) [rad or m] per robot.
+            levels_m: (pairs,) distances that are compared with.
+        """
+        self._distances.place(configurations)
+        return self._distances.least(self._all, levels_m)[0]
 
-    def watch(self, distance_m: float, *configurations: Mapping[str, Array]) -> None:
-        """From now on measure only pairs that are nearer than a distance in one of these configurations."""
-        watched = []
-        for pairs in (self._foreign, self._own):
-            data = pairs[1]
-            for index in range(len(pairs[0].collisionPairs)):
-                data.activateCollisionPair(index)
-            near: set[int] = set()
-            for where in configurations:
-                self._least(pairs, where)
-                near |= {
-                    index
-                    for index, result in enumerate(data.distanceResults)
-                    if result.min_distance < distance_m
-                }
-            for index in set(range(len(pairs[0].collisionPairs))) - near:
-                data.deactivateCollisionPair(index)
-            watched.append((pairs, sorted(near)))
-        self._watched = watched
+    def distances_m(self, configurations: Mapping[str, Array], limits_m: Array) -> Array:
+        """(pairs,) distance of every pair that is nearer than its limit; of others a bound no less than that.
 
-    def _add(self, body: pin.GeometryObject, owner: str, index: int) -> None:
-        self._all.addGeometryObject(pin.GeometryObject(body.name, 0, body.placement, body.geometry))
-        self._owner.append((owner, index))
+        Args:
+            configurations: (n,) [rad or m] per robot.
+            limits_m: (pairs,) distances beyond which nobody asks.
+        """
+        self._distances.place(configurations)
+        return self._distances.below(limits_m)
 
-    def _pairs(
-        self, never: set[frozenset[str]], wanted: Callable[[str, str], bool]
-    ) -> tuple[pin.GeometryModel, pin.GeometryData]:
-        geometry = pin.GeometryModel()
-        for body in self._all.geometryObjects:
-            geometry.addGeometryObject(body)
-        names = [body.name for body in self._all.geometryObjects]
-        for i, (owner, _) in enumerate(self._owner):
-            for j in range(i + 1, len(names)):
-                if wanted(owner, self._owner[j][0]) and frozenset((names[i], names[j])) not in never:
-                    geometry.addCollisionPair(pin.CollisionPair(i, j))
-        return geometry, geometry.createData()
-
-    def _least(
-        self, pairs: tuple[pin.GeometryModel, pin.GeometryData], configurations: Mapping[str, Array]
-    ) -> Near:
-        geometry, data = pairs
-        for name, q in configurations.items():
-            robot, robot_data = self._robots[name], self._robot_data[name]
-            pin.updateGeometryPlacements(robot.model, self._data[name], robot.geometry, robot_data, q)
-        for place, (owner, index) in enumerate(self._owner):
-            data.oMg[place] = (
-                self._structure[index] if owner == STRUCTURE else self._robot_data[owner].oMg[index]
-            )
-        if not len(geometry.collisionPairs):
-            return Near(np.inf, ("", ""))
-        nearest = pin.computeDistances(geometry, data)
-        pair = geometry.collisionPairs[nearest]
-        names = (geometry.geometryObjects[pair.first].name, geometry.geometryObjects[pair.second].name)
-        return Near(data.distanceResults[nearest].min_distance, names)
+    def _nearest(self, pairs: Indices, configurations: Mapping[str, Array]) -> Near:
+        self._distances.place(configurations)
+        distance, nearest = self._distances.least(pairs)
+        if nearest < 0:
+            return Near(distance, ("", ""))
+        one, other = self._pairs[nearest]
+        return Near(distance, (self._names[one], self._names[other]))
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,6 @@ Array = NDArray[np.float64]
 TOLERANCE_M = 1e-5
 """How much nearer a pair may come in all."""
 
-WATCHED_M = 0.3
-"""Pairs further apart than this, before and after all brakes, are not measured again."""
-
 CYCLES = 24
 """Increments that are asked for in each situation."""
 
@@ -71,8 +68,8 @@ class RetreatAttack:
     def __init__(self, cell_name: str = "lab") -> None:
         self._cell = CellModel.load(cell_name)
         self._proximity = Proximity(self._cell)
-        self._oracle, self._near = ClearanceOracle(self._cell), ClearanceOracle(self._cell)
-        self._stops = np.zeros(0)
+        self._oracle = ClearanceOracle(self._cell)
+        self._stops_m = self._oracle.stop_distances_m
 
     def run(self, seed: int, ask: str | None = None) -> Outcome:
         """Play one situation.
@@ -88,10 +85,8 @@ class RetreatAttack:
         stage = Stage(self._cell, self._proximity, drawn)
         others = [name for name in self._cell.robots if name != drawn.robot]
         driven = [drawn.robot, *others] if random.uniform() < 0.3 and not _moves(drawn) else [drawn.robot]
-        self._near.watch(WATCHED_M, drawn.q, stage.ends())
-        self._stops = self._near.stop_distances(self._cell.description.gate)
         began = self._room(drawn.q)
-        allowed = np.minimum(began, 0.0)
+        keeps_m = self._oracle.distances_m(drawn.q, self._stops_m).clip(max=self._stops_m)
         nearer, outcomes = -np.inf, Counter[str]()
         for cycle in range(CYCLES + stage.longest_brake):
             before = stage.q_cmd()
@@ -109,15 +104,14 @@ class RetreatAttack:
                 if _moves(drawn):
                     # what a robot that nobody drives brings nearer is not the doing of the one that is asked
                     undriven = {name: now[name] if name not in driven else drawn.q[name] for name in now}
-                    allowed = np.minimum(allowed, self._room(undriven))
-                nearer = max(nearer, float(np.max(allowed - self._room(now), initial=-np.inf)))
-        gained = float(np.min(self._room(stage.q_cmd()), initial=1.0) - np.min(began, initial=1.0))
+                    keeps_m = np.minimum(keeps_m, self._oracle.distances_m(undriven, keeps_m))
+                nearer = max(nearer, -self._oracle.least_room_m(now, keeps_m))
+        gained = self._room(stage.q_cmd()) - began
         return Outcome(seed, ask, drawn.room_m, _moves(drawn), nearer, gained, dict(outcomes))
 
-    def _room(self, q: dict[str, Array]) -> Array:
-        """(pairs,) distance beyond the stop distance [m]."""
-        room: Array = self._near.distances(q) - self._stops
-        return room
+    def _room(self, q: dict[str, Array]) -> float:
+        """Least distance of all pairs beyond their stop distances [m]."""
+        return self._oracle.least_room_m(q, self._stops_m)
 
     def _increment(self, stage: Stage, name: str, ask: str, random: np.random.Generator) -> Array:
         q, fastest = stage.q_cmd(), stage.fastest(name)
@@ -144,8 +138,8 @@ class RetreatAttack:
     def _steepest(self, q: dict[str, Array], name: str) -> Array:
         """(n,) change of the least room per unit of each joint [m/rad or m/m]."""
         steps = 1e-4 * np.eye(q[name].size)
-        here = np.min(self._room(q), initial=1.0)
-        there = [np.min(self._room(q | {name: q[name] + step}), initial=1.0) for step in steps]
+        here = self._room(q)
+        there = [self._room(q | {name: q[name] + step}) for step in steps]
         steepest: Array = (np.array(there) - here) / 1e-4
         return steepest
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.proximity import Proximity
 from deltaq_experiments.retreat_situations import Situation
-from deltaq_protocol.brake import brake_increment, brake_travel
+from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState
 from deltaq_protocol.messages import Outcome, Phase
 from deltaq_services.sim.contacts import Contacts
@@ -59,14 +59,6 @@ class Stage:
     def q_cmd(self) -> dict[str, Array]:
         """Per robot its setpoint (n,) [rad or m]."""
         return {name: tracker.q_cmd for name, tracker in self._trackers.items()}
-
-    def ends(self) -> dict[str, Array]:
-        """Per robot where its brake ends (n,) [rad or m]."""
-        ends = {}
-        for name, tracker in self._trackers.items():
-            plan = self._plans[name]
-            ends[name] = tracker.q_cmd + brake_travel(np.array(plan.dq), plan.brake_cycles, plan.step)
-        return ends
 
     def fastest(self, robot: str) -> Array:
         """(n,) increment of each joint at its velocity limit [rad or m]."""

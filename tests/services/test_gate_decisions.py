@@ -131,6 +131,35 @@ def test_from_within_the_stop_distance_slow_motion_outwards_is_admitted_and_told
     assert [reason.code for reason in further_in.reasons] == [ReasonCode.RETREAT]
 
 
+def codes(decision):
+    return [reason.code for reason in decision.reasons]
+
+
+def test_a_retreat_that_a_joint_limit_bars_names_the_limit_before_the_violation():
+    at_limit = one_joint("fr", 5, LIMITS["fr"].upper[5] - HOME["fr"][5])
+    robot, violations = at_rest("fr", above_the_floor(-2e-3) + at_limit), Violations()
+    outwards, beyond = one_joint("fr", 1, -1e-4), one_joint("fr", 5, 1e-4)
+    barred = decide(robot, outwards + beyond, violations=violations)
+    assert (barred.outcome, codes(barred)) == (Outcome.HELD, [ReasonCode.POSITION_LIMIT, ReasonCode.RETREAT])
+    assert (barred.reasons[0].what, barred.reasons[0].bound) == ("a6", LIMITS["fr"].upper[5])
+    assert decide(robot, outwards - beyond, violations=violations).outcome is Outcome.ADMITTED
+
+
+def test_a_retreat_names_what_bound_it_where_a_limit_leaves_less_than_its_speed_and_where_it_does_not():
+    robot, violations = at_rest("fr", above_the_floor(-2e-3)), Violations()
+    outwards = one_joint("fr", 1, -1.5 * LIMITS["fr"].max_dv[1])
+    by_limit = decide(robot, outwards, violations=violations)
+    assert codes(by_limit) == [ReasonCode.ACCELERATION_LIMIT, ReasonCode.RETREAT]
+    assert by_limit.scale == pytest.approx(1 / 1.5)
+    assert codes(decide(robot, -outwards, violations=violations)) == [ReasonCode.RETREAT]
+
+
+def test_a_robot_that_moves_where_nothing_was_measured_is_told_of_the_clearance_that_it_lacks():
+    moving = in_motion("fr", above_the_floor(-2e-3), one_joint("fr", 1, -1e-3))
+    (reason,) = decide(moving, one_joint("fr", 1, -1e-3)).reasons
+    assert (reason.code, reason.what) == (ReasonCode.CLEARANCE, "fr/link_3 structure/floor")
+
+
 @pytest.mark.parametrize("inwards", [0.0, 1e-4])
 def test_a_violation_has_ended_once_a_robot_is_certified_as_always(inwards):
     violations = Violations()

@@ -103,16 +103,18 @@ class Gate:
         certificate = certify(scale, Certifier(self._proximity))
         if certificate.holds:
             self._violations.only(robot.name, ())
-        else:
+        elif Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds:
+            self._violations.only(robot.name, ())
+            # all smaller scales share one budget, so that a decision ends in time
+            certifier = Certifier(self._proximity)
+            scale = _largest(lambda s: certify(s, certifier), scale / 2**_HALVINGS, scale)
             reasons = [_clearance_reason(certificate)]
-            if Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds:
-                self._violations.only(robot.name, ())
-                # all smaller scales share one budget, so that a decision ends in time
-                certifier = Certifier(self._proximity)
-                scale = _largest(lambda s: certify(s, certifier), scale / 2**_HALVINGS, scale)
-            else:
-                scale, violated = self._retreat.find(robot, others, limits, brake, request, scale)
-                reasons = violated or reasons
+        else:
+            left = scale
+            scale, violated = self._retreat.find(robot, others, limits, brake, request, left)
+            # what the limits left is all that retreat may take, so that they bound it if it takes all
+            bound = reasons if scale == left else []
+            reasons = [*bound, *violated] or [_clearance_reason(certificate)]
         return _decision(limits, brake, request, scale, reasons, certificate.binding)
 
 

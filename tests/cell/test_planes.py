@@ -1,0 +1,250 @@
+"""Planes, pair by pair: each shows exactly the room that its formula gives, and none that a motion takes.
+
+The formulas are those of `docs/explanation/the-gate.md`, written here with a loop for every sum.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from deltaq_cell.extents import Extents
+from deltaq_cell.separation import Separation
+
+ROBOTS = {"one": (0, 1, 2, 3, 4), "other": (5, 6)}
+PRISMATIC = (0, 3, 6)
+JOINTS = 7
+SHAPES = {
+    "one/link": (coal.Box(0.2, 0.3, 0.4), (0, 1)),
+    "one/left": (coal.Cylinder(0.1, 0.5), (0, 1, 2)),
+    "one/hand": (coal.Sphere(0.1), (0, 1, 2, 3)),
+    "one/right": (coal.Box(0.1, 0.2, 0.3), (0, 1, 4)),
+    "other/arm": (coal.Capsule(0.07, 0.3), (5,)),
+    "other/hand": (coal.Cylinder(0.2, 0.1), (5, 6)),
+    "floor": (coal.Cylinder(0.5, 0.1), ()),
+    "wall": (coal.Sphere(0.4), ()),
+}
+PAIRS = [
+    ("one/left", "floor"),
+    ("wall", "one/hand"),
+    ("one/link", "one/hand"),
+    ("one/hand", "one/left"),
+    ("one/right", "one/hand"),
+    ("one/left", "one/right"),
+    ("one/left", "other/hand"),
+    ("other/arm", "one/link"),
+    ("other/hand", "one/right"),
+    ("one/hand", "other/arm"),
+]
+
+
+STILL = np.zeros(3)
+
+
+@dataclass
+class Body:
+    corners: np.ndarray
+    axis: np.ndarray
+    disc: float
+    ball: float
+    moved_by: tuple[int, ...]
+    owner: str
+
+    def reach(self, n):
+        """Support function: how far the body reaches along n."""
+        across = n - (self.axis @ n) * self.axis
+        return max(corner @ n for corner in self.corners) + self.disc * norm(across) + self.ball * norm(n)
+
+
+def norm(vector):
+    return float(np.linalg.norm(vector))
+
+
+class Scene:
+    """Two robots, a floor and a wall, along strips; with turns and lengths as large as they are given."""
+
+    def __init__(self, random, length=0.1, width=0.01):
+        self.random = random
+        self.axes = [unit(random) for _ in range(JOINTS)]
+        self.axes[2] = np.array([1.0, 0.0, 0.0])  # as an axis may be that has two zeros
+        self.points = random.uniform(-1, 1, (JOINTS, 3))
+        self.direction = random.uniform(-1, 1, JOINTS) * length
+        self.deviation = random.uniform(0, 1, JOINTS) * width
+        self.separation, self.bodies = Separation(JOINTS), {}
+        self.add("floor", "wall")
+        added = [self.add(*[name for name in SHAPES if name.startswith(f"{robot}/")]) for robot in ROBOTS]
+        for places, names, joints in added:
+            self.move(places, names, joints)
+        # a number that is not zero for the first of them
+        assert self.separation.pair_up([("wall", "one/link")]) == 0
+        self.first = self.separation.pair_up(PAIRS)
+
+    def add(self, *names):
+        robot = names[0].partition("/")[0]
+        joints = ROBOTS.get(robot, ())
+        placed = [somewhere(self.random) for _ in names]
+        objects = [
+            pin.GeometryObject(name, 0, where, SHAPES[name][0])
+            for name, where in zip(names, placed, strict=True)
+        ]
+        extents = Extents(objects)
+        for index, name in enumerate(names):
+            self.bodies[name] = Body(
+                extents.corners[index],
+                extents.axis[index],
+                extents.disc[index],
+                extents.ball[index],
+                SHAPES[name][1],
+                robot if joints else "structure",
+            )
+        if not joints:
+            self.separation.add(names, extents)
+            return None
+        moved_by = np.array([[joint in SHAPES[name][1] for joint in joints] for name in names])
+        elsewhere = Extents(
+            [pin.GeometryObject(item.name, 0, somewhere(self.random), item.geometry) for item in objects]
+        )
+        places = self.separation.add(names, elsewhere, slice(joints[0], joints[-1] + 1), moved_by)
+        return places, names, joints
+
+    def move(self, places, names, joints):
+        among = slice(joints[0], joints[-1] + 1)
+        arms = np.array([[self.arm(name, joint) for joint in joints] for name in names])
+        J = np.array([self.twist(joint, 1.0) for joint in joints]).T
+        half = np.abs(self.direction) + self.deviation
+        corners = np.array([self.bodies[name].corners for name in names])
+        axes = np.array([self.bodies[name].axis for name in names])
+        self.separation.move(places, corners, axes, among, arms, J, self.direction[among], half[among])
+
+    def arm(self, name, joint):
+        """Greatest distance of a point of a body from a joint's axis, 1 if that is prismatic or moves it not."""
+        if joint in PRISMATIC or joint not in SHAPES[name][1]:
+            return 1.0
+        body = self.bodies[name]
+        from_axis = [norm(np.cross(self.axes[joint], corner - self.points[joint])) for corner in body.corners]
+        return max(from_axis) + body.disc + body.ball
+
+    def twist(self, joint, rate):
+        """Velocity of the world's origin and rate of turning under one joint."""
+        axis = rate * self.axes[joint]
+        if joint in PRISMATIC:
+            return np.concatenate([axis, np.zeros(3)])
+        return np.concatenate([np.cross(self.points[joint], axis), axis])
+
+    def keeps(self, pairs, normals, distances, asked):
+        numbers = np.array([self.first + PAIRS.index(pair) for pair in pairs])
+        return self.separation.keeps(
+            numbers, np.array(normals), np.array(distances), np.array(asked)
+        ).tolist()
+
+    def apart(self, pair):
+        """Joints that move one of two bodies and not the other, for each of the two."""
+        mine, theirs = (set(SHAPES[name][1]) for name in pair)
+        return sorted(mine - theirs), sorted(theirs - mine)
+
+    def over_the_strip(self, joints):
+        return sum((self.twist(joint, self.direction[joint]) for joint in joints), start=np.zeros(6))
+
+    def blur(self, pair):
+        """What deviations and all that is of second order may take from a gap."""
+        half, total = np.abs(self.direction) + self.deviation, 0.0
+        for name, joints in zip(pair, self.apart(pair), strict=True):
+            travel = sum(half[joint] * self.arm(name, joint) for joint in joints)
+            total += sum(self.deviation[joint] * self.arm(name, joint) for joint in joints)
+            for outer in joints:
+                inner = sum(half[joint] for joint in joints if joint < outer and joint not in PRISMATIC)
+                itself = 0.0 if outer in PRISMATIC else half[outer] / 2
+                total += half[outer] * (self.arm(name, outer) + travel) * (inner + itself)
+        return total
+
+    def ends(self, pair):
+        """Which ends of the strips the two bodies may be at: bodies of one robot are at the same."""
+        same = self.bodies[pair[0]].owner == self.bodies[pair[1]].owner
+        return [(t, u) for t, u in product((-1, 1), (-1, 1)) if t == u or not same]
+
+    def gap(self, pair, n, turn=STILL, turned_by=0):
+        """Least gap along a plane that stands, or that turns with one of the bodies, to first order."""
+        gaps = []
+        for ends in self.ends(pair):
+            reach = 0.0
+            for side, (name, joints) in enumerate(zip(pair, self.apart(pair), strict=True)):
+                sign, (v, w) = (1, -1)[side], self.over_the_strip(joints).reshape(2, 3)
+                along = n + ends[turned_by] * turn + ends[side] * np.cross(n, w)
+                reach += self.bodies[name].reach(sign * along) + ends[side] * sign * (n @ v)
+            gaps.append(-reach)
+        return min(gaps)
+
+    def room_of_a_standing_plane(self, pair, n):
+        return self.gap(pair, n) - self.blur(pair)
+
+    def room_of_a_turning_plane(self, pair, n, body):
+        w = self.over_the_strip(self.apart(pair)[body])[3:]
+        turn = np.cross(w, n)
+        travel = sum(
+            abs(self.direction[joint]) * self.arm(name, joint)
+            for name, joints in zip(pair, self.apart(pair), strict=True)
+            for joint in joints
+        )
+        left = self.gap(pair, n, turn, body) - norm(turn) * travel
+        return (left / np.sqrt(1 + turn @ turn) if left > 0 else left) - self.blur(pair)
+
+    def rooms(self, pair, n):
+        turning = [self.room_of_a_turning_plane(pair, n, body) for body in (0, 1)]
+        return [self.room_of_a_standing_plane(pair, n), *turning]
+
+
+def unit(random):
+    vector = random.normal(size=3)
+    return vector / norm(vector)
+
+
+def somewhere(random):
+    return pin.SE3(pin.exp3(3 * unit(random)), random.uniform(-1, 1, 3))
+
+
+def normal(scene, pair, random):
+    """From the first body to the second, or any other way."""
+    first, second = (scene.bodies[name].corners.mean(axis=0) for name in pair)
+    return (second - first) / norm(second - first) if random.uniform() < 0.7 else unit(random)
+
+
+FAR = [10.0] * len(PAIRS)
+
+
+@pytest.fixture(
+    scope="module", params=[(seed, length) for seed in range(1, 4) for length in (0.01, 0.05, 0.3)]
+)
+def drawn(request):
+    """A scene, a normal for each pair, and the rooms of a standing and two turning planes."""
+    seed, length = request.param
+    random = np.random.default_rng(seed)
+    scene = Scene(random, length)
+    normals = [normal(scene, pair, random) for pair in PAIRS]
+    return scene, normals, np.array([scene.rooms(pair, n) for pair, n in zip(PAIRS, normals, strict=True)])
+
+
+def test_planes_show_exactly_the_room_that_their_formulas_give(drawn):
+    scene, normals, rooms = drawn
+    most = rooms.max(axis=1)
+    assert all(scene.keeps(PAIRS, normals, FAR, most - 1e-9))
+    assert not any(scene.keeps(PAIRS, normals, FAR, most + 1e-9))
+
+
+def test_each_pair_is_judged_for_itself(drawn):
+    scene, normals, rooms = drawn
+    every_second = np.arange(len(PAIRS)) % 2
+    asked = rooms.max(axis=1) + np.where(every_second, -1e-9, 1e-9)
+    assert scene.keeps(PAIRS, normals, FAR, asked) == [False, True] * 5
+    for index, pair in enumerate(PAIRS):
+        alone = scene.keeps([pair], [normals[index]], [10.0], [asked[index]])
+        assert alone == [bool(every_second[index])]
+
+
+def test_bodies_that_are_too_near_at_the_middle_are_not_looked_at_along_planes(drawn):
+    scene, normals, rooms = drawn
+    asked = np.maximum(rooms.max(axis=1), 0.0) - 1e-9
+    kept = scene.keeps(PAIRS, normals, asked - 1e-6, asked)
+    assert all(item is False for item in kept)

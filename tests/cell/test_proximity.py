@@ -1,0 +1,252 @@
+"""What a look at bodies measures: how far each is inflated, what the screen leaves out, and what is told of a pair."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.extents import Extents
+from deltaq_cell.proximity import Proximity
+from deltaq_experiments.oracle import ClearanceOracle
+
+CELL = CellModel.load("lab")
+GATE = CELL.description.gate
+HOMES = {name: robot.home for name, robot in CELL.robots.items()}
+STILL = {name: np.zeros(robot.n) for name, robot in CELL.robots.items()}
+
+
+@pytest.fixture
+def proximity():
+    return Proximity(CELL)
+
+
+def drawn(seed):
+    """Near home, and half-widths that make bodies travel some centimetres."""
+    random = np.random.default_rng(seed)
+    near = {name: q + random.uniform(-0.2, 0.2, q.size) for name, q in HOMES.items()}
+    return near, {name: random.uniform(0, 0.03, q.size) for name, q in HOMES.items()}
+
+
+def arms(name, q):
+    """Per body of a robot how far it travels per unit of each joint: its furthest point's distance from the axis."""
+    robot = CELL.robots[name]
+    data = robot.model.createData()
+    J = pin.computeJointJacobians(robot.model, data, q)
+    found = {}
+    for body in robot.geometry.geometryObjects:
+        extents, placed = Extents([body]), data.oMi[body.parentJoint]
+        corners = [placed.act(corner) for corner in extents.corners[0]]
+        width = extents.disc[0] + extents.ball[0]
+        found[body.name] = np.zeros(robot.n)
+        for joint in robot.model.supports[body.parentJoint]:
+            if joint > 0:
+                v, w = J[:3, joint - 1], J[3:, joint - 1]
+                furthest = max(np.linalg.norm(v + np.cross(w, corner)) for corner in corners)
+                found[body.name][joint - 1] = furthest + (width if w.any() else 0.0)
+    return found
+
+
+def all_groups(proximity):
+    return [*proximity.alone["fr"], *proximity.alone["gr"], *proximity.between["fr", "gr"]]
+
+
+def test_every_body_is_inflated_by_how_far_it_travels_and_for_its_own_robot_by_what_moves_it_alone(proximity):
+    q, half = drawn(1)
+    travels = {}
+    for name in q:
+        travels |= {body: arm * half[name] for body, arm in arms(name, q[name]).items()}
+        greatest = proximity.place(name, q[name], half[name])
+        of_robot = [travel.sum() for body, travel in travels.items() if body.startswith(name)]
+        assert greatest == pytest.approx(max(of_robot), abs=1e-12)
+    for group in all_groups(proximity):
+        proximity.least(group)
+        for near in group.measured().values():
+            first, second = (travels.get(body, np.zeros(1)) for body in near.pair)
+            if near.pair[0].partition("/")[0] == near.pair[1].partition("/")[0]:
+                first, second = first * (second == 0), second * (first == 0)
+            assert near.distance_m - near.swept_m == pytest.approx(first.sum() + second.sum(), abs=1e-9)
+
+
+def test_in_a_place_without_width_what_is_measured_is_what_an_oracle_measures(proximity):
+    q, _ = drawn(2)
+    oracle = ClearanceOracle(CELL)
+    for name in q:
+        assert proximity.place(name, q[name], STILL[name]) == 0.0
+    least = {}
+    for group in all_groups(proximity):
+        pair = group.pairs[0]
+        own = pair[0].name.partition("/")[0] == pair[1].name.partition("/")[0]
+        least[own] = min(least.get(own, np.inf), proximity.least(group))
+        assert group.stop_distance_m == (GATE.self_stop_distance_m if own else GATE.stop_distance_m)
+    assert least[True] == pytest.approx(oracle.of_one_robot(q).distance_m, abs=2e-6)
+    assert least[False] == pytest.approx(oracle.between_robots_and_structure(q).distance_m, abs=2e-6)
+
+
+def test_between_two_robots_the_same_pairs_are_looked_at_whoever_asks(proximity):
+    pairs = {
+        names: {frozenset((one.name, other.name)) for group in groups for one, other in group.pairs}
+        for names, groups in proximity.between.items()
+    }
+    every = {
+        frozenset((one.name, other.name))
+        for one in CELL.robots["fr"].geometry.geometryObjects
+        for other in CELL.robots["gr"].geometry.geometryObjects
+    }
+    assert pairs == {("fr", "gr"): every, ("gr", "fr"): every}
+
+
+def test_bodies_inflated_for_others_alone_are_inflated_against_each_other_once_that_is_asked(proximity):
+    q, half = drawn(3)
+    proximity.place("fr", q["fr"], half["fr"], among_themselves=False)
+    own = next(g for g in proximity.alone["fr"] if g.pairs[0][1].name.startswith("fr"))
+    foreign = next(g for g in proximity.alone["fr"] if g.pairs[0][1].name.startswith("structure"))
+
+    def inflated(group):
+        proximity.least(group)
+        near = group.nearest()
+        return near.distance_m - near.swept_m
+
+    assert inflated(own) == 0.0
+    assert inflated(foreign) > 0.0
+    proximity.place("fr", q["fr"], half["fr"])
+    assert inflated(own) > 0.0
+    proximity.place("fr", q["fr"], 2 * half["fr"])
+    more = inflated(own)
+    proximity.place("fr", q["fr"], half["fr"])
+    assert more == pytest.approx(2 * inflated(own))
+
+
+@pytest.mark.parametrize("room_m", [1e-5, 0.05, 0.2])
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_screen_leaves_out_nothing_that_a_look_at_all_would_find(proximity, seed, room_m):
+    q, half = drawn(seed)
+    for name in q:
+        proximity.place(name, q[name], half[name])
+    for groups in (*proximity.alone.values(), *proximity.between.values()):
+        screened, whole = proximity.look(groups, room_m), proximity.look(list(groups), room_m)
+        assert set(screened.failing) == set(whole.failing)
+        assert screened.tightest.pair == whole.tightest.pair
+        assert (screened.too_near, screened.stop_distance_m) == (whole.too_near, whole.stop_distance_m)
+        for group, bound_m in zip(groups, groups.screen.rooms(), strict=True):
+            assert bound_m <= proximity.least(group) - group.stop_distance_m + 1e-6
+
+
+def test_a_screen_spares_most_of_the_work(proximity):
+    for name, q in HOMES.items():
+        proximity.place(name, q, STILL[name])
+    rooms = np.concatenate([groups.screen.rooms() for groups in proximity.alone.values()])
+    assert np.mean(rooms > 0.1) > 0.5
+
+
+def test_the_tightest_pair_is_told_with_its_room_whether_or_not_it_fails(proximity):
+    for name, q in HOMES.items():
+        proximity.place(name, q, STILL[name])
+    groups = proximity.alone["fr"]
+    rooms = [proximity.least(group) - group.stop_distance_m for group in groups]
+    for room_m in (-1.0, min(rooms) + 1e-4):
+        look = proximity.look(groups, room_m)
+        assert look.tightest.swept_m - look.stop_distance_m == pytest.approx(min(rooms), abs=1e-9)
+        assert len(look.failing) == sum(room < room_m for room in rooms)
+
+
+def test_bodies_too_near_at_the_middle_are_told_apart_from_those_that_might_come_near(proximity):
+    q, half = drawn(1)
+    group = proximity.alone["fr"][0]
+    proximity.place("fr", q["fr"], half["fr"])
+    proximity.least(group)
+    near = group.nearest()
+    middle, swept = near.distance_m - group.stop_distance_m, near.swept_m - group.stop_distance_m
+    beyond = proximity.look([group], middle + 1e-4)
+    assert (beyond.failing, beyond.too_near) == ([group], True)
+    assert proximity.look([group], middle - 1e-6).too_near is False
+    within = proximity.look([group], swept - 1e-6)
+    assert (within.failing, within.too_near) == ([], False)
+
+
+def test_a_pair_is_measured_for_itself_at_a_distance_of_its_own(proximity):
+    q, half = drawn(6)
+    proximity.place("fr", q["fr"], half["fr"])
+    group = next(g for g in proximity.alone["fr"] if len(g.pairs) > 2)
+    proximity.least(group)
+    for index, near in group.measured().items():
+        pair = proximity.pair(group, index)
+        assert proximity.pair(group, index) is pair
+        assert proximity.least(pair) == pytest.approx(near.swept_m, abs=1e-9)
+        assert pair.nearest().pair == near.pair
+        pair.stop_distance_m = near.swept_m - 1e-3
+        assert proximity.look([pair], 0.0).failing == []
+        pair.stop_distance_m = near.distance_m + 1e-3
+        assert proximity.look([pair], 0.0).failing == [pair]
+        assert group.stop_distance_m == GATE.stop_distance_m
+
+
+def test_a_pair_alone_is_looked_at_with_its_own_planes(proximity):
+    """The room that planes show of a group is the least of what they show of its pairs."""
+    q, _ = drawn(7)
+    direction = 0.05 * np.sign(np.random.default_rng(7).normal(size=6))
+    proximity.place("fr", q["fr"], np.abs(direction) + 1e-3, direction)
+
+    def room(groups):
+        low, high = -1.0, 1.0
+        for _ in range(20):
+            middle = (low + high) / 2
+            low, high = (low, middle) if proximity.look(groups, middle).failing else (middle, high)
+        return low
+
+    group = min((g for g in proximity.alone["fr"] if len(g.pairs) > 2), key=proximity.least)
+    pairs = [proximity.pair(group, index) for index in range(len(group.pairs))]
+    assert room([group]) == pytest.approx(min(room([pair]) for pair in pairs), abs=2e-6)
+    assert room([group]) > proximity.least(group) - group.stop_distance_m + 1e-3
+
+
+def test_pairs_are_left_out_wherever_they_are_looked_at_and_taken_in_again(proximity):
+    for name, q in HOMES.items():
+        proximity.place(name, q, STILL[name])
+    one, other = "gr/link_3", "fr/link_1"
+
+    def looked_at():
+        groups = [*proximity.between["fr", "gr"], *proximity.between["gr", "fr"]]
+        for group in groups:
+            proximity.least(group)
+        return sum({one, other} == set(near.pair) for g in groups for near in g.measured().values())
+
+    assert looked_at() == 2
+    proximity.leave_out([(one, other)])
+    assert looked_at() == 0
+    proximity.leave_out([(other, one)], left_out=False)
+    assert looked_at() == 2
+
+
+def test_where_every_pair_is_left_out_a_look_finds_nothing(proximity):
+    groups = proximity.between["fr", "gr"]
+    for name, q in HOMES.items():
+        proximity.place(name, q, STILL[name])
+    proximity.leave_out((one.name, other.name) for group in groups for one, other in group.pairs)
+    look = proximity.look(groups, 100.0)
+    assert (look.failing, look.too_near, look.tightest, look.stop_distance_m) == ([], False, None, 0.0)
+
+
+@pytest.mark.parametrize("robot", ["fr", "gr"])
+def test_an_approach_tells_how_each_joint_changes_a_distance(proximity, robot):
+    q, _ = drawn(8)
+    for name in q:
+        proximity.place(name, q[name], STILL[name])
+    other = "gr" if robot == "fr" else "fr"
+    for groups, distance_m in ((proximity.alone[robot], 0.5), (proximity.between[robot, other], 2.0)):
+        found = proximity.approaches(robot, groups, distance_m)
+        assert len(found) >= 3
+        for approach in found[:3]:
+            group, index = next(
+                (g, i)
+                for g in groups
+                for i, pair in enumerate(g.pairs)
+                if (pair[0].name, pair[1].name) == approach.pair
+            )
+            pair = proximity.pair(group, index)
+            assert approach.stop_distance_m == group.stop_distance_m
+            for joint in range(q[robot].size):
+                moved = q[robot] + 1e-5 * (np.arange(q[robot].size) == joint)
+                proximity.place(robot, moved, STILL[robot])
+                lost = (approach.distance_m - proximity.least(pair)) / 1e-5
+                assert approach.per_joint[joint] == pytest.approx(lost, abs=0.15)
+            proximity.place(robot, q[robot], STILL[robot])
