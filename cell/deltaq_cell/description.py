@@ -146,7 +146,7 @@ class CapsuleShape(Description):
 
 
 class SphereShape(Description):
-    """A ball."""
+    """A sphere."""
 
     kind: Literal["sphere"]
     radius_m: Positive
@@ -380,7 +380,7 @@ class ContactDescription(Description):
 class GateDescription(Description):
     """The margins of the gate.
 
-    The time-outs only give a loss its name: motion ends with the first cycle that brings no fresh admission.
+    The timeouts only give a loss its name: motion ends with the first cycle that brings no fresh admission.
     """
 
     stop_distance_m: Positive = 0.05

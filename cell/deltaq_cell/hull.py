@@ -27,13 +27,13 @@ MOST_CORNERS = 32
 """coal's bound between searching all corners and walking from one to the next."""
 
 _FLAT = 1e-6
-"""Points that spread across a plane by less than this share of their spread within it are taken to lie in it."""
+"""Points that spread across a plane by less than this fraction of their spread within it are taken to lie in it."""
 
 _CLOSE = 1e-6
-"""A polytope that reaches beyond its points by no more than this share of their size needs no further face."""
+"""A polytope that reaches beyond its points by no more than this fraction of their size needs no further face."""
 
 _ROOM = 2e-9
-"""Faces are moved out by this share of the size, more than rounding takes away."""
+"""Faces are moved out by this fraction of the size, more than rounding takes away."""
 
 
 class HullError(DeltaqError):

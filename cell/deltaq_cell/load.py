@@ -45,7 +45,7 @@ def load_located(name_or_path: str | Path) -> tuple[CellDescription, Located]:
 
 
 def parse_cell(text: str, source: str = "cell") -> CellDescription:
-    """The description in a YAML text, e.g. one that came over the wire; `source` names it in messages.
+    """The description in a YAML text, e.g. one that came over the network; `source` names it in messages.
 
     Raises:
         CellError: the text has errors.

@@ -85,7 +85,7 @@ def load_urdf(model: str | Path) -> Urdf:
 
 
 def urdf_from_text(text: str) -> Urdf:
-    """A URDF that came as text, e.g. over the wire; only meshes of packages that are installed here are found."""
+    """A URDF that came as text, e.g. over the network; only meshes of packages that are installed here are found."""
     return Urdf(text, "<text>", None)
 
 

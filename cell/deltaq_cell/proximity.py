@@ -188,7 +188,7 @@ class Proximity:
     def look(self, groups: Sequence[Group], room_m: float) -> Look:
         """Find the groups with less than `room_m` beyond their stop distance, and the tightest pair of all.
 
-        Groups that balls and boxes show to be far away are not measured, unless they could be the tightest.
+        Groups that spheres and boxes show to be far away are not measured, unless they could be the tightest.
 
         Args:
             groups: one of this object's own lists, or a few of their groups; not empty.

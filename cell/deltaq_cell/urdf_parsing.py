@@ -49,7 +49,7 @@ def parse_geometry(
         kind: `pinocchio.GeometryType.COLLISION` or `VISUAL`.
         T_world_base: pose of the robot's root link.
         locked: as for `parse_model`.
-        known: collision bodies whose meshes are not read; a ball takes their place.
+        known: collision bodies whose meshes are not read; a sphere takes their place.
 
     Raises:
         MissingMeshError: a mesh is not found.

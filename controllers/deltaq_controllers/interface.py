@@ -46,7 +46,7 @@ class RobotView:
         return cls(state.cycle, state.time_s, np.array(state.q), np.array(state.q_cmd))
 
     def after(self, cycle: int, dq: Array) -> RobotView:
-        """The same with an increment (n,) that is under way: it is what the cycle after `cycle` will command.
+        """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
 
         A controller that left it out would ask for the same motion twice.
         """

@@ -116,7 +116,7 @@ def view_of(cell: Cell, state: RobotState, verdict: Verdict | None = None) -> Vi
     Args:
         cell: connection to the cell.
         state: state of the robot that is moved.
-        verdict: the newest verdict on it; what it admitted and the state does not show yet is under way.
+        verdict: the newest verdict on it; what it admitted and the state does not show yet is in flight.
     """
     own = RobotView.from_state(state)
     if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:

@@ -21,7 +21,7 @@ from deltaq_controllers.compiled import compiled
 Array = NDArray[np.float64]
 
 LIMIT_GUARD = 1e-3
-"""Nearer to a limit than this share of the joint's range, (11) is evaluated at this distance."""
+"""Nearer to a limit than this fraction of the joint's range, (11) is evaluated at this distance."""
 
 _MATTERS = 1e-2
 """A weight that exceeds 1 by less is not worth a second solution."""

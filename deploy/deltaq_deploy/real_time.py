@@ -45,7 +45,7 @@ def judge_priority(given: bool, limit: int) -> Finding:
 
 
 def judge_throttling(runtime_us: int | None, period_us: int | None) -> Finding:
-    """Whether the kernel leaves other programs a share of the time, whatever real-time processes do.
+    """Whether the kernel leaves other programs a fraction of the time, whatever real-time processes do.
 
     Args:
         runtime_us: what they may take of a period, -1 for all of it; None if the kernel does not tell [us].

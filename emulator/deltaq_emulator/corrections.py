@@ -21,7 +21,7 @@ class Corrections:
 
     Args:
         codec: knows HOLDON of every element.
-        limits: where the total correction is cut off.
+        limits: where the total correction is clipped.
     """
 
     def __init__(self, codec: KrcCodec, limits: CorrectionLimits) -> None:
@@ -32,7 +32,7 @@ class Corrections:
         self.outputs: dict[str, bool] = dict.fromkeys(codec.output_hold_on, False)
         """Digital outputs as they are."""
         self.clamped = 0
-        """Cycles in which a correction was cut off at its limit."""
+        """Cycles in which a correction was clipped at its limit."""
         self.begin_session("absolute")
 
     def begin_session(self, mode: Correction) -> None:

@@ -42,7 +42,7 @@ class KrcSettings(BaseModel):
     """RSI_ON(#ABSOLUTE): offset from where RSI started; RSI_ON(#RELATIVE): increment a cycle, so that a correction that
     stays the same is a constant velocity."""
     correction_limit_deg: Positive = 5.0
-    """AXISCORR: a rotating axis is corrected by no more than this in total; the rest is cut off."""
+    """AXISCORR: a rotating axis is corrected by no more than this in total; the rest is clipped."""
     correction_limit_mm: Positive = 5.0
     """AXISCORREXT: the same for a linear axis."""
     monitor_limit_deg: Positive = 6.0
@@ -52,7 +52,7 @@ class KrcSettings(BaseModel):
     late_budget: Annotated[int, Field(ge=0)] = 10
     """Timeout: cycles without a valid reply that are permitted; one more stops RSI (KSS29002)."""
     late_percent: Annotated[float, Field(ge=0, le=100)] = 10.0
-    """maxLatePackages: the same for a KR C2, as a share of the last 1000 telegrams; the default is a stand-in."""
+    """maxLatePackages: the same for a KR C2, as a fraction of the last 1000 telegrams; the default is a stand-in."""
     late_count: LateRule | None = None
     """Which cycles count against the budget; none: as the generation does, a KR C2 the share, others consecutive ones.
     The maker's documents do not tell whether those count that are consecutive or all."""

@@ -24,7 +24,7 @@ MAX_READ = 64
 """Datagrams read in one go, so that a flood cannot hold up the cycle."""
 MAX_DATAGRAM = 65535
 LATE_START = 0.25
-"""A cycle that begins later than this share of a cycle has been held up by the machine."""
+"""A cycle that begins later than this fraction of a cycle has been held up by the machine."""
 
 Address = tuple[str, int]
 

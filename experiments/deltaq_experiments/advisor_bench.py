@@ -33,7 +33,7 @@ LONGER = {"annealing": 4.0, "shotgun": 3.0}
 ANSWERED = (("dawm", "dawm"), ("lab", "gr"))
 """Cells and robots of which whole answers are timed."""
 GOOD = 0.01
-"""A search is good if it ends within this share of the best known energy."""
+"""A search is good if it ends within this fraction of the best known energy."""
 
 
 class Row(BaseModel):

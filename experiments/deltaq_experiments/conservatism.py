@@ -1,6 +1,6 @@
 """How timid the gate is: of what it scaled or held for clearance, how much would really have come too near?
 
-`python -m deltaq_experiments.conservatism` drives both robots with adversaries over perfect wires. For every decision
+`python -m deltaq_experiments.conservatism` drives both robots with adversaries over perfect links. For every decision
 that clearance bound, an oracle of dense samples (an independent implementation) is asked whether the tube of the
 blend that velocity, acceleration and position would have allowed really passes the stop distance.
 """

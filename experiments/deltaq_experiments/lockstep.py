@@ -73,13 +73,13 @@ class _Client(Sender):
 
 @dataclass
 class Arm:
-    """One robot: its emulated controller, its Robot Server, and the wires between it and the gate.
+    """One robot: its emulated controller, its Robot Server, and the links between it and the gate.
 
     Attributes:
         krc: the emulated controller; None for a kinematic robot.
         server: the Robot Server's core.
         state: what controllers see; None before the first cycle.
-        admissions, supervisions, states: wires from and to the gate; perfect unless replaced.
+        admissions, supervisions, states: links from and to the gate; perfect unless replaced.
     """
 
     krc: Krc | None

@@ -163,7 +163,7 @@ def _exchanges(recording: Recording) -> Iterator[_Exchange]:
 
 
 class _Run:
-    """A replay under way."""
+    """A replay still running."""
 
     def __init__(self, sim: Sim) -> None:
         self._sim = sim

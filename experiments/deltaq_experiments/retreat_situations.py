@@ -25,7 +25,7 @@ _MOVING = 0.4
 """Share of situations in which the other robot is in motion."""
 
 _REACH = 0.6
-"""Length of the line along which a robot is moved, as a share of its joints' ranges."""
+"""Length of the line along which a robot is moved, as a fraction of its joints' ranges."""
 
 _STEPS = 40
 

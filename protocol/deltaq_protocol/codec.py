@@ -88,7 +88,7 @@ def from_map(message_type: type[M], data: object) -> M:
         InvalidMessageError: naming the first field that is wrong, its value and what is allowed.
     """
     try:
-        # a wire has lists where a message has tuples, and names where it has enumerations
+        # a link has lists where a message has tuples, and names where it has enumerations
         return message_type.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]

@@ -11,7 +11,7 @@ class DeltaqError(Exception):
 
 
 class ProtocolError(DeltaqError):
-    """Bytes from a wire that are no valid message."""
+    """Bytes from a link that are no valid message."""
 
 
 class ServiceUnreachableError(DeltaqError):

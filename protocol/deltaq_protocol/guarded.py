@@ -64,7 +64,7 @@ class ServerState(Message):
 
 
 class Request(Message):
-    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a sign of life."""
+    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat."""
 
     robot: Name
     cycle: Count
@@ -93,7 +93,7 @@ class Admission(Message):
 
 
 class Supervision(Message):
-    """SIM to Robot Server, once a cycle: a sign of life, and standing orders.
+    """SIM to Robot Server, once a cycle: a heartbeat, and standing orders.
 
     Orders are levels, not edges, so that a lost message costs nothing: `stop` stands until the state
     shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's.
@@ -145,7 +145,7 @@ class CommandReply(Message):
 
 
 class Health(Message):
-    """A service's sign of life for `deltaq up`, container health checks and `deltaq status`.
+    """A service's heartbeat for `deltaq up`, container health checks and `deltaq status`.
 
     `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
     that are allowed now.

@@ -33,7 +33,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.wire import Wire
 
 VERDICT_DEADLINE_S = 0.25
-"""Twice as long as an increment may be under way: a verdict that has not come by then was lost."""
+"""Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""
 _FIRST_STATE_DEADLINE_S = 0.5
 _VERDICTS_WAITING = 1024
 """Increments that were sent, and verdicts that came, without anybody asking for the verdicts."""

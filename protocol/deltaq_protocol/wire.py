@@ -66,7 +66,7 @@ class Wire:
         if reply is not None and reply.ok is not None:
             return reply.ok.payload.to_bytes()
         if reply is not None and reply.err is not None:
-            with contextlib.suppress(InvalidMessageError):  # a time-out of zenoh's own is no message of ours
+            with contextlib.suppress(InvalidMessageError):  # a timeout of zenoh's own is no message of ours
                 refusal = unpack(Error, reply.err.payload.to_bytes())
                 raise RefusedError(refusal.code, refusal.message, refusal.hint)
         raise ServiceUnreachableError(
@@ -90,7 +90,7 @@ class Wire:
         return declare_publisher(self._session, key)
 
     def close(self) -> None:
-        """Stop listening, then close: a session that closes with callbacks under way can panic."""
+        """Stop listening, then close: a session that closes with callbacks still running can panic."""
         while self._declared:
             declared, inbox = self._declared.pop()
             declared.undeclare()

@@ -41,7 +41,7 @@ class Option:
         costs: its cost, 0 good to 1 bad.
         clearance: exact, with the tightest pair.
         nearest_limit: the joint that is nearest to a limit of its own.
-        limit_share: its distance from there as a share of its range.
+        limit_share: its distance from there as a fraction of its range.
         hands_move: whether the hands are elsewhere now, so that every path moves them.
         start: (n,) configuration from which a path is looked for.
         path: (P, n) from there, clear of everything; None if none is known.
@@ -67,7 +67,7 @@ class Progress:
 
     Attributes:
         doing: `searching`, `polishing`, `checking` or `finding paths`.
-        done: share of that step that is done.
+        done: fraction of that step that is done.
         energy: least so far; infinite before the first.
         trials: so far.
         options: best first, once they are known; their paths are found one after the other.

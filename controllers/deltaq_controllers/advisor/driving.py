@@ -1,4 +1,4 @@
-"""Follow a path: its time law, and the next step from the robot's present configuration."""
+"""Follow a path: its time parameterisation, and the next step from the robot's present configuration."""
 
 from __future__ import annotations
 

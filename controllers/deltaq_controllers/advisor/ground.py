@@ -52,7 +52,7 @@ class Ground:
         self._lowest, self._highest = ends.min(axis=0), ends.max(axis=0)
 
     def within(self, q: Array, share: float = 1.0) -> Flags:
-        """(...) whether configurations (..., n) keep a share of the margin to the limits."""
+        """(...) whether configurations (..., n) keep a fraction of the margin to the limits."""
         lower, upper = self._limits
         low = np.minimum(lower + share * LIMIT_MARGIN, self._lowest)
         high = np.maximum(upper - share * LIMIT_MARGIN, self._highest)
@@ -75,7 +75,7 @@ class Ground:
             target: (N, m) free joints where they end.
 
         Returns:
-            (N, P + 1, n) configurations, and (N,) whether each way is inside the limits and without a leap.
+            (N, P + 1, n) configurations, and (N,) whether each way is inside the limits and without a jump.
         """
         change = float(np.abs(target - origin[:, self.space.free]).max(initial=0.0))
         way = self.space.walk(origin, target, max(1, int(np.ceil(change / STEP))))
@@ -95,7 +95,7 @@ class Ground:
         return passes
 
     def fine(self, corners: Array) -> Array | None:
-        """(P, n) the way from corner to corner (k, n) as it is handed out; None if a joint leaps."""
+        """(P, n) the way from corner to corner (k, n) as it is handed out; None if a joint jumps."""
         legs = [corners[:1]]
         for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
             change = np.abs(corner - start[self.space.free]).max()
@@ -105,5 +105,5 @@ class Ground:
         return path if self.is_steady(path) and np.abs(path[-1] - corners[-1]).max() < 1e-6 else None
 
     def is_steady(self, path: Array) -> bool:
-        """Whether no joint leaps along a path (P, n) that is handed out."""
+        """Whether no joint jumps along a path (P, n) that is handed out."""
         return bool((np.abs(np.diff(path, axis=0)).max(axis=1) <= LEAP * FINE).all())

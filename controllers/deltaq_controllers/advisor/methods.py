@@ -26,7 +26,7 @@ class Found:
     Attributes:
         q: (M, n) feasible configurations.
         energy: (M,) their energies.
-        done: share of the work that is done, 0 to 1.
+        done: fraction of the work that is done, 0 to 1.
     """
 
     q: Array

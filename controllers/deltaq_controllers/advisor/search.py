@@ -73,7 +73,7 @@ def search(
         generator: of random numbers.
         method: one of `METHODS`.
         effort: of the method; 1 is what an operator waits for.
-        go_on: told what is being done, which share of it is done, and the least energy so far; once it says no, what
+        go_on: told what is being done, which fraction of it is done, and the least energy so far; once it says no, what
             was found so far is polished and returned.
 
     Returns:

@@ -122,7 +122,7 @@ def _shortened(ground: Ground, corners: Array) -> Array:
 
 
 def _rounded(ground: Ground, path: Array) -> Array | None:
-    """The path with its corners rounded, which would have to be passed at a crawl; None if a joint leaps then."""
+    """The path with its corners rounded, which would have to be passed at a crawl; None if a joint jumps then."""
     window = min(ROUNDED, 2 * ((len(path) - 1) // 2) + 1)
     half = window // 2
     free = path[:, ground.space.free]

@@ -19,9 +19,9 @@ class FocusTracker:
     """An alpha-beta filter of a point.
 
     Args:
-        alpha: share of the innovation that goes into the position.
-        beta: share of the innovation that goes into the velocity.
-        gap_s: after a longer silence than this the estimate starts anew [s].
+        alpha: fraction of the innovation that goes into the position.
+        beta: fraction of the innovation that goes into the velocity.
+        gap_s: after a longer silence than this the estimate restarts [s].
 
     Attributes:
         velocity: (3,) estimate [m/s].

@@ -90,7 +90,7 @@ class CameraFollower:
         """One increment, III-F.
 
         Args:
-            q_cmd: (n,) commanded reference: the last setpoint, with all increments under way [rad or m].
+            q_cmd: (n,) commanded reference: the last setpoint, with all increments in flight [rad or m].
             dq_last: (n,) increment that led to it [rad or m].
             p_focus: (3,) measured focus in the world [m].
             q_leader: (m,) measured configuration of the leader, None if it is not known.

@@ -87,6 +87,6 @@ BY_NAME = {
     "printed-weights": PAPER._replace(one_sided_weights=False),
     "printed-repulsion": PAPER._replace(gradient_repulsion=False),
 }
-"""`paper` is the paper's law with its errata mended; `predictive` carries the focus ahead as well, which the paper
+"""`paper` is the paper's law with its errata corrected; `predictive` carries the focus ahead as well, which the paper
 leaves to future work (VII-B). `printed` undoes every correction, the others one each: the decay of (9), the weights
 (10), the repulsion (12)."""

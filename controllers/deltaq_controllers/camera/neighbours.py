@@ -41,7 +41,7 @@ _UNKNOWN_M = -1e6
 
 
 class Near(NamedTuple):
-    """Pairs of bodies in range, those first whose distance is the least share of it.
+    """Pairs of bodies in range, those first whose distance is the least fraction of it.
 
     Attributes:
         pairs: (k,) index of each in `Neighbours.names`.
@@ -112,7 +112,7 @@ class Neighbours:
         self._told: Index = np.zeros(0, dtype=np.intp)
 
     def near(self, q: Array, ranges: Array) -> Near:
-        """What is near at a configuration, as a share of the range.
+        """What is near at a configuration, as a fraction of the range.
 
         By distance less range the many bodies of a robot that comes, which matter from afar, would crowd out the floor.
 

@@ -77,7 +77,7 @@ def ranges_of_nearer(ranges: Array, told: Index, distances: Array, most: int) ->
 
 @compiled
 def nearest(ranges: Array, pairs: Index, distances: Array, most: int) -> Index:
-    """Places of those of `pairs` (k,) in range, the least share of their range first, and `most` of them at most."""
+    """Places of those of `pairs` (k,) in range, the least fraction of their range first, and `most` of them at most."""
     # one of two alike comes first that does in the list of all pairs
     order = np.argsort(pairs, kind="mergesort")
     shares = distances / np.maximum(ranges[pairs], _LEAST_RANGE_M)

@@ -42,7 +42,7 @@ class Keeping(NamedTuple):
 
 
 class Braking(NamedTuple):
-    """What is left of the brake under way, `travel` (n,), and by how many increments a new one moves its end."""
+    """What is left of the present brake, `travel` (n,), and by how many increments a new one moves its end."""
 
     travel: Array
     reach: float
@@ -78,7 +78,7 @@ def barriers_of(
     gives way to the view, since it is the gate that stops them.
 
     Args:
-        near: what is near where the brake under way ends.
+        near: what is near where the present brake ends.
         keeping: how distances are kept.
         braking: the brake.
         rates: (m,) rates of all joints of the cell, the own ones zero [rad/s or m/s].

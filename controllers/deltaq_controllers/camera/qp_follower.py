@@ -11,7 +11,7 @@ tasks share what is left by their weights (`qp_gains`). In the null space of not
     room       g . dq             =  |G| T,  g along G = -k H                   (11)
     barrier    n . J dq >= n . v T - gamma (d - barrier) - s
 
-T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a share of an error, but never
+T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a fraction of an error, but never
 more than leaves room to brake with the acceleration that the joints have in that direction.
 """
 
@@ -126,7 +126,7 @@ class QpFollower:
         self._others.update(view.others)
         focus, velocity = self._focus_ahead()
         cycles = brake_cycles(dq_last, self.limits.max_ddq)
-        # of the brake that is under way, what is left
+        # of the brake that is in flight, what is left
         travel = dq_last * (0.5 * (cycles - 1))
         others = self._others.ahead(self._scene.latency_s)
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
@@ -185,7 +185,7 @@ class QpFollower:
         )
 
     def _barriers(self, near: Near, travel: Array, cycles: int, slowest: Array, fastest: Array) -> Barriers:
-        """What keeps the distances in range, with a brake under way that has (n,) and so many cycles left."""
+        """What keeps the distances in range, with a present brake that has (n,) and so many cycles left."""
         # of the brake that follows an increment the end lies `reach * dq` away, as the gate will see it too; at most
         # a cycle is added to it
         braking = Braking(travel, reach=0.5 * (cycles + 2))

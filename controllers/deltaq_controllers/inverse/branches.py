@@ -15,7 +15,7 @@ Flags = NDArray[np.bool_]
 TURN = 2.0 * np.pi
 
 FREE = 1e-13
-"""Below this share of the arm's reach, or of a unit vector, a direction is rounding: the joint is free."""
+"""Below this fraction of the arm's reach, or of a unit vector, a direction is rounding: the joint is free."""
 
 REACH_TOLERANCE = 1e-12
 """How far rounding may carry `|cos|` of an elbow beyond 1 with the pose still being reached to 1e-12."""

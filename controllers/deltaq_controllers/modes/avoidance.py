@@ -14,7 +14,7 @@ WEIGHT_SCALE = 0.02
 
 
 LEAST_WEIGHT = 0.01
-"""What is left of the share of a joint at its limit: it must be able to leave."""
+"""What is left of the fraction of a joint at its limit: it must be able to leave."""
 
 MARGIN = 2e-4
 """Part of its range, at either end, that a redundant joint is not moved into."""

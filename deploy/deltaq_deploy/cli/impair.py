@@ -45,7 +45,7 @@ def impair(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
 ) -> None:
-    """Carry a wire between two addresses through a relay that delays, loses, doubles, stalls or cuts it.
+    """Carry a link between two addresses through a relay that delays, loses, doubles, stalls or cuts it.
 
     It ends with the program that started it.
     """

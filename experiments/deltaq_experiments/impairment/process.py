@@ -1,4 +1,4 @@
-"""A relay in a process of its own, told over a pipe what to do to its wire."""
+"""A relay in a process of its own, told over a pipe what to do to its link."""
 
 from __future__ import annotations
 

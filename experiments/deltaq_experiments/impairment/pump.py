@@ -9,7 +9,7 @@ from deltaq_emulator.faults import FaultyLink, LinkFaults
 
 
 class Pump:
-    """One direction of a wire that carries whole messages.
+    """One direction of a link that carries whole messages.
 
     Args:
         loop: that carries.

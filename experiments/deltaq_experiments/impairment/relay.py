@@ -1,4 +1,4 @@
-"""The relay for a wire, chosen by what the wire carries."""
+"""The relay for a link, chosen by what the wire carries."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def unit_of(endpoint: Endpoint, name: str = "") -> Unit:
 
 
 def wire_faults(unit: Unit, asked: Mapping[str, Any]) -> StreamFaults | LinkFaults:
-    """What shall befall a wire, from the fields of `StreamFaults` or `LinkFaults`.
+    """What shall befall a link, from the fields of `StreamFaults` or `LinkFaults`.
 
     Raises:
         InvalidFaultError: if it cannot befall this unit.

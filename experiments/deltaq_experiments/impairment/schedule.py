@@ -1,4 +1,4 @@
-"""Impair a wire for a while, as `deltaq fault impair` does."""
+"""Impair a link for a while, as `deltaq fault impair` does."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ async def impair_for_a_while(
     duration_s: float | None = None,
     seed: int = 0,
 ) -> None:
-    """Carry a wire through a relay, and let faults befall it.
+    """Carry a link through a relay, and let faults befall it.
 
     Args:
         listen: where one of the two parties is told to connect or to send.

@@ -28,7 +28,7 @@ class _Awaited:
 
 
 class Commands:
-    """The commands that are under way.
+    """The commands that are in flight.
 
     Of the gate's epoch and of the ids of an earlier process this one hears when the gate refuses a command for them.
 

@@ -116,7 +116,7 @@ class HliCore:
         return self._books.commands.answered(reply)
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
-        """A service is alive; the gate's sign of life brings its counters and the nearest pair."""
+        """A service is alive; the gate's heartbeat brings its counters and the nearest pair."""
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s

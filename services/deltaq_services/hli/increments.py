@@ -74,7 +74,7 @@ class Increments:
         return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
-        """A state has come: ask the gate for the increment that waited, or send a sign of life."""
+        """A state has come: ask the gate for the increment that waited, or send a heartbeat."""
         outputs: list[Output] = []
         waited = link.drop()
         if waited is not None:

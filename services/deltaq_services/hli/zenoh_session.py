@@ -69,7 +69,7 @@ class LoopSession:
         return counters
 
     def close(self) -> None:
-        """Stop listening, then close: a session that closes with callbacks under way can panic."""
+        """Stop listening, then close: a session that closes with callbacks still running can panic."""
         for declared in self._declared:
             declared.undeclare()
         for inbox in self._inboxes.values():

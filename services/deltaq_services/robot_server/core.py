@@ -113,7 +113,7 @@ class RobotServer:
             measured: what the KRC reported.
             time_s: time of arrival, for the published state only.
             admission: the newest admission since the last cycle, if any.
-            supervision: the newest sign of life of the gate since the last cycle, if any.
+            supervision: the newest heartbeat of the gate since the last cycle, if any.
 
         Returns:
             (n,) setpoint to send now [rad or m].

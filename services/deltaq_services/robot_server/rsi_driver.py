@@ -2,7 +2,7 @@
 
 An absolute correction is an offset from where the programmed path stands, so rounding to the telegram's decimals
 never accumulates. With `DEF_ASPos` in the telegram that place is known even if this process joins a session
-that is under way; without it, the first measured position is taken for it. It is fixed for a session.
+that is in flight; without it, the first measured position is taken for it. It is fixed for a session.
 
 Nothing here moves the robot but the setpoint: any other answer is the correction that the KRC has already.
 """

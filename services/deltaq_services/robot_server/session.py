@@ -19,7 +19,7 @@ from deltaq_services.robot_server.plausibility import Plausibility
 Array = NDArray[np.float64]
 
 CONFIRMATIONS = 4
-"""Telegrams in a row that agree before a session is believed. Two agree when one is doubled, three give the IPOC's step
+"""Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the IPOC's step
 twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late replies, as it does
 unless told otherwise, waits for four."""
 
@@ -32,7 +32,7 @@ STILL = 1e-5
 IPOC_WRAP = 2**32
 _LARGEST_STEP = 1000
 _OVERTAKEN_CYCLES = 100
-"""A telegram this far behind may have been overtaken on the wire; one further behind has another clock."""
+"""A telegram this far behind may have been overtaken on the link; one further behind has another clock."""
 
 _JITTER_CYCLES = 3
 """How far the IPOC may run ahead of the time that has passed: less than it takes to believe in another session, so that
@@ -56,7 +56,7 @@ class Kind(StrEnum):
     NEXT = "next"
     """It follows the last one soon enough, and its programmed position is the same."""
     REPEATED = "repeated"
-    """It came twice, or was overtaken on the wire."""
+    """It came twice, or was overtaken on the link."""
     GARBLED = "garbled"
     """It follows the last one, and a position in it cannot be true."""
     FOREIGN = "foreign"

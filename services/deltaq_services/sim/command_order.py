@@ -10,7 +10,7 @@ from deltaq_services.sim.gated_robot import GatedRobot
 
 
 class CommandOrder:
-    """Which commands have been, so that none that was doubled, overtaken or kept back on its way is taken.
+    """Which commands have been, so that none that was duplicated, overtaken or kept back on its way is taken.
 
     Attributes:
         newest_id: the greatest id of a command so far.

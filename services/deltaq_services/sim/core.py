@@ -119,7 +119,7 @@ class Sim:
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 
     def on_request(self, request: Request) -> list[Output]:
-        """The HLI sent an increment, or a sign of life."""
+        """The HLI sent an increment, or a heartbeat."""
         self.taken += 1
         robot = self.robots.get(request.robot)
         if robot is None:
@@ -254,7 +254,7 @@ class Sim:
         reason = reason or self._unready(state)
         request = inbox.take()
         assert request is not None  # it is due
-        assert request.dq is not None  # signs of life are not put there
+        assert request.dq is not None  # heartbeats are not put there
         if reason is not None:
             return [self._refuse(request, reason)]
         inbox.decided_cycle = state.cycle

@@ -57,7 +57,7 @@ class Decision:
 
 
 class Gate:
-    """Decides requests; knows the bodies and the limits, and nothing of clocks or wires."""
+    """Decides requests; knows the bodies and the limits, and nothing of clocks or links."""
 
     def __init__(
         self,

@@ -97,7 +97,7 @@ class Limits:
         return max(0.0, float(scales[joint])), [reason]
 
     def slow_scale(self, brake: Array, request: Array, share: float) -> float:
-        """Largest s that leaves every joint within a share of its velocity limit; 0 while the brake is faster."""
+        """Largest s that leaves every joint within a fraction of its velocity limit; 0 while the brake is faster."""
         allowed = share * self.max_dq
         if np.any(np.abs(brake) > allowed):
             return 0.0

@@ -50,7 +50,7 @@ class Orders:
         self._awaited_resets = list(memory.awaited_resets)
 
     def hli_heard(self) -> None:
-        """The HLI gave a sign of life."""
+        """The HLI gave a heartbeat."""
         self._cycles_without_hli = 0
 
     def cycle_passed(self) -> None:

@@ -68,7 +68,7 @@ class Shell:
     def _handle(self, key: str, payload: bytes) -> None:
         topic = _TAKEN.get(key.rpartition("/")[2])
         if topic is None:
-            return  # a sign of life of the others
+            return  # a heartbeat of the others
         try:
             payload = self._seal.open(key, payload)
             message = unpack(topic.message, payload)
