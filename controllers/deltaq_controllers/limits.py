@@ -17,7 +17,7 @@ from deltaq_protocol.brake import brake_cycles
 Array = NDArray[np.float64]
 
 _SHY = 1.0 - 1e-6
-"""Share of each limit that is used, so that rounding never counts as a violation."""
+"""Fraction of each limit that is used, so that rounding never counts as a violation."""
 
 _ROUNDING = 1e-12
 """An end of a brake that is outside by no more than this lies on the limit [rad or m]."""

@@ -18,7 +18,7 @@ def folder_of(package: Path, users_cache: Path) -> str:
     What was installed with code that cannot be written to is copied there.
 
     Returns:
-        The folder; empty if neither can be written to: then every process compiles anew.
+        The folder; empty if neither can be written to: then every process recompile.
     """
     sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
     version = hashlib.sha256(b"".join(source for source in sources if b"\n@compiled" in source)).hexdigest()
@@ -52,7 +52,7 @@ def mark_complete(where: str, name: str) -> None:
 
 
 def _mark(where: str, name: str) -> Path:
-    """A file whose name changes with all that makes numba compile anew: code, versions, the processor."""
+    """A file whose name changes with all that makes numba recompile: code, versions, the processor."""
     sources = [path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py"))]
     processor = [platform.machine(), platform.processor()]
     with suppress(OSError):

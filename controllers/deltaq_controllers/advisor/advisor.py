@@ -19,7 +19,7 @@ from deltaq_controllers.criteria.normalised import cost
 Array = NDArray[np.float64]
 
 THERE_M, THERE_RAD = 1e-4, 1e-3
-"""The robot's hands count as being where they shall be within this."""
+"""The robot's hands count as being where they should be within this."""
 
 DRIVABLE = 3
 """Number of options that can be driven to, if there are as many, even if others have less energy."""

@@ -89,8 +89,8 @@ class Counsel:
         """Search for a path to one of the options.
 
         Args:
-            back: (P, n) a way from where the robot stands to where it stood when options were asked for. If there is no
-                other way, that to the option leads back along this one.
+            back: (P, n) a path from where the robot stands to where it stood when options were asked for. If there
+                is no other path, that to the option leads back along this one.
             rank: of the option, from 1.
             others: (n,) where each other robot is.
             go_on: told the options at the end; asked now and then whether anybody still waits.

@@ -15,7 +15,7 @@ from deltaq_controllers.criteria import Postures
 Array = NDArray[np.float64]
 
 LENGTHS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
-"""Shares of a step that are tried."""
+"""Fractions of a step that are tried."""
 
 DAMPING = 1e-6
 """Added to the squares of an arm's Jacobian, so that a singular arm gives no infinite rates."""

@@ -40,7 +40,7 @@ def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: b
         return setpoints
     base = setpoints[:, tracker.base]
     held = tracker.track(base, tracker.hands(path[0]), setpoints)
-    # the ends are where the robot is and shall be, to the bit
+    # the ends are where the robot is and should be, to the bit
     between = np.array(np.isfinite(held).all(axis=1))
     between[[0, -1]] = False
     setpoints[between] = held[between]
@@ -98,7 +98,7 @@ class Route:
 
     @property
     def done(self) -> float:
-        """Share of the path's duration that has been driven."""
+        """Fraction of the path's duration that has been driven."""
         return self._place / max(1, len(self._setpoints) - 1)
 
     def step(self, q: Array, cycles: float) -> Array:

@@ -25,18 +25,18 @@ MARGIN_M = 0.015
 LIMIT_MARGIN = 0.05
 """Room to the joints' limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
 FINE_SHARE = 0.4
-"""Share of the margins that is kept between the configurations that the search looked at."""
+"""Fraction of the margins that is kept between the configurations that the search looked at."""
 SAMPLED = 6
-"""Of so many configurations of a way one is looked at first: most ways that are barred are so over a good part."""
+"""Of so many configurations of a path one is looked at first: most blocked paths are blocked over a good part."""
 
 
 class Ground:
-    """What ways between some configurations may pass.
+    """What paths between some configurations may pass.
 
     Args:
         problem: the task, for the robot and the bodies about.
-        space: in which the ways lie.
-        ends: (k, n) configurations that ways begin and end at; margins are no larger than these have them.
+        space: in which the paths lie.
+        ends: (k, n) configurations that paths begin and end at; margins are no larger than these have them.
         wider: times the usual margin to bodies.
 
     Attributes:
@@ -68,14 +68,14 @@ class Ground:
         return clear
 
     def walk(self, origin: Array, target: Array) -> tuple[Array, Flags]:
-        """Ways that are straight in the free joints.
+        """Paths that are straight in the free joints.
 
         Args:
             origin: (N, n) where they begin.
             target: (N, m) free joints where they end.
 
         Returns:
-            (N, P + 1, n) configurations, and (N,) whether each way is inside the limits and without a jump.
+            (N, P + 1, n) configurations, and (N,) whether each path is inside the limits and without a jump.
         """
         change = float(np.abs(target - origin[:, self.space.free]).max(initial=0.0))
         way = self.space.walk(origin, target, max(1, int(np.ceil(change / STEP))))
@@ -95,7 +95,7 @@ class Ground:
         return passes
 
     def fine(self, corners: Array) -> Array | None:
-        """(P, n) the way from corner to corner (k, n) as it is handed out; None if a joint jumps."""
+        """(P, n) the path from corner to corner (k, n) as it is handed out; None if a joint jumps."""
         legs = [corners[:1]]
         for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
             change = np.abs(corner - start[self.space.free]).max()

@@ -1,4 +1,4 @@
-"""What the advisor minimises: a weighted sum of criteria over the free joints, the hands kept where they shall be.
+"""What the advisor minimises: a weighted sum of criteria over the free joints, the hands kept where they should be.
 
 Hooper and Noakes, III-B and III-C: constraint tracking leaves the base joints free (5 of 17 on a DAWM), and a trial
 that exceeds a limit, cannot reach or collides is rejected at once.
@@ -53,7 +53,7 @@ class Problem:
     Args:
         cell: model of the cell.
         robot: name of the robot.
-        T_world_hands: (h, 4, 4) where its hands shall be.
+        T_world_hands: (h, 4, 4) where its hands should be.
         weights: of the criteria.
         tracker: of the robot, where there is one already.
 

@@ -37,7 +37,7 @@ class Pool:
     energy: Array = field(default_factory=lambda: np.empty(0))
 
     def add(self, q: Array, energy: Array) -> None:
-        """Take in configurations; the worst are forgotten."""
+        """Add configurations; the worst are forgotten."""
         good = np.isfinite(energy)
         q, energy = np.concatenate([self.q, q[good]]), np.concatenate([self.energy, energy[good]])
         order = np.argsort(energy, kind="stable")[: 4 * POOL]

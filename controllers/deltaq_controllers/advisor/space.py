@@ -1,4 +1,4 @@
-"""The spaces in which ways are looked for: the hands kept, or all joints free."""
+"""The spaces in which paths are looked for: the hands kept, or all joints free."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Space(Protocol):
     free: NDArray[np.intp]
 
     def walk(self, origin: Array, target: Array, pieces: int) -> Array:
-        """(N, pieces + 1, n) ways from configurations (N, n), straight to (N, m); NaN from where there is none."""
+        """(N, pieces + 1, n) paths from configurations (N, n), straight to (N, m); NaN from where there is none."""
         ...
 
     def placed(self, free: Array, near: Array) -> Array:

@@ -1,7 +1,7 @@
-"""Where the focus will be once the follower has got there.
+"""Where the focus will be when the follower's increment takes effect.
 
 The error of a follower that chases the measured focus is pure latency, speed times latency over distance
-(errata on III-F). The focus is therefore carried ahead once by the known latency, along a velocity that an
+(errata on III-F). The focus is therefore extrapolated once by the known latency, along a velocity that an
 alpha-beta filter estimates, and then held during the integration as the paper does.
 """
 
@@ -39,7 +39,7 @@ class FocusTracker:
         return self._position is not None
 
     def update(self, position: Array, time_s: float) -> None:
-        """Take in a measurement.
+        """Add a measurement.
 
         Args:
             position: (3,) measured point [m].

@@ -95,7 +95,7 @@ def checked_poses(poses: Array) -> Array:
 
 
 def checked_hint(hint: Array | None) -> Array:
-    """(6,) configuration that tells free joints; zeros without one.
+    """(6,) configuration that gives free joints; zeros without one.
 
     Raises:
         InverseError: another shape, or not finite.

@@ -2,7 +2,7 @@
 
 Hooper and Noakes, II. What differs from the print, see the errata: the pose is that of the tool, whose offset is
 taken off first (B1); all eight branches are found (B2), and none is singular where the print divides by a sine or
-cosine (B3); free joints follow a hint, and out of reach is told (B4).
+cosine (B3); free joints follow a hint, and out of reach is reported (B4).
 
 The forward kinematics that the closed form implies, in the arm's base frame with x along the azimuth axis:
 `R = Rx(-t1) Ry(Phi) Rx(t5) Rz(t6)`, `Phi = t2 + t3 + t4`, and for the point where t5 and t6 meet

@@ -55,7 +55,7 @@ class HomingStick:
         return self.velocity
 
     def give_up(self) -> None:
-        """An attacker does not give up, it pushes anew."""
+        """An attacker does not give up, it pushes again."""
         self.velocity = np.zeros(3)
 
 

@@ -129,7 +129,7 @@ class AdvisorMode(Mode):
 
     @property
     def done(self) -> float:
-        """Share of the duration of the path to the chosen option that has been driven."""
+        """Fraction of the duration of the path to the chosen option that has been driven."""
         return self._route.done if self._route is not None and self._driven == self._wanted else 0.0
 
     @property

@@ -1,4 +1,4 @@
-"""Limit the speed of a self-motion so that the hands stay even if the gate brakes it at any moment."""
+"""Limit the speed of a self-motion so that the hands stay even if the gate brakes it at any time."""
 
 from __future__ import annotations
 

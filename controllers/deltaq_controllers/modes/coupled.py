@@ -22,7 +22,7 @@ from deltaq_controllers.modes.slowing import slowed
 Array = NDArray[np.float64]
 
 DRIFT_SHARE_S_M = 2.0
-"""Share of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""
+"""Fraction of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""
 
 FULL_DESCENT_S = 0.02
 """Weighted descent of the criteria, over a joint's greatest speed, from which on it is cut to what it may ask [s]."""

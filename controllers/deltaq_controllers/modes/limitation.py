@@ -108,7 +108,7 @@ def of_conditioning(hands: Hands, inverse: Inverse, wanted: Array, q: Array) -> 
 
 
 _MOSTLY = 0.7
-"""Share of travel in a lost direction, a unit vector, that makes it a direction of travel."""
+"""Fraction of travel in a lost direction, a unit vector, that makes it a direction of travel."""
 
 _BENT = 0.05
 """Second derivative of the reach that counts as an edge [m/rad^2]."""

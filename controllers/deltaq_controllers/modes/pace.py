@@ -20,7 +20,7 @@ from deltaq_protocol.brake import brake_cycles, brake_increment
 Array = NDArray[np.float64]
 
 RAMP_SHARE = 0.5
-"""Share of each joint's acceleration that an operator's own changes of speed use."""
+"""Fraction of each joint's acceleration that an operator's own changes of speed use."""
 
 _HALVINGS = 8
 _SLACK = 1e-9

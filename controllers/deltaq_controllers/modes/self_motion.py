@@ -63,7 +63,7 @@ class SelfMotionMode(Mode):
         self._kept = (self._hands.rotations.copy(), self._hands.positions.copy())
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
-        """The motion, slowed to where the hands stay even if the gate brakes it at any moment."""
+        """The motion, slowed to where the hands stay even if the gate brakes it at any time."""
         rates = self.step(q, motion, GLIMPSE_S) / GLIMPSE_S
         return motion.scaled(kept_while_braked(self._hands, q, rates, self._max_acceleration))
 

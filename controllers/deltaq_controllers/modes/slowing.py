@@ -18,7 +18,7 @@ from deltaq_controllers.modes.motion import Motion
 Array = NDArray[np.float64]
 
 STANDING_LOSS = 0.3
-"""Share of a motion that the damping leaves out when the robot has come to a stand."""
+"""Fraction of a motion that the damping leaves out when the robot has come to a stand."""
 
 _UNHEEDED_LOSS = 0.01
 _AHEAD_S = 1e-3

@@ -231,7 +231,7 @@ class Teleoperator:
         return motion
 
     def _made(self, dq_last: Array) -> float:
-        """Share of the motion last asked for that the robot was commanded: the gate may have braked it."""
+        """Fraction of the motion last asked for that the robot was commanded: the gate may have braked it."""
         size = float(self._asked @ self._asked)
         return min(1.0, max(0.0, float(self._asked @ dq_last) / size)) if size > 0.0 else 0.0
 

@@ -126,7 +126,7 @@ class Gamepad:
         return rates
 
     def _take_events(self) -> list[int]:
-        """Take in all events that wait; returns the buttons pressed.
+        """Read all waiting events; returns the buttons pressed.
 
         Raises:
             OSError: the device is gone.

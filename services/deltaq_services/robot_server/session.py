@@ -19,9 +19,9 @@ from deltaq_services.robot_server.plausibility import Plausibility
 Array = NDArray[np.float64]
 
 CONFIRMATIONS = 4
-"""Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the IPOC's step
-twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late replies, as it does
-unless told otherwise, waits for four."""
+"""Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the
+IPOC's step twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late
+replies, as it does unless told otherwise, waits for four."""
 
 PACE = 0.5
 """Share of their own time in which such telegrams may come: a real KRC cannot hurry, a burst of forged ones does."""
