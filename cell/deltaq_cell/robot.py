@@ -190,7 +190,7 @@ class RobotModel:
     def visual(self) -> pin.GeometryModel:
         """`pinocchio.GeometryModel` of the visual bodies, attachments and tool bodies included.
 
-        Visual meshes do not travel with a description. Where one is not found here, the hulls are shown.
+        Visual meshes are not part of a description. Where one is not found here, the hulls are shown.
         """
         locked = self.description.locked_joints
         try:

@@ -1,4 +1,4 @@
-"""Where machine code is kept between starts, and what of it is known to be complete. Imports nothing heavy."""
+"""Where machine code is kept between starts, and which of it is complete. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 def folder_of(package: Path, users_cache: Path) -> str:
     """Where to keep the machine code of a package: beside the code, or else in the user's cache.
 
-    What was installed with code that cannot be written to is copied there.
+    Machine code from an installation that cannot be written to is copied there.
 
     Returns:
         The folder; empty if neither can be written to: then every process recompile.
@@ -25,11 +25,11 @@ def folder_of(package: Path, users_cache: Path) -> str:
     installed = package / "__pycache__" / f"compiled-{version[:16]}"
     if _can_be_written(installed):
         return str(installed)
-    if not users_cache.is_absolute():  # nobody's, or as XDG does not want it
+    if not users_cache.is_absolute():  # no home, or a relative path, which XDG does not allow
         return ""
     own = users_cache / "deltaq" / installed.name
     if installed.exists() and not own.exists():
-        with suppress(OSError):  # in part it is of use, too
+        with suppress(OSError):  # a partial copy is useful, too
             shutil.copytree(installed, own)
     return str(own) if _can_be_written(own) else ""
 
@@ -47,7 +47,7 @@ def is_complete(where: str, name: str) -> bool:
 def mark_complete(where: str, name: str) -> None:
     """Remember that all that `name` needs was compiled for this machine."""
     if where:
-        with suppress(OSError):  # then it is looked at again at the next start
+        with suppress(OSError):  # then the next start checks it again
             _mark(where, name).touch()
 
 

@@ -43,10 +43,10 @@ def reduced_gradient(problem: Problem, q: Array) -> Array:
 def descend(
     problem: Problem, q: Array, energy: Array, generator: np.random.Generator, steps: int
 ) -> tuple[Array, Array]:
-    """Go downhill from configurations, each on its branch.
+    """Descend from configurations, each on its branch.
 
-    Beside the quasi-Newton step two random ones of the same radius are tried, since a clearance has kinks at which the
-    gradient tells half of the truth.
+    Beside the quasi-Newton step two random ones of the same radius are tried, since a clearance has kinks at which
+    the gradient is one-sided.
 
     Args:
         problem: the task.

@@ -11,13 +11,13 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker
 Array = NDArray[np.float64]
 
 SHARE = 0.6
-"""Of the joints' speed and acceleration limits; the gate's own bounds are never reached."""
+"""Fraction of the joints' speed and acceleration limits; the gate's own bounds are never reached."""
 
 LOOK_AHEAD = 40
-"""Cycles of the path among which the robot's own place is looked for."""
+"""Cycles of the path among which the robot's position is searched for."""
 
 TAKEN_BACK_CYCLES = 20.0
-"""Cycles in which what a brake has left the path by is taken back."""
+"""Cycles in which a deviation from the path after a brake is corrected."""
 
 
 def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: bool = False) -> Array:
@@ -115,7 +115,7 @@ class Route:
         if here + cycles >= last:
             return self.end - q
         on_path = self._at(here)
-        # a brake of the gate is straight and leaves the path by a little
+        # a brake of the gate is straight and deviates slightly from the path
         back = min(1.0, cycles / TAKEN_BACK_CYCLES) * (on_path - q)
         displacement: Array = self._at(here + cycles) - on_path + back
         return displacement

@@ -1,4 +1,4 @@
-"""Where a path may pass: clear of obstacles and limits, and without a jump of any joint."""
+"""Where a path may pass (motion validity): clear of obstacles and limits, and without a jump of any joint."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STEP = 0.05
-"""Free joints between two configurations that are looked at while searching [rad or m]."""
+"""Distance in the free joints between two configurations that are checked while searching [rad or m]."""
 FINE = 0.01
-"""Free joints between two configurations of a path that is handed out [rad or m]."""
+"""Distance in the free joints between two configurations of a returned path [rad or m]."""
 LEAP = 4.0
-"""Times the step by which any joint may change over it; more is another branch, or too near to a singularity."""
+"""Any joint may change by this many times the step; more is another branch, or too near to a singularity."""
 SEARCHED_LEAP = 3.0
-"""The same while searching, so that the finer look agrees."""
+"""The same while searching, so that the finer check agrees."""
 MARGIN_M = 0.015
-"""Room that the search keeps where start and goal have it, so that the exact check agrees."""
+"""Margin to bodies that the search keeps where start and goal have it, so that the exact check agrees."""
 LIMIT_MARGIN = 0.05
-"""Room to the joints' limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
+"""Margin to joint limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
 FINE_SHARE = 0.4
 """Fraction of the margins that is kept between the configurations that the search looked at."""
 SAMPLED = 6
@@ -31,17 +31,17 @@ SAMPLED = 6
 
 
 class Ground:
-    """What paths between some configurations may pass.
+    """Where paths between some configurations may pass.
 
     Args:
         problem: the task, for the robot and the bodies about.
         space: in which the paths lie.
         ends: (k, n) configurations that paths begin and end at; margins are no larger than these have them.
-        wider: times the usual margin to bodies.
+        wider: factor of the usual margin to bodies.
 
     Attributes:
         space: as given.
-        margin_m: room to bodies that is kept.
+        margin_m: margin to bodies that is kept.
     """
 
     def __init__(self, problem: Problem, space: Space, ends: Array, wider: float) -> None:
@@ -95,7 +95,7 @@ class Ground:
         return passes
 
     def fine(self, corners: Array) -> Array | None:
-        """(P, n) the path from corner to corner (k, n) as it is handed out; None if a joint jumps."""
+        """(P, n) the path from corner to corner (k, n) as it is returned; None if a joint jumps."""
         legs = [corners[:1]]
         for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
             change = np.abs(corner - start[self.space.free]).max()
@@ -105,5 +105,5 @@ class Ground:
         return path if self.is_steady(path) and np.abs(path[-1] - corners[-1]).max() < 1e-6 else None
 
     def is_steady(self, path: Array) -> bool:
-        """Whether no joint jumps along a path (P, n) that is handed out."""
+        """Whether no joint jumps along a path (P, n) that is to be returned."""
         return bool((np.abs(np.diff(path, axis=0)).max(axis=1) <= LEAP * FINE).all())

@@ -1,4 +1,4 @@
-"""What the advisor minimises: a weighted sum of criteria over the free joints, the hands kept where they should be.
+"""What the advisor minimises: a weighted sum of criteria over the free joints, with the hands in place.
 
 Hooper and Noakes, III-B and III-C: constraint tracking leaves the base joints free (5 of 17 on a DAWM), and a trial
 that exceeds a limit, cannot reach or collides is rejected at once.
@@ -59,14 +59,14 @@ class Problem:
 
     Attributes:
         tracker: of the robot.
-        data: what criteria know of it.
+        data: of the robot, for the criteria.
         energy: the weighted sum.
         lower: (m,) lower limits of the free joints.
         upper: (m,) their upper limits.
         count: trials so far.
 
     Raises:
-        AdvisorError: the robot is unknown, has no free joint, or the poses are none.
+        AdvisorError: the robot is unknown, has no free joint, or the poses are not valid.
         TrackingError: its arms have no closed form.
         CriterionError: an unknown criterion.
     """

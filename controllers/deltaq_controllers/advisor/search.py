@@ -21,7 +21,7 @@ POLISHED, POLISH_STEPS = 32, 15
 """How many configurations are polished, and how far."""
 
 POOL = 400
-"""Configurations that are remembered while searching."""
+"""Configurations that are kept while searching."""
 
 
 @dataclass
@@ -73,8 +73,8 @@ def search(
         generator: of random numbers.
         method: one of `METHODS`.
         effort: of the method; 1 is what an operator waits for.
-        go_on: told what is being done, which fraction of it is done, and the least energy so far; once it says no, what
-            was found so far is polished and returned.
+        go_on: called with the present activity, its completed fraction and the least energy so far; once it returns
+            False, the findings so far are polished and returned.
 
     Returns:
         Distinct configurations, best first; empty if nothing was found.

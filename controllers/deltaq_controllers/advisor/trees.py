@@ -1,7 +1,7 @@
 """Trees of configurations that grow towards each other: RRT-connect of Kuffner and LaValle 2000.
 
-Many extensions are tried at once. A new node is looked at halfway and at its own place, and its edge all along only
-once a path leads over it.
+Many extensions are tried at once. A new node is checked halfway and at its own position, and its whole edge only
+once a path uses it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Tree:
         return len(self.q)
 
     def add(self, q: Array, parents: Indices) -> Indices:
-        """Add nodes (k, n) whose edges have not been looked at all along; returns their numbers."""
+        """Add nodes (k, n) whose edges have not been checked over their whole length; returns their numbers."""
         first = len(self.q)
         self.q = np.concatenate([self.q, q])
         self._parent = np.append(self._parent, parents)
@@ -148,10 +148,10 @@ def connected(
     rounds: int,
     go_on: Callable[[], bool],
 ) -> Array | None:
-    """(k, n) corners of a path from a tree's root to a goal; what is found on the path to it stays in the tree.
+    """(k, n) corners of a path from a tree's root to a goal; what is found meanwhile stays in the tree.
 
     Args:
-        tree: that has perhaps grown already.
+        tree: which may have grown already.
         goal: (n,) configuration.
         ground: what paths to the goal may pass.
         limits: (m,) lower and upper limits of the free joints.

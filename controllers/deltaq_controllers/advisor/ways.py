@@ -1,4 +1,4 @@
-"""Collision-free paths from one configuration to others, the hands kept still or not.
+"""Collision-free paths from one configuration to others, with the hands fixed or not.
 
 They are straight in the free joints where that is clear; otherwise two trees grow towards each other. The tree about
 the start is kept, so that the path to one goal helps to find that to the next.
@@ -26,7 +26,7 @@ CHECKED = 2
 ROUNDED = 31
 """Configurations of a path over which a corner is rounded."""
 WIDER = (1.0, 2.0)
-"""Times the margin to bodies with which a path is looked for, one after the other."""
+"""Factors of the margin to bodies with which a path is searched for, one after the other."""
 
 
 class NoWayError(Exception):
@@ -39,7 +39,7 @@ class Ways:
     Args:
         problem: the task, for the robot and the bodies about.
         space: in which to look.
-        exact: measures what is handed out.
+        exact: measures the paths that are returned.
         generator: of random numbers.
         start: (n,) where they begin, in the space.
     """
@@ -122,7 +122,7 @@ def _shortened(ground: Ground, corners: Array) -> Array:
 
 
 def _rounded(ground: Ground, path: Array) -> Array | None:
-    """The path with its corners rounded, which would have to be passed at a crawl; None if a joint jumps then."""
+    """The path with its corners rounded, since a robot would have to crawl round them; None if a joint jumps then."""
     window = min(ROUNDED, 2 * ((len(path) - 1) // 2) + 1)
     half = window // 2
     free = path[:, ground.space.free]

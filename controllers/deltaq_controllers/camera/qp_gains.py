@@ -12,10 +12,10 @@ class QpGains(NamedTuple):
 
     Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come
     the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it
-    while there is another way. The tasks are least squares in one sum. Angle comes first, dearer than what others
-    need to brake in; two decades below it evasion, distance and room, of one weight: who evades neither
-    backs off along the view axis nor into a limit while there is a way aside. Then roll, and last of all that the
-    joints stand still.
+    while there is an alternative. The tasks are least squares in one sum. Angle comes first, at a higher price than
+    the braking distance of others; two decades below it evasion, distance and joint margin, of equal weight: the
+    follower backs off neither along the view axis nor into a limit while it can evade sideways. Then roll, and last
+    of all rest of the joints.
 
     Attributes:
         clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
@@ -33,7 +33,7 @@ class QpGains(NamedTuple):
         evasion_range_m: rho_0 of (12) [m].
         evasion_min_m: distance at which the repulsion stops growing [m].
         limit_scale: s_w of the weights (10) that keep the repulsion from pressing joints to their limits [rad].
-        room: k of the rates -k H, H of (11), at which joints leave their limits in the way of another robot
+        room: k of the rates -k H, H of (11), at which joints leave their limits while another robot is near
             [rad^2/s or m^2/s].
         room_rate: largest size of these rates [rad/s or m/s].
         angle_weight, evasion_weight, distance_weight, room_weight, roll_weight, rest_weight: of the squares: per mm

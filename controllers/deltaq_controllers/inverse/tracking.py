@@ -134,11 +134,11 @@ class ConstraintTracker:
     def walk(self, origin: Array, target: Array, T_world_hands: Array, pieces: int) -> Array:
         """Paths that are straight in the base, the hands kept, each arm following without a change of branch.
 
-        All branches of all configurations are solved at once, and from each the nearest of the next one is gone on
-        with. Limits are not looked at.
+        All branches of all configurations are solved at once, and each is continued by the nearest branch of the next
+        configuration. Limits are not checked.
 
         Args:
-            origin: (N, n) configurations with the hands where they should be.
+            origin: (N, n) configurations with the hands in place.
             target: (N, m) values of the base joints at the paths' ends.
             T_world_hands: (h, 4, 4) where the hands should be.
             pieces: into how many equal pieces each path is divided.
@@ -207,7 +207,7 @@ class ConstraintTracker:
         return candidates
 
     def _fits(self, arm: Arm) -> bool:
-        """Whether the closed form finds a configuration of the model itself again."""
+        """Whether the closed form reproduces a configuration of the model itself."""
         q = self.robot.lower + (self.robot.upper - self.robot.lower) * np.linspace(0.37, 0.61, self.robot.n)
         frames = self.kinematics.frames(q[None])
         mount = self.kinematics.mounts(frames, int(arm.joints[0]), 1)[0] @ arm.T_mount_base

@@ -8,7 +8,7 @@ second repeat on: then it moves at full speed, and stops soon after the last rep
 from __future__ import annotations
 
 FIRST_REPEAT_S = 0.7
-"""Longest time from a press to its first repeat that is waited for."""
+"""Longest time from a press to its first repeat."""
 
 HOLD_S = 0.2
 """How long a repeat moves: the longest motion at full speed after a key was let go, before the robot brakes."""
@@ -38,7 +38,7 @@ class HeldKey:
         self._key, self._until_s = key, time_s + (HOLD_S if is_repeat else FIRST_REPEAT_S)
 
     def release(self) -> None:
-        """Whatever is held is let go."""
+        """Release the key that is held."""
         self._key, self._presses = "", 0
 
     def share(self, time_s: float) -> float:
