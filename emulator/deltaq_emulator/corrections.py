@@ -1,4 +1,4 @@
-"""What corrections come to: absolute or relative, with HOLDON for late telegrams, within limits.
+"""The total correction: absolute or relative, with HOLDON for late telegrams, within limits.
 
 | | HOLDON 1 | HOLDON 0 |
 | --- | --- | --- |
@@ -43,10 +43,10 @@ class Corrections:
         """(n,) sum of all corrections of this session [rad or m]."""
         self._stop = False
         self.stop_rose = False
-        """The signal that ends the motion came up in the last cycle."""
+        """The signal that ends the motion rose in the last cycle."""
 
     def take(self, reply: SensorTelegram | None) -> None:
-        """Take the reply of a cycle, or that there was none."""
+        """Take the reply of a cycle, or None if there was none."""
         held = np.where(self._hold_on, self._value, 0.0)
         self._value = held if reply is None else np.where(reply.present, reply.correction, held)
         received = {} if reply is None else reply.outputs

@@ -1,4 +1,4 @@
-"""What differs between generations of controllers."""
+"""Differences between generations of controllers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an integrator sets at a controller: correction limits, late packets, precision, operating mode."""
+"""Settings that an integrator makes at a controller: correction limits, late packets, precision, operating mode."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from deltaq_emulator.late_budget import LateRule
 from deltaq_protocol.errors import DeltaqError
 
 SHIPPED = Path(__file__).with_name("krc_settings.yaml")
-"""The settings that the emulator uses unless it is given others."""
+"""The emulator's default settings."""
 
 Correction = Literal["absolute", "relative"]
-"""What RSI_ON is called with."""
+"""The argument of RSI_ON."""
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -34,7 +34,7 @@ class Mode(StrEnum):
 
 
 class KrcSettings(BaseModel):
-    """Settings of an emulated controller; the defaults are the maker's, which allow no motion to speak of."""
+    """Settings of an emulated controller; the defaults are the maker's, which allow hardly any motion."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,11 +54,11 @@ class KrcSettings(BaseModel):
     late_percent: Annotated[float, Field(ge=0, le=100)] = 10.0
     """maxLatePackages: the same for a KR C2, as a fraction of the last 1000 telegrams; the default is a stand-in."""
     late_count: LateRule | None = None
-    """Which cycles count against the budget; none: as the generation does, a KR C2 the share, others consecutive ones.
-    The maker's documents do not tell whether those count that are consecutive or all."""
+    """Which cycles count against the budget; none: as the generation does, a KR C2 the fraction, others consecutive
+    ones. The maker's documents do not say whether consecutive late cycles count or all."""
     count_from: Literal["first_reply", "start"] = "first_reply"
     """Start counting against the budget when the PC has replied once, or with the first telegram as a real
-    controller does. There the operator starts the program once the PC is up; here nobody does."""
+    controller does. There an operator starts the program once the PC is up; here it starts by itself."""
     precision: Annotated[int, Field(ge=1, le=9)] = 1
     """Decimals of a DOUBLE in the controller's telegrams."""
     velocity_stop_factor: Positive = 1.1

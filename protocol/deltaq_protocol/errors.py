@@ -19,7 +19,7 @@ class ServiceUnreachableError(DeltaqError):
 
 
 class RefusedError(DeltaqError):
-    """A request that was understood and turned down.
+    """A request that was understood and refused.
 
     Attributes:
         code: reason code, one of `deltaq_protocol.reasons.ReasonCode`.
