@@ -1,4 +1,4 @@
-"""Both robots driven by adversaries over links that lose, delay, double and reorder: does the gate hold?
+"""Both robots driven by adversaries over links that lose, delay, duplicate and reorder: does the gate hold?
 
 One seed is one run. The oracle measures every cycle of both robots as the emulated controllers recorded them;
 the gate's own figures are not believed.
@@ -25,10 +25,10 @@ from deltaq_protocol.messages import Phase, RobotState
 Array = NDArray[np.float64]
 
 CLEARANCE_TOLERANCE_M = 1e-4
-"""What the telegram's decimals and the drives' older past may take off the stop distance."""
+"""Tolerance of the stop distance: the telegram's decimals and the drives' older setpoints."""
 
 _DRIFT = 0.01
-"""Chance of a robot to sit a cycle out."""
+"""Probability that a robot skips a cycle."""
 
 _MILD = Impairment(loss=0.02, delay=0.03, duplicate=0.02)
 _SEVERE = Impairment(loss=0.3, delay=0.4, duplicate=0.2)
