@@ -80,7 +80,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(SIM, "unknown_state", "states of a robot, or with joints, that the cell does not have"),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
     Counted(SIM, "forged_messages", "messages whose seal is wrong"),
-    Counted(SIM, "invalid_messages", "malformed messages"),
+    Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
     Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by reason, e.g. `admission_late`"),
     Counted(
