@@ -48,8 +48,8 @@ def explore(
 
     Args:
         system: what can happen.
-        faults: faults on one way, at most.
-        cycles: cycles of the robot on one way, at most.
+        faults: largest number of faults on one path.
+        cycles: largest number of the robot's cycles on one path.
         on_cycle: called with the cycle reached and the number of states so far.
     """
     start = system.start(faults)
