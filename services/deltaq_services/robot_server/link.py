@@ -25,7 +25,7 @@ class Link:
     Args:
         cell: the cell.
         robot: the robot's name.
-        counters: where messages that are none are counted.
+        counters: where malformed messages are counted.
 
     Raises:
         GuardedKeyError: if the realm leaves the loopback, and there is no key.
