@@ -22,7 +22,7 @@ class Bodies:
         moved_by: (bodies, n) which joints move which body.
         extents: of the bodies, in the frames of their joints.
         links: indices of the bodies of each link, from the base outwards.
-        radii: (bodies,) of the balls around the bodies [m].
+        radii: (bodies,) of the spheres around the bodies [m].
     """
 
     def __init__(self, robot: RobotModel, place: Place) -> None:

@@ -20,7 +20,7 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.session import MAX_ZENOH_MESSAGE_BYTES
 
 MOST_TOLD_BYTES = MAX_ZENOH_MESSAGE_BYTES - 64 * 1024
-"""Longest description that clients can be told, as msgpack and as a line of JSON."""
+"""Longest description that can be sent to clients, as msgpack and as a line of JSON."""
 
 
 class LongDescriptionError(DeltaqError):
@@ -30,12 +30,12 @@ class LongDescriptionError(DeltaqError):
 def robots_told(
     description: CellDescription, urdf: Mapping[str, str], hulls: Mapping[str, Mapping[str, Corners]]
 ) -> dict[str, RobotModel]:
-    """Models of a cell's robots from what was told or recorded of them; no file of the user's is needed.
+    """Models of a cell's robots from their description, received or recorded; no file of the user's is needed.
 
     Args:
         description: of the cell.
         urdf: URDF text by robot.
-        hulls: by robot and body; a mesh without is looked for among the packages that are installed here.
+        hulls: by robot and body; a mesh without one is searched for among the installed packages.
 
     Raises:
         RobotModelError: a mesh that came without its hull is not found.
@@ -82,7 +82,7 @@ class CellModel:
     def description_message(self) -> messages.Description:
         """Everything a client needs to model the cell, as the HLI answers it.
 
-        Visual meshes are left out: they are megabytes, and nothing is decided by them; the gate sees the hulls.
+        Visual meshes are left out: they are megabytes and decide nothing; the gate sees the hulls.
 
         Raises:
             LongDescriptionError: it is longer than a message can be.

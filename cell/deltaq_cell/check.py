@@ -37,7 +37,7 @@ class Report:
     Attributes:
         cell: the name or path that was checked.
         problems: errors and warnings, in the order of the file.
-        never_checked: by robot, pairs of its bodies that no check looks at, and why.
+        never_checked: by robot, pairs of its bodies that are never checked, and why.
     """
 
     cell: str
@@ -51,7 +51,7 @@ class Report:
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
-        """Problems that a cell can live with."""
+        """Problems that do not keep the cell from being used."""
         return tuple(problem for problem in self.problems if problem.severity == "warning")
 
     @property
@@ -60,7 +60,7 @@ class Report:
         return not self.errors
 
     def as_dict(self) -> dict[str, Any]:
-        """The report as JSON takes it."""
+        """The report as a JSON object."""
         problems = [problem.as_dict() for problem in self.problems]
         left_out = {
             robot: [{"pair": list(pair), "why": why} for pair, why in pairs.items()]
@@ -70,7 +70,7 @@ class Report:
 
 
 def check_cell(name_or_path: str | Path) -> Report:
-    """Check a cell; see `Report`. Nothing that is wrong with the cell raises."""
+    """Check a cell; see `Report`. No fault of the cell raises an exception."""
     try:
         path = find_cell(name_or_path)
         description, tree = load_located(path)
@@ -129,7 +129,7 @@ class _Check:
         return Problem(node.file, node.line, name, message, shown(value), bound, suggestion, severity)
 
     def ports(self) -> Iterator[Problem]:
-        """Everything that listens does so on a port of its own."""
+        """No two listeners share a port."""
         taken: dict[int, str] = {}
         listeners: list[tuple[FieldPath, int]] = [
             (("hli",), _port(self.cell.hli)),
@@ -189,11 +189,11 @@ class _Check:
             yield self.at(("cycle_s",), message, self.cell.cycle_s, cycles[0])
 
     def krc_files(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
-        """What the KRC has loaded can be safe and agrees with the cell."""
+        """The KRC's files can be safe and agree with the cell."""
         try:
             found = judge_krc_files(self.path, robot)
         except FileNotFoundError:
-            return  # told as a reference that leads nowhere
+            return  # reported as a reference that leads nowhere
         for finding in found:
             field = ("robots", name, "driver", *finding.field)
             yield self.at(field, str(finding), finding.value, finding.bound, severity=finding.severity)
@@ -268,7 +268,7 @@ class _Check:
                 yield self.at(("robots", name, "joints"), message, distance, group.stop_distance_m)
 
     def told(self, cell: CellModel) -> Iterator[Problem]:
-        """The description is no longer than clients can be told."""
+        """The description is not too long to be sent to clients."""
         try:
             cell.description_message()
         except LongDescriptionError as error:
@@ -290,7 +290,7 @@ def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
 
 
 def _lever(robot: RobotModel, joint: int) -> float:
-    """How far a hand can at most be from the axis of a joint that carries it [m], joints counted from 1."""
+    """Largest distance of a hand from the axis of a joint that carries it [m], joints counted from 1."""
     levers = [0.0]
     for hand in robot.hands:
         frame = robot.model.frames[robot.frame_of(hand)]

@@ -1,7 +1,7 @@
 """The description of a cell, as its YAML file gives it.
 
 Field names carry their unit. People read and write degrees here; `JointDescription` and everything
-behind it hands out rad and m. The numbers of a robot in joint order come from `RobotDescription.lower` and
+behind it returns rad and m. The numbers of a robot in joint order come from `RobotDescription.lower` and
 its siblings.
 """
 
@@ -26,7 +26,7 @@ Endpoint = Annotated[str, Field(pattern=r"^tcp/[^/\s]+:\d{1,5}$")]
 
 
 MOST_ROBOTS = 8
-"""In one cell: one thread decides for all, and pairs of robots grow with the square."""
+"""In one cell: one thread decides for all, and the number of pairs grows with the square."""
 
 
 class Description(BaseModel):
@@ -86,7 +86,7 @@ class JointDescription(Description):
     def _si(self, degrees: float | None, metres: float | None) -> float:
         if degrees is not None:
             return float(np.deg2rad(degrees))
-        assert metres is not None  # the validator saw to it
+        assert metres is not None  # the validator ensures it
         return metres
 
     @property
@@ -113,7 +113,7 @@ class JointDescription(Description):
     def max_acceleration(self) -> float:
         """Largest acceleration and deceleration [rad/s^2 or m/s^2]."""
         value = self.max_acceleration_rad_s2 if self.revolute else self.max_acceleration_m_s2
-        assert value is not None  # the validator saw to it
+        assert value is not None  # the validator ensures it
         return value
 
     @property
@@ -146,7 +146,7 @@ class CapsuleShape(Description):
 
 
 class SphereShape(Description):
-    """A ball."""
+    """A sphere."""
 
     kind: Literal["sphere"]
     radius_m: Positive
@@ -204,7 +204,7 @@ class RsiDriver(Description):
     address: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)]
     krc_address: str | None = None
-    """The KRC's own address: nobody else is listened to. Needed unless `address` is a loopback."""
+    """The KRC's own address: datagrams from others are dropped. Needed unless `address` is a loopback."""
     ethernet_xml: str
     """The RSI configuration that the KRC has loaded, beside the cell's file or shipped."""
     krc: Literal["krc2", "krc4"] = "krc2"
@@ -217,7 +217,7 @@ class RsiDriver(Description):
     stop: str | None = None
     """TAG of the BOOL of RECEIVE that ends the motion on the KRC's side, such as Stop; none if it has none."""
     max_correction_deg: Positive | None = None
-    """No rotating axis is sent a correction beyond this; none: as far as the joint limits, and a margin, allow."""
+    """Largest correction sent to a rotating axis; none: as far as the joint limits, and a margin, allow."""
     max_correction_mm: Positive | None = None
     """The same for a linear axis."""
     control_port: Annotated[int, Field(ge=1, le=65535)] | None = None
@@ -244,7 +244,7 @@ class RsiDriver(Description):
 
 
 class KinematicDriver(Description):
-    """A robot that is no KUKA: the Robot Server itself keeps the time, and the robot is where it was sent."""
+    """A robot that is no KUKA: the Robot Server itself keeps the time, and measured joints equal the setpoint."""
 
     kind: Literal["kinematic"]
 
@@ -271,17 +271,17 @@ class RobotDescription(Description):
     joints: dict[JointName, JointDescription]
     """In the joint order of the model."""
     locked_joints: dict[JointName, FiniteFloat] = {}
-    """Joints of the model that this cell holds still, a gripper's say, and where: in rad or m, as in the URDF."""
+    """Joints that this cell holds still, for example a gripper's, and where: in rad or m, as in the URDF."""
     base: Pose = Pose()
     tool: Tool = Tool()
     hands: dict[Name, Hand] = {}
-    """Of a robot with several; the first is the one that a single tool pose tells. It then has no `tool`."""
+    """Of a robot with several; a single tool pose is that of the first. Such a robot has no `tool`."""
     camera: Camera | None = None
     attachments: dict[Name, Attachment] = {}
     mounted_on: tuple[str, ...] = ()
     """Bodies of the structure that the robot's base stands on or hangs from; never checked against it."""
     never_checked: tuple[tuple[str, str], ...] = ()
-    """Links or bodies of the robot that cannot touch, or always do; `deltaq check` lists what is left out and why."""
+    """Links or bodies of the robot that cannot touch, or always do; `deltaq check` lists the pairs left out and why."""
     servo_lag: ServoLag = ServoLag()
     outputs: tuple[Name, ...] = ()
     inputs: tuple[Name, ...] = ()
@@ -355,9 +355,9 @@ class RobotDescription(Description):
 
 
 class ContactDescription(Description):
-    """Bodies that may touch while an operator allows it: a gripper and its valve, say.
+    """Bodies that may touch while an operator allows it, for example a gripper and its valve.
 
-    While it is allowed the gate does not hold these pairs apart, and every robot that they belong to moves slowly.
+    Meanwhile the gate does not keep these pairs apart, and every robot that they belong to moves slowly.
     """
 
     bodies: Annotated[list[str], Field(min_length=1)]
@@ -365,7 +365,7 @@ class ContactDescription(Description):
     against: Annotated[list[str], Field(min_length=1)]
     """Names of the bodies that they may touch, such as structure/valve_1."""
     speed: Annotated[float, Field(gt=0, le=1)] = 0.05
-    """Share of the velocity limits that is left to the robots meanwhile."""
+    """Fraction of the velocity limits that applies to the robots meanwhile."""
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
@@ -380,21 +380,21 @@ class ContactDescription(Description):
 class GateDescription(Description):
     """The margins of the gate.
 
-    The time-outs only give a loss its name: motion ends with the first cycle that brings no fresh admission.
+    The timeouts only give a loss its name: the brake begins in the first cycle without a fresh admission.
     """
 
     stop_distance_m: Positive = 0.05
     """Bodies of different robots, and robot and structure, never come nearer than this."""
     self_stop_distance_m: Positive = 0.02
-    """Nor do two bodies of one robot come nearer than this."""
+    """Two bodies of one robot never come nearer than this."""
     slow_down_distance_m: Positive | None = None
-    """Within this of one another bodies approach the slower the nearer they are; none: no such band."""
+    """Below this distance, the nearer two bodies are, the slower they approach; none: no such limit."""
     slow_down_speed_m_s: Positive = 0.25
     """Approach speed that is allowed at that distance; it falls to zero at the stop distance."""
     servo_lag_s: Positive = 0.072
     """How long the drives may still travel setpoints that were sent before."""
     retreat_speed: Annotated[float, Field(gt=0, le=1)] = 0.1
-    """Share of the velocity limits that is allowed while leaving a violation."""
+    """Fraction of the velocity limits that is allowed while leaving a violation."""
     max_request_age_s: Positive = 0.12
     """An increment that answers an older state is stale."""
     gate_timeout_s: Positive = 0.5
@@ -425,7 +425,7 @@ class CellDescription(Description):
     structure: dict[Name, Body] = {}
     gate: GateDescription = GateDescription()
     contacts: dict[Name, ContactDescription] = {}
-    """Contacts that an operator may allow; none is at the start."""
+    """Contacts that an operator may allow; none is allowed at the start."""
     hli: Endpoint = "tcp/127.0.0.1:7447"
     """Where the HLI serves zenoh clients."""
     sim: Endpoint = "tcp/127.0.0.1:7450"

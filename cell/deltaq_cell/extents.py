@@ -1,7 +1,7 @@
-"""What bodies fill: corners, widened by a ball and by a disc.
+"""The extents of bodies: corners, widened by a ball and by a disc.
 
 A hull is its corners, a sphere a corner and a ball, a capsule two corners and a ball, a cylinder two corners and a
-disc across its axis. That is enough for how far a body reaches in a direction, exactly, and for how far its points
+disc across its axis. This gives exactly how far a body reaches in a direction, and how far its points
 are from an axis.
 """
 

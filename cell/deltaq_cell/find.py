@@ -68,7 +68,7 @@ def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
     for every folder of `cell_folders`. An absolute path is taken as it is.
 
     Raises:
-        FileNotFoundError: it is in none of them; the message says where it was looked for.
+        FileNotFoundError: it is in none of them; the message says where it was searched for.
     """
     if Path(name).is_absolute():
         candidates = [Path(name)]

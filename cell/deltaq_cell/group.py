@@ -40,7 +40,7 @@ class Group:
         bodies: pinocchio geometry objects on one link.
         against: the others.
         never: pairs of names that are left out.
-        stop_distance_m: what the pairs have to keep.
+        stop_distance_m: least distance that the pairs have to keep.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Group:
         return len(self._left_out) == len(self.pairs)
 
     def leave_out(self, index: int) -> None:
-        """Measure a pair no longer."""
+        """Leave a pair out from now on."""
         self._left_out.add(index)
         self.data.deactivateCollisionPair(index)
 
@@ -86,7 +86,7 @@ class Group:
         self.data.activateCollisionPair(index)
 
     def measured(self) -> dict[int, Nearest]:
-        """Every pair that is not left out, by index, as `least` measured it; for the rare case that asks for all."""
+        """Every pair that is not left out, by index, as `least` measured it; for the rare case that needs all."""
         return {
             index: self._measured(index) for index in range(len(self.pairs)) if index not in self._left_out
         }
@@ -117,7 +117,7 @@ class Group:
 
 
 def make_reproducible(data: Any) -> None:
-    """Switch off what makes a distance depend on the queries before it: the cached guess of GJK."""
+    """Switch off the cached guess of GJK, which makes a distance depend on the queries before it."""
     with warnings.catch_warnings():
         # coal deprecates the switch in favour of the initial guess, but still obeys it
         warnings.simplefilter("ignore", DeprecationWarning)

@@ -1,10 +1,10 @@
-"""Convex hulls that measure alike whatever was measured before.
+"""Convex hulls whose distances do not depend on earlier queries.
 
-coal looks for the farthest corner of a large hull from where its last search ended, so a distance depends, in
-its last digits, on the queries before it, and a recording would not replay to the bit. Up to 32 corners it looks
-at all of them. A mesh whose hull has more is taken for a polytope of at most 32 corners around it.
+coal searches for the farthest corner of a large hull from where its last search ended, so a distance depends, in
+its last digits, on the queries before it, and a recording would not replay to the bit. Up to 32 corners it checks
+all of them. A mesh whose hull has more is replaced by a polytope of at most 32 corners around it.
 
-A hull is told to others as its corners. The same corners in the same order measure alike to the last bit.
+A hull is sent as its corners. The same corners in the same order give the same distances to the last bit.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ MOST_CORNERS = 32
 """coal's bound between searching all corners and walking from one to the next."""
 
 _FLAT = 1e-6
-"""Points that spread across a plane by less than this share of their spread within it are taken to lie in it."""
+"""Points that spread across a plane by less than this fraction of their spread within it are taken to lie in it."""
 
 _CLOSE = 1e-6
-"""A polytope that reaches beyond its points by no more than this share of their size needs no further face."""
+"""A polytope that reaches beyond its points by no more than this fraction of their size needs no further face."""
 
 _ROOM = 2e-9
-"""Faces are moved out by this share of the size, more than rounding takes away."""
+"""Faces are moved out by this fraction of the size, more than rounding takes away."""
 
 
 class HullError(DeltaqError):
@@ -78,7 +78,7 @@ def _around(points: Array, normals: Array) -> Array:
     It begins as a box, and is cut where it reaches farthest beyond the points, as long as the corners allow.
 
     Args:
-        points: to be held.
+        points: to be contained.
         normals: (n, 3) outward ones of their hull, which cut best.
     """
     directions = np.vstack([_DIRECTIONS, normals])
@@ -127,7 +127,7 @@ def _convex_hull(points: Array) -> Any:
     if len(points) < 4 or not np.all(np.isfinite(points)):
         raise HullError(f"no convex hull of {len(points)} points: it takes four, and finite numbers")
     greatest, _, least = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if least <= _FLAT * greatest:  # asked before, since qhull does not survive it
+    if least <= _FLAT * greatest:  # checked first, since qhull crashes on it
         raise HullError(
             f"no convex hull of {len(points)} points that lie in a plane; give the body a thickness"
         )

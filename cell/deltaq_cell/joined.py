@@ -21,7 +21,7 @@ class Place:
     first_q: int
 
     def moved(self, body: Any) -> Any:
-        """A copy of a robot's body that hangs on its joint of the joined model; the shape is its own."""
+        """A copy of a robot's body on its joint of the joined model, with a shape object of its own."""
         joint = body.parentJoint + self.first_joint if body.parentJoint != WORLD else WORLD
         return pin.GeometryObject(body.name, joint, body.placement, body.geometry.clone())
 

@@ -1,4 +1,4 @@
-"""The files that a robot's KRC has loaded, judged by what the cell says of the robot."""
+"""The files that a robot's KRC has loaded, checked against the cell's description of the robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_BYTES = 1 << 20
 
 
 def station_of(robot: RobotDescription, driver: RsiDriver) -> Station:
-    """What a robot's description says of the PC's end of its RSI.
+    """The PC's end of a robot's RSI, from the robot's description.
 
     Raises:
         EthernetConfigError: a joint is no RSI axis.
@@ -26,14 +26,14 @@ def station_of(robot: RobotDescription, driver: RsiDriver) -> Station:
 
 
 def judge_krc_files(cell_file: Path, robot: RobotDescription) -> tuple[Finding, ...]:
-    """Judge what the KRC of a robot has loaded: its `*_ethernet.xml`, and contexts and programs beside it that use it.
+    """Check the files that the KRC of a robot has loaded: its `*_ethernet.xml`, and contexts and programs that use it.
 
     Args:
-        cell_file: the cell's file; what it names is looked up beside it.
+        cell_file: the cell's file; the files that it names are looked up beside it.
         robot: the robot.
 
     Returns:
-        What is wrong, errors first; empty for a robot that has no KRC.
+        Problems, errors first; empty for a robot that has no KRC.
 
     Raises:
         FileNotFoundError: the `*_ethernet.xml` is nowhere.
@@ -81,7 +81,7 @@ def _context(name: str, text: str) -> RsiContext | None:
     try:
         return parse_context(text, name)
     except EthernetConfigError:
-        return None  # something else that happens to name the file
+        return None  # an unrelated file that happens to name this one
 
 
 def _texts(path: Path, *patterns: str) -> list[tuple[str, str]]:
@@ -92,5 +92,5 @@ def _texts(path: Path, *patterns: str) -> list[tuple[str, str]]:
             if file.stat().st_size <= MAX_BYTES:
                 texts.append((file.name, file.read_text(encoding="utf-8-sig", errors="replace")))
         except OSError:
-            continue  # a folder, or a file of somebody else's
+            continue  # a folder, or an unreadable file
     return texts

@@ -23,7 +23,7 @@ EXTENDS = "extends"
 """Key at the top of a cell file: another cell (by path beside it, or by name) that this one changes."""
 
 REMOVABLE = ("robots", "structure", "contacts")
-"""Sections in which a cell that extends another takes something out by setting it to null."""
+"""Sections in which a cell that extends another removes an entry by setting it to null."""
 
 
 def load_cell(name_or_path: str | Path) -> CellDescription:
@@ -39,13 +39,13 @@ def load_cell(name_or_path: str | Path) -> CellDescription:
 
 
 def load_located(name_or_path: str | Path) -> tuple[CellDescription, Located]:
-    """Like `load_cell`, with the tree that tells the file and line of every value."""
+    """Like `load_cell`, with the tree that gives the file and line of every value."""
     tree = _read_with_bases(find_cell(name_or_path))[1]
     return _validated(tree), tree
 
 
 def parse_cell(text: str, source: str = "cell") -> CellDescription:
-    """The description in a YAML text, e.g. one that came over the wire; `source` names it in messages.
+    """The description in a YAML text, e.g. one that came over the network; `source` names it in messages.
 
     Raises:
         CellError: the text has errors.
@@ -70,7 +70,7 @@ def cell_text(name_or_path: str | Path) -> str:
 def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, Located, bool]:
     """Text and tree of a file, what it extends merged in, and whether it extends anything."""
     text, tree = read(path)
-    assert isinstance(tree.value, dict)  # read() saw to it
+    assert isinstance(tree.value, dict)  # read() ensures it
     _resolve_models(tree, path)
     base_name = tree.value.pop(EXTENDS, None)
     if base_name is None:
@@ -100,7 +100,7 @@ def _find_base(path: Path, name: str) -> Path:
 
 
 def _resolve_models(tree: Located, path: Path) -> None:
-    """Turn the path of a robot's URDF, which is given beside the cell's file, into one that holds anywhere."""
+    """Turn the path of a robot's URDF, which is relative to the cell's file, into one that is valid anywhere."""
     robots = tree.value.get("robots") if isinstance(tree.value, dict) else None
     for robot in robots.value.values() if robots and isinstance(robots.value, dict) else ():
         model = robot.value.get("model") if isinstance(robot.value, dict) else None
@@ -181,7 +181,7 @@ def _below(model: Any, part: str | int) -> list[Any]:
     """The models that field or key `part` of a model can hold."""
     annotation = model.model_fields[part].annotation if part in model.model_fields else None
     if annotation is None:
-        # a key of a mapping or the branch of a union: what is below is what was found before
+        # a key of a mapping or the branch of a union: the models below are those found before
         return [model]
     return _models_in(annotation)
 

@@ -64,10 +64,10 @@ def merge(base: Located, over: Located, removable: Collection[str] = ()) -> Loca
     Args:
         base: what is changed.
         over: the changes.
-        removable: keys of `base` below which null takes out what `base` has under that name.
+        removable: keys of `base` below which null removes the entry of that name.
 
     Raises:
-        CellError: there is nothing of the name that null shall take out.
+        CellError: there is no entry of the name that null should remove.
     """
     if not (isinstance(base.value, dict) and isinstance(over.value, dict)):
         return over
@@ -80,8 +80,8 @@ def merge(base: Located, over: Located, removable: Collection[str] = ()) -> Loca
 
 
 def _without(section: str, base: Located | None, over: Located) -> tuple[Located, Located]:
-    """A section without what is null in its changes, and the changes without those nulls."""
-    assert isinstance(over.value, dict)  # the caller saw to it
+    """A section without the entries that are null in its changes, and the changes without those nulls."""
+    assert isinstance(over.value, dict)  # the caller ensures it
     had = base.value if base is not None and isinstance(base.value, dict) else {}
     gone = {key: child for key, child in over.value.items() if child.value is None}
     for key, child in gone.items():

@@ -48,7 +48,7 @@ class Urdf:
     Attributes:
         text: the XML, as it was written.
         source: the file it came from, for messages; `<text>` where it came as text.
-        folder: of that file, from which its meshes are looked for; None where it came as text.
+        folder: of that file, from which its meshes are searched for; None where it came as text.
     """
 
     text: str
@@ -56,7 +56,7 @@ class Urdf:
     folder: Path | None
 
     def tree(self) -> ElementTree.Element:
-        """The XML, to be changed at will.
+        """A copy of the XML that may be changed.
 
         Raises:
             RobotModelError: the text is no XML.
@@ -85,7 +85,7 @@ def load_urdf(model: str | Path) -> Urdf:
 
 
 def urdf_from_text(text: str) -> Urdf:
-    """A URDF that came as text, e.g. over the wire; only meshes of packages that are installed here are found."""
+    """A URDF that came as text, e.g. over the network; only meshes of installed packages are found."""
     return Urdf(text, "<text>", None)
 
 

@@ -1,8 +1,8 @@
 """Pairs of one robot's bodies that are never checked against each other, and why.
 
-Bodies of links that are fixed to one another, or that one joint joins, touch by construction. So may others, as
-every public URDF has some: hulls that reach into each other at home and wherever the joints are. They are found as
-MoveIt's setup assistant finds them, by sampling. What never touches in the samples is checked all the same: a
+Bodies of links that are fixed to one another, or that one joint joins, touch by construction. So do others in
+every public URDF: hulls that overlap at home and wherever the joints are. They are found by sampling, as in
+MoveIt's setup assistant. Pairs that never touch in the samples are checked all the same: a
 sample proves nothing about the configurations between the samples.
 """
 
@@ -39,7 +39,7 @@ class Why(StrEnum):
 
 
 def ordered(first: str, second: str) -> Pair:
-    """A pair of names in the order in which pairs are told."""
+    """A pair of names in the order in which pairs are listed."""
     return (first, second) if first <= second else (second, first)
 
 
@@ -52,7 +52,7 @@ def never_checked(
 ) -> dict[Pair, Why]:
     """Pairs of body names that are never checked, and why.
 
-    The robot's mount is what stands still, or, where nothing of the robot does (a portal on rails), what the first
+    The robot's mount are its bodies that stand still or, if none does (a portal on rails), those that the first
     joint moves.
 
     Args:
@@ -134,7 +134,7 @@ def always_touching(
     Args:
         model: pinocchio's, in which the bodies are.
         bodies: pinocchio geometry objects of one robot.
-        left_out: pairs that are not checked anyhow.
+        left_out: pairs that are not checked anyway.
         home: (n,) configuration.
         lower: (n,) limits of the joints.
         upper: likewise.
@@ -143,7 +143,7 @@ def always_touching(
     pairs = [ordered(one.name, other.name) for one, other in combinations(bodies, 2)]
     at_home = farthest_apart(model, bodies, [p for p in pairs if p not in known], [home], 0.0)
     candidates = [pair for pair, distance in at_home.items() if distance <= 0.0]
-    if not candidates:  # as in every cell whose robots' links are apart at home: nothing is drawn
+    if not candidates:  # the usual case, links apart at home: no sample is needed
         return {}
     drawn = samples(lower, upper)
     apart = farthest_apart(model, bodies, candidates, drawn, 0.0)
@@ -165,5 +165,5 @@ def _named(
 
 
 def samples(lower: Array, upper: Array) -> Array:
-    """(`SAMPLES`, n) configurations within the limits, the same ones always."""
+    """(`SAMPLES`, n) configurations within the limits, always the same."""
     return np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))

@@ -16,17 +16,17 @@ AMENT_PATH = "AMENT_PREFIX_PATH"
 def find_file(name: str, folder: Path | None = None) -> Path:
     """The file that a model means by a name.
 
-    `package://robot/meshes/arm.stl` is `meshes/arm.stl` in the folder of the package `robot`, which is looked for
-    above `folder`, in `$ROS_PACKAGE_PATH`, as `share/robot` of `$AMENT_PREFIX_PATH`, and among the Python packages
-    that are installed: those that are a module `robot`, and those that bring models along as `share/robot`, such as
-    example-robot-data. A name without a scheme is taken from `folder`.
+    `package://robot/meshes/arm.stl` is `meshes/arm.stl` in the folder of the package `robot`, which is searched for
+    above `folder`, in `$ROS_PACKAGE_PATH`, as `share/robot` of `$AMENT_PREFIX_PATH`, and among the installed Python
+    packages: those that are a module `robot`, and those that contain models as `share/robot`, such as
+    example-robot-data. A name without a scheme is relative to `folder`.
 
     Args:
         name: as the model writes it.
         folder: that of the model's own file; None where it came as text.
 
     Raises:
-        FileNotFoundError: there is no such file; the message says where it was looked for, and what to set.
+        FileNotFoundError: there is no such file; the message says where it was searched for, and what to set.
     """
     scheme = next((scheme for scheme in SCHEMES if name.startswith(scheme)), None)
     if scheme is None:
@@ -54,7 +54,7 @@ def _beside(name: str, folder: Path | None) -> Path:
 
 
 def _homes(package: str, folder: Path | None) -> Iterator[Path]:
-    """Folders that a package of that name can be, those first that are nearer to the model."""
+    """Candidate folders of a package of that name, those nearer to the model first."""
     if not package:
         return
     candidates: list[Path] = []

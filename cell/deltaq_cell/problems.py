@@ -41,7 +41,7 @@ class Problem:
         return ": ".join(part for part in (where, self.field, self.message) if part)
 
     def as_dict(self) -> dict[str, Any]:
-        """All attributes, as JSON takes them."""
+        """All attributes, as a JSON object."""
         return asdict(self)
 
 

@@ -1,14 +1,14 @@
 """Distances between the swept bodies of a cell: the paper's CRASH, made to certify tubes.
 
 Every robot is placed at the middle of a box in joint space, and every body of it is inflated by how far any
-of its points can travel while the joints stay in that box. What coal then measures between two inflated
-bodies is a lower bound of their distance at every configuration of the box.
+of its points can travel while the joints stay in that box. The distance that coal then measures between two
+inflated bodies is a lower bound of theirs at every configuration of the box.
 
 Travel of a body, for joint half-widths h: `travel_i <= sum_j h_j * r_ij`, where r_ij is the largest distance of a
 point of body i from the axis of joint j at the middle of the box (1 for a prismatic joint). It holds because
 the joints can be moved one after the other from the base outwards: joint j then turns a chain whose outer
 joints still stand at the middle, so that r_ij is exact, and a chord is shorter than its arc.
-Of two bodies of one robot only the joints between them count. Pairs for which that is too coarse are looked at
+For two bodies of one robot only the joints between them count. Pairs for which that is too coarse are checked
 again with a plane between them (`deltaq_cell.separation`).
 """
 
@@ -47,18 +47,18 @@ class _Placed:
     among_themselves: bool = False
 
     def is_at(self, q: Array, half: Array, direction: Array) -> bool:
-        """Whether it is there already."""
+        """Whether the robot is placed there already."""
         same = (self.q == q).all() and (self.half == half).all() and (self.direction == direction).all()
         return bool(same)
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a look at groups showed.
+    """Result of a check of groups.
 
     Attributes:
-        failing: groups that have not been shown to have the room asked for.
-        too_near: whether a pair of them has not got it even at the middle of the strip.
+        failing: groups that have not been shown to keep the required distance.
+        too_near: whether a pair of them does not keep it even at the middle of the strip.
         tightest: the pair with the least swept distance beyond its stop distance; None if all are left out.
         stop_distance_m: of that pair [m].
     """
@@ -71,12 +71,12 @@ class Look:
 
 @dataclass(frozen=True)
 class Approach:
-    """Two bodies that are near, and how a robot's joints bring them nearer.
+    """Two near bodies, and how a robot's joints bring them nearer.
 
     Attributes:
         pair: their names.
         distance_m: their distance.
-        stop_distance_m: what they have to keep.
+        stop_distance_m: least distance that they have to keep.
         per_joint: (n,) loss of distance per unit of each joint of the robot [m/rad or m/m].
     """
 
@@ -188,11 +188,11 @@ class Proximity:
     def look(self, groups: Sequence[Group], room_m: float) -> Look:
         """Find the groups with less than `room_m` beyond their stop distance, and the tightest pair of all.
 
-        Groups that balls and boxes show to be far away are not measured, unless they could be the tightest.
+        Groups that spheres and boxes show to be far away are not measured, unless they could be the tightest.
 
         Args:
             groups: one of this object's own lists, or a few of their groups; not empty.
-            room_m: what is asked for beyond each stop distance [m].
+            room_m: distance that is required beyond each stop distance [m].
         """
         screen = groups.screen if isinstance(groups, ScreenedGroups) else None
         bounds = np.full(len(groups), -np.inf) if screen is None else screen.rooms()
@@ -229,7 +229,7 @@ class Proximity:
         return self._pairs[group, index]
 
     def leave_out(self, pairs: Iterable[tuple[str, str]], left_out: bool = True) -> None:
-        """Measure some pairs of bodies no longer, or again.
+        """Leave some pairs of bodies out, or measure them again.
 
         Args:
             pairs: names of the bodies, in any order.
@@ -270,7 +270,7 @@ class Proximity:
         return found
 
     def _not_separated(self, groups: list[Group], room_m: float) -> tuple[list[Group], bool]:
-        """Those of some groups, just measured, that planes do not separate either; and `Look.too_near`."""
+        """Groups, just measured, that planes do not separate either; and `Look.too_near`."""
         if not groups:
             return [], False
         near = [group.nearer(group.stop_distance_m + room_m) for group in groups]

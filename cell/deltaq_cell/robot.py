@@ -34,7 +34,7 @@ class RobotModel:
     Args:
         description: the robot as its cell describes it.
         name: the robot's name in the cell; its bodies' names begin with it (`fr/link_5`).
-        urdf: URDF text to use in place of `description.model`, e.g. one that came over the wire.
+        urdf: URDF text to use in place of `description.model`, e.g. one that came over the network.
         hulls: hulls that came with it: of bodies whose meshes need not be found, by name without the robot's.
 
     Attributes:
@@ -190,7 +190,7 @@ class RobotModel:
     def visual(self) -> pin.GeometryModel:
         """`pinocchio.GeometryModel` of the visual bodies, attachments and tool bodies included.
 
-        Visual meshes do not travel with a description. Where one is not found here, the hulls are shown.
+        Visual meshes are not part of a description. Where one is not found here, the hulls are shown.
         """
         locked = self.description.locked_joints
         try:

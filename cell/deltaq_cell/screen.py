@@ -1,6 +1,6 @@
-"""A quick look at many pairs of bodies: which of them need not be measured?
+"""A quick bound for many pairs of bodies: which of them need not be measured?
 
-Around every body that moves there is a ball, around every one that stands still a box along the world's axes. Their
+Around every body that moves there is a sphere, around every one that stands still a box along the world's axes. Their
 distance is a lower bound of the bodies', and for a thousand pairs at once it costs as much as measuring a few.
 """
 
@@ -23,8 +23,8 @@ class Surroundings:
 
     Attributes:
         centre: (bodies, 3) in the world [m].
-        half: (bodies, 3) half edges of the boxes of standing bodies, zero for balls [m].
-        radius: (bodies,) of the balls, zero for boxes [m].
+        half: (bodies, 3) half edges of the boxes of standing bodies, zero for spheres [m].
+        radius: (bodies,) of the spheres, zero for boxes [m].
         inflation: (bodies,) travel that has been added [m].
     """
 
@@ -37,7 +37,7 @@ class Surroundings:
         self.inflation = np.empty(0)
 
     def add_moving(self, bodies: Sequence[Any], radii: Array) -> NDArray[np.intp]:
-        """Add bodies with balls (k,); returns their places."""
+        """Add bodies with spheres (k,); returns their places."""
         zeros = np.zeros((len(bodies), 3))
         return self._add(bodies, zeros, zeros, radii)
 
@@ -63,11 +63,11 @@ class Surroundings:
 
 
 class Screen:
-    """Lower bounds of the room that groups have left.
+    """Lower bounds of the distance that groups have beyond their stop distance.
 
     Args:
         groups: in any order, none without pairs.
-        surroundings: complete by now.
+        surroundings: complete already.
     """
 
     def __init__(self, groups: Sequence[Group], surroundings: Surroundings) -> None:
@@ -94,7 +94,7 @@ class Screen:
 
 
 class ScreenedGroups(list[Group]):
-    """Groups that are looked at together so often that a screen is kept for them; not to be changed.
+    """Groups that are checked together so often that a screen is kept for them; not to be changed.
 
     Attributes:
         screen: of exactly these groups.

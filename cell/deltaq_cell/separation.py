@@ -1,23 +1,23 @@
 """Planes that keep bodies apart over a whole strip of joint space.
 
 A strip is `middle + t * direction + e` with |t| <= 1 and |e_j| <= `deviation_j`. Inflating a body by its travel
-(`deltaq_cell.proximity`) forgets where it travels to; here a plane is looked at whose normal n is that of the two
+(`deltaq_cell.proximity`) ignores the direction of its travel. Here n is the normal between the two
 bodies at the middle, and the gap along n is bounded over the strip:
 
     n . p(t, e) >= n . p + t n . (J direction) - sum_j deviation_j r_j - bend
 
 J is the Jacobian of the point at the middle, so the second term is signed: bodies that slide past one another or part
 lose nothing. r_j is the greatest distance of a point of the body from the axis of joint j (1 for a prismatic joint),
-and `bend` bounds what is left of second order, by Taylor's theorem with
+and `bend` bounds the second-order remainder, by Taylor's theorem with
 
     |d2p / dq_j dq_k| <= r_k + travel,  k the outer of both; 0 if a prismatic joint is the inner one, or both,
 
 since while the joints move, no point's distance from an axis grows by more than it travels. Both sides of a plane
 are extreme points of whole bodies, so nothing rests on n being the best normal.
 
-A plane that stands still loses to first order where an edge or a face lies along it and turns. So a plane may turn
+A fixed plane loses to first order where an edge or a face lies along it and turns. So a plane may turn
 with one of the bodies, n(t) = n + t w x n with w the body's rotation over the strip: that body's side then only shifts,
-and the other's is as exact as before. What the products of two motions add is at most |w x n| times the travel of
+and the other's is as exact as before. The products of two motions add at most |w x n| times the travel of
 each body, and n(t) is longer than one by less than |w x n|^2 / 2.
 """
 

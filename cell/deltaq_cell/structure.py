@@ -1,4 +1,4 @@
-"""Bodies of the cell as coal geometry: what stands in it, and what is bolted to its robots."""
+"""Bodies of the cell as coal geometry: its structure, and the attachments of its robots."""
 
 from __future__ import annotations
 

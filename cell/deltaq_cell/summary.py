@@ -1,4 +1,4 @@
-"""What a client is told of a robot in its welcome. Loads no kinematics."""
+"""Summary of a robot for a client's welcome. Loads no kinematics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A URDF as pinocchio reads it: public ones use joints and name files in ways that it has to be helped with."""
+"""A URDF as pinocchio reads it, which needs help with some joints and file names of public URDFs."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def parse_geometry(
         kind: `pinocchio.GeometryType.COLLISION` or `VISUAL`.
         T_world_base: pose of the robot's root link.
         locked: as for `parse_model`.
-        known: collision bodies whose meshes are not read; a ball takes their place.
+        known: collision bodies whose meshes are not read; a sphere takes their place.
 
     Raises:
         MissingMeshError: a mesh is not found.
@@ -85,7 +85,7 @@ def parse_geometry(
 
 
 def _built(urdf: Urdf, tree: ElementTree.Element) -> Any:
-    """The model of a tree that is changed for it: a joint without end is a revolute one with limits far away."""
+    """The model of a tree, which is changed for it: a continuous joint becomes a revolute one with distant limits."""
     for joint in tree.iter("joint"):
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")

@@ -24,7 +24,7 @@ from deltaq_protocol.client import DEFAULT_ADDRESS
 
 
 class FollowerProcess:
-    """Connects, follows, and keeps the figures.
+    """Connects, follows, and records the figures.
 
     Args:
         options: the command line.
@@ -58,7 +58,7 @@ class FollowerProcess:
     def _watch(
         self, camera: FocusController, rehearsal: Rehearsal, timeout: asyncio.Timeout, view: View
     ) -> None:
-        """Keep the figures of a view; the time to follow for counts from where following began."""
+        """Record the figures of a view; the time to follow for counts from the beginning of following."""
         options, other = self._options, view.others.get(self._options.leader)
         if rehearsal.began_s is None or other is None:
             return

@@ -1,7 +1,7 @@
-"""Functions compiled to machine code, so that a law costs its arithmetic and not what Python takes to call numpy.
+"""Functions compiled to machine code, so that a law costs its arithmetic and not Python's overhead of calling numpy.
 
 They stay Python, typed and tested as such: with `NUMBA_DISABLE_JIT=1` they run as they stand. The machine code is
-kept on disk. Whether it is out of date numba tells by the file of a function, but not by the files of the functions
+kept on disk. numba checks whether it is out of date by the file of a function, but not by the files of the functions
 that it calls; so it is kept in a folder named after the sources of all compiled functions.
 """
 
@@ -28,7 +28,7 @@ def compiled(function: Function) -> Function:
     are as numpy has them: a division by zero is infinite.
     """
     users_own = numba.config.CACHE_DIR
-    # numba asks for its folder while it decorates, and others may want theirs elsewhere
+    # numba reads its folder while it decorates, and other packages may want theirs elsewhere
     numba.config.CACHE_DIR = _FOLDER
     try:
         return cast(Function, numba.njit(cache=bool(_FOLDER), error_model="numpy")(function))
@@ -40,7 +40,7 @@ def compiled(function: Function) -> Function:
 def told_of_compiling(tell: Callable[[str], None]) -> Iterator[None]:
     """Call `tell` with the name of every function that is compiled within the block, before it is.
 
-    What is found on disk is not compiled, and not told.
+    A function that is found on disk is not compiled, and not reported.
     """
 
     class Teller(event.Listener):  # type: ignore[misc] # numba ships no type information
@@ -48,7 +48,7 @@ def told_of_compiling(tell: Callable[[str], None]) -> Iterator[None]:
             tell(event.data["dispatcher"].py_func.__qualname__)
 
         def on_end(self, event: Any) -> None:
-            """Nothing is told of the end; numba asks for the method."""
+            """The end is not reported; numba requires the method."""
 
     with event.install_listener("numba:compile", Teller()):
         yield

@@ -1,6 +1,6 @@
 """What every controller is: a function from what it sees to one increment.
 
-The lockstep runner and the live shell drive any object with this one method, so a controller of one's own
+The lockstep runner and the live shell drive any object with this one method, so a controller of your own
 plugs in without touching either.
 """
 
@@ -46,9 +46,9 @@ class RobotView:
         return cls(state.cycle, state.time_s, np.array(state.q), np.array(state.q_cmd))
 
     def after(self, cycle: int, dq: Array) -> RobotView:
-        """The same with an increment (n,) that is under way: it is what the cycle after `cycle` will command.
+        """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
 
-        A controller that left it out would ask for the same motion twice.
+        A controller that left it out would request the same motion twice.
         """
         return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq)
 
@@ -84,11 +84,11 @@ class Controller(Protocol):
 class LastIncrement:
     """What a robot was last commanded, read off its setpoints.
 
-    Verdicts tell the same, but a setpoint cannot get lost on the way. Over a cycle that the controller
-    missed the robot braked, so of a gap the first increment is taken as admitted and the others as its brake.
+    Verdicts contain the same, but they can get lost; a setpoint cannot. In a cycle that the controller missed the
+    robot braked, so in a gap the first increment is taken as admitted and the others as its brake.
 
     Args:
-        max_ddq: (n,) largest change of the increment between two cycles, which the brake makes use of [rad or m].
+        max_ddq: (n,) largest change of the increment between two cycles, which the brake uses [rad or m].
     """
 
     def __init__(self, max_ddq: Array) -> None:

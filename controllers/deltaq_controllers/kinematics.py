@@ -1,8 +1,8 @@
 """Everything that one evaluation of the control law needs of a robot, from one pass through its joints.
 
 All Jacobians come from one (6, n) matrix: the joints' velocity fields at the world's origin, so that the
-linear Jacobian of any point o carried by the last joint is `linear - [o]x angular`. What pinocchio keeps in place is
-looked at where it lies, by views that are taken once.
+linear Jacobian of any point o carried by the last joint is `linear - [o]x angular`. pinocchio's data is read in place,
+by views that are made once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Kinematics:
 
     Args:
         robot: model of the robot.
-        point: the frame that `rotation` and `position` tell.
+        point: the frame that `rotation` and `position` describe.
 
     Attributes:
         rotation: (3, 3) axes of the frame in the world, after `update`.

@@ -1,4 +1,4 @@
-"""Keep an increment within what the gate admits as it is: speed, acceleration, room to brake.
+"""Keep an increment within what the gate admits unchanged: speed, acceleration, and room to brake.
 
 The gate follows an admitted increment by a brake along a straight line in joint space
 (`deltaq_protocol.brake`), so the room to a position limit that an increment needs depends on all joints.
@@ -17,13 +17,13 @@ from deltaq_protocol.brake import brake_cycles
 Array = NDArray[np.float64]
 
 _SHY = 1.0 - 1e-6
-"""Share of each limit that is used, so that rounding never counts as a violation."""
+"""Fraction of each limit that is used, so that rounding never counts as a violation."""
 
 _ROUNDING = 1e-12
 """An end of a brake that is outside by no more than this lies on the limit [rad or m]."""
 
 _BISECTIONS = 10
-"""A thousandth of the way from the brake to what is wanted is near enough."""
+"""A thousandth of the blend from the brake to the wanted increment is accurate enough."""
 
 
 class IncrementLimits(NamedTuple):
@@ -65,10 +65,10 @@ class IncrementLimits(NamedTuple):
         return np.minimum(slowest, fastest), np.maximum(slowest, fastest)
 
     def admissible(self, dq: Array, q_cmd: Array, dq_last: Array) -> Array:
-        """The nearest thing to `dq` that the gate admits unchanged.
+        """The increment nearest to `dq` that the gate admits unchanged.
 
-        Joints are clipped one by one. Where that leaves no room to brake, what is wanted is blended with the
-        brake of the last increment, as the gate would do; the brake itself always has room.
+        Joints are clipped one by one. Where that leaves no room to brake, the wanted increment is blended with the
+        brake of the last one, as the gate would do; the brake itself always has room.
 
         Args:
             dq: (n,) wanted increment [rad or m].
@@ -85,7 +85,7 @@ class IncrementLimits(NamedTuple):
             return wanted
         cycles = brake_cycles(dq_last, self.max_ddq)
         brake = dq_last * ((cycles - 1) / cycles)
-        # a robot that stands outside may go on doing so, but no farther
+        # a robot that stands outside may stay there, but go no farther
         room = np.maximum(self._excess(q_cmd, brake), 0.0) + _ROUNDING
         if (excess <= room).all():
             return wanted

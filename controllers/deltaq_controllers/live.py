@@ -26,7 +26,7 @@ from deltaq_protocol.messages import Description, RobotState, Verdict
 Array = NDArray[np.float64]
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
-"""Exit statuses for what was refused, asked for wrongly, or not to be reached."""
+"""Exit statuses: refused, wrong usage, unreachable."""
 
 
 PATIENCE_CYCLES = 4
@@ -34,19 +34,19 @@ PATIENCE_CYCLES = 4
 
 
 def robot_models(description: Description) -> dict[str, RobotModel]:
-    """Models of all robots of a cell, from what its HLI tells; no file is needed."""
+    """Models of all robots of a cell, from its HLI's description; no file is needed."""
     cell = parse_cell(description.yaml, f"description of cell {description.cell}")
     return robots_told(cell, description.urdf, description.hulls)
 
 
 def cell_model(description: Description) -> CellModel:
-    """Model of a cell, structure included, from what its HLI tells."""
+    """Model of a cell, structure included, from its HLI's description."""
     cell = parse_cell(description.yaml, f"description of cell {description.cell}")
     return CellModel.of(cell, robot_models(description), description.yaml)
 
 
 def where_others_are(cell: Cell, robot: str) -> Callable[[], dict[str, Array]]:
-    """What tells where the other robots of a running cell are commanded to be, (n,) each, once they were heard."""
+    """A function that returns the setpoints (n,) of the other robots of a running cell, once they were heard."""
 
     def places() -> dict[str, Array]:
         states = {name: cell.state(name) for name in cell.robots if name != robot}
@@ -75,12 +75,12 @@ async def drive(
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
-    A verdict that does not come is counted, and the next state is answered as if nothing had been.
+    A verdict that does not arrive is counted, and the next state is answered as usual.
 
     Args:
         cell: connection to the cell.
         robot: the robot to move.
-        controller: what decides.
+        controller: makes the increments.
         tally: counts the verdicts.
         watch: called with each view.
 
@@ -105,7 +105,7 @@ async def drive(
 
 
 def settle_memory() -> None:
-    """Call this once before a control loop: the models stand for ever, and no collection need look through them."""
+    """Call this once before a control loop: models live for ever, so no garbage collection need visit them."""
     gc.collect()
     gc.freeze()
 
@@ -116,7 +116,7 @@ def view_of(cell: Cell, state: RobotState, verdict: Verdict | None = None) -> Vi
     Args:
         cell: connection to the cell.
         state: state of the robot that is moved.
-        verdict: the newest verdict on it; what it admitted and the state does not show yet is under way.
+        verdict: the newest verdict on it; what it admitted and the state does not show yet is in flight.
     """
     own = RobotView.from_state(state)
     if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:
@@ -128,7 +128,7 @@ def view_of(cell: Cell, state: RobotState, verdict: Verdict | None = None) -> Vi
 
 
 def run(controller: Coroutine[Any, Any, None], summary: Callable[[], dict[str, Any]]) -> int:
-    """Run a controller's process to its end, print one JSON line, and tell the exit status.
+    """Run a controller's process to its end, print one JSON line, and return the exit status.
 
     Args:
         controller: the coroutine; SIGTERM and SIGINT cancel it, which brings the robot to rest.

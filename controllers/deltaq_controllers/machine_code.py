@@ -1,4 +1,4 @@
-"""Where machine code is kept between starts, and what of it is known to be complete. Imports nothing heavy."""
+"""Where machine code is kept between starts, and which of it is complete. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pathlib import Path
 def folder_of(package: Path, users_cache: Path) -> str:
     """Where to keep the machine code of a package: beside the code, or else in the user's cache.
 
-    What was installed with code that cannot be written to is copied there.
+    Machine code from an installation that cannot be written to is copied there.
 
     Returns:
-        The folder; empty if neither can be written to: then every process compiles anew.
+        The folder; empty if neither can be written to: then every process recompile.
     """
     sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
     version = hashlib.sha256(b"".join(source for source in sources if b"\n@compiled" in source)).hexdigest()
     installed = package / "__pycache__" / f"compiled-{version[:16]}"
     if _can_be_written(installed):
         return str(installed)
-    if not users_cache.is_absolute():  # nobody's, or as XDG does not want it
+    if not users_cache.is_absolute():  # no home, or a relative path, which XDG does not allow
         return ""
     own = users_cache / "deltaq" / installed.name
     if installed.exists() and not own.exists():
-        with suppress(OSError):  # in part it is of use, too
+        with suppress(OSError):  # a partial copy is useful, too
             shutil.copytree(installed, own)
     return str(own) if _can_be_written(own) else ""
 
@@ -47,12 +47,12 @@ def is_complete(where: str, name: str) -> bool:
 def mark_complete(where: str, name: str) -> None:
     """Remember that all that `name` needs was compiled for this machine."""
     if where:
-        with suppress(OSError):  # then it is looked at again at the next start
+        with suppress(OSError):  # then the next start checks it again
             _mark(where, name).touch()
 
 
 def _mark(where: str, name: str) -> Path:
-    """A file whose name changes with all that makes numba compile anew: code, versions, the processor."""
+    """A file whose name changes with all that makes numba recompile: code, versions, the processor."""
     sources = [path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py"))]
     processor = [platform.machine(), platform.processor()]
     with suppress(OSError):

@@ -1,10 +1,10 @@
 """The weighted gradient solution: joint rates from a task rate and a sub-task field.
 
-Bjerkeng et al., III-B and III-C. What differs from the print, see the errata:
+Bjerkeng et al., III-B and III-C. Differences from the print, see the errata:
 
 - (10) takes an explicit scale, `W_ii = 1 + (limit_scale H_i)^2`: H has the unit 1/angle, so that as printed
-  the weights depend on the unit of angle. pi/180 gives what degrees give.
-- A joint that moves away from its limit has weight 1, as III-B says of Chan and Dubey's rule and (10) forgets.
+  the weights depend on the unit of angle. pi/180 gives the same as degrees.
+- A joint that moves away from its limit has weight 1, as III-B says of Chan and Dubey's rule and (10) omits.
 - (7) is damped: near limits `J W^-1 J^T` loses rank.
 """
 
@@ -21,7 +21,7 @@ from deltaq_controllers.compiled import compiled
 Array = NDArray[np.float64]
 
 LIMIT_GUARD = 1e-3
-"""Nearer to a limit than this share of the joint's range, (11) is evaluated at this distance."""
+"""Nearer to a limit than this fraction of the joint's range, (11) is evaluated at this distance."""
 
 _MATTERS = 1e-2
 """A weight that exceeds 1 by less is not worth a second solution."""
@@ -29,7 +29,7 @@ _MATTERS = 1e-2
 
 @compiled
 def limit_gradient(q: Array, lower: Array, upper: Array) -> Array:
-    """H of (11): positive in the upper half of each range, infinite at the limits but for a guard.
+    """H of (11): positive in the upper half of each range; a guard keeps it finite at the limits.
 
     Args:
         q: (n,) configuration.
@@ -112,8 +112,8 @@ def weighted_rates(
 ) -> Array:
     """Joint rates of (9), every joint that approaches a limit weighed.
 
-    The weights depend on the rates and the rates on the weights. Joints that leave their limit with
-    all weights on are released; those that then turn round are taken back, until none does.
+    The weights depend on the rates and the rates on the weights. Joints that leave their limit with all weights
+    applied are released; those that then reverse are weighted again, until none does.
 
     Args:
         weights: the joints' weights.
@@ -174,7 +174,7 @@ class Emergency:
         self.active = False
 
     def update(self, clearance_m: float) -> bool:
-        """Take note of the clearance [m]; True while the camera task is given up."""
+        """Update with the clearance [m]; True while the camera task is given up."""
         self.active = clearance_m < (self._off_m if self.active else self._on_m)
         return self.active
 

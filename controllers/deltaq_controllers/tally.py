@@ -1,4 +1,4 @@
-"""What a controller did, counted: verdicts, reasons, and errors from the end of the start-up on."""
+"""Counts of a controller's run: verdicts, reasons, and errors after the start-up."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ErrorFigures:
         self._final = 0.0
 
     def add(self, error: float, settled: bool) -> None:
-        """Take in an error; before the start-up is over it only counts as the last one."""
+        """Add an error; before the start-up is over it only counts as the last one."""
         self._final = abs(error)
         if settled:
             self._count += 1
@@ -38,8 +38,8 @@ class Tally:
     """Cycles, verdicts by outcome, and reasons by code.
 
     Attributes:
-        cycles: increments asked for.
-        unanswered: increments that no verdict came on.
+        cycles: increments requested.
+        unanswered: increments without a verdict.
     """
 
     def __init__(self) -> None:

@@ -34,7 +34,7 @@ class Leg:
         mode: the mode.
         cycles: its length.
         limited: cycles in which something limited the operator, by kind and what.
-        moved: per hand where it ended from where it began [m, rad], and how far it was off at most.
+        moved: per hand the displacement from beginning to end [m, rad], and its largest deviation.
         chosen: options of the advisor that were wanted, in their order, each with whether the robot got there.
     """
 
@@ -47,7 +47,7 @@ class Leg:
 
 
 class DriveLog:
-    """What was driven, as measured.
+    """Record of a drive, as measured.
 
     Args:
         teleoperator: the robot's.
@@ -62,7 +62,7 @@ class DriveLog:
         self.legs: list[Leg] = []
 
     def add(self, q: Array) -> None:
-        """A cycle has been, with the robot measured at `q` (n,)."""
+        """Record a cycle, with the robot measured at `q` (n,)."""
         self._hands.update(q)
         if not self.legs or self.legs[-1].mode is not self._teleoperator.mode:
             self.legs.append(Leg(self._teleoperator.mode))
@@ -157,7 +157,7 @@ async def teleoperate(
             wish = None if is_over or enough.is_set() else operator.read(state.time_s)
             is_over = (
                 wish is None
-            )  # for good: what is pressed while the robot comes to rest does not begin anew
+            )  # for good: keys pressed while the robot comes to rest do not start it again
             teleoperator.wish = Wish() if wish is None else wish
             increment = teleoperator.increment(view)
             if is_over and teleoperator.is_at_rest:

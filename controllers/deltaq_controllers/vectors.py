@@ -1,4 +1,4 @@
-"""Vectors of a few numbers, for compiled functions: numpy's own cost more there than the arithmetic."""
+"""Vectors of a few numbers, for compiled functions: numpy's operations cost more there than the arithmetic."""
 
 from __future__ import annotations
 

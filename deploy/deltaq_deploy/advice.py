@@ -39,7 +39,7 @@ STATE_DEADLINE_S = 5.0
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of the advisor; see `deltaq advise`."""
+    """A question to the advisor; see `deltaq advise`."""
 
     cell: str
     robot: str = ""
@@ -59,9 +59,9 @@ class Driven:
 
     Attributes:
         option: its rank.
-        reached: whether the robot stands there; otherwise it was stopped on the way.
+        reached: whether the robot stands there; otherwise it was stopped on its path.
         outcomes: how many increments had which outcome.
-        hands_off_m: how far the hands are from where they shall be, at the end.
+        hands_off_m: distance of the hands from their given poses, at the end.
     """
 
     option: int
@@ -72,7 +72,7 @@ class Driven:
 
 @dataclass(frozen=True)
 class Advice:
-    """What the advisor answered.
+    """The advisor's answer.
 
     Attributes:
         cell: name of the cell.
@@ -81,11 +81,11 @@ class Advice:
         method: of the search.
         seed: of the search.
         weights: of the criteria.
-        hands: (4, 4) where each hand shall be, in the world.
+        hands: (4, 4) pose required of each hand, in the world.
         options: best first.
         trials: configurations tried.
         elapsed_s: from the question to the options, paths included.
-        executed: how the option was driven to that was to be; None if none was.
+        executed: how the requested option was driven to; None if none was.
     """
 
     cell: str
@@ -101,7 +101,7 @@ class Advice:
     executed: Driven | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The answer as JSON takes it, in SI units."""
+        """The answer as a JSON object, in SI units."""
         return {
             "cell": self.cell,
             "robot": self.robot,
@@ -118,11 +118,11 @@ class Advice:
 
 
 def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True) -> Advice:
-    """Ask the advisor, and drive to an option if that was asked for.
+    """Ask the advisor, and drive to an option if requested.
 
     Raises:
         AdvisorError: a task that it cannot work on, or an option that does not exist or has no path.
-        ServiceUnreachableError: the cell is not running, and `offline` was not asked for.
+        ServiceUnreachableError: the cell is not running, and `offline` was not given.
         RefusedError: the robot is leased to somebody else.
     """
     cell = CellModel.load(request.cell)
@@ -184,7 +184,7 @@ def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
 
 
 def _present(running: BlockingCell) -> dict[str, Array]:
-    """Where the robots of a running cell are commanded to be, once each has been heard."""
+    """Setpoints of the robots of a running cell, once each has been heard."""
     deadline_s = time.monotonic() + STATE_DEADLINE_S
     while True:
         status = running.status().robots
@@ -200,7 +200,7 @@ def _present(running: BlockingCell) -> dict[str, Array]:
 
 
 def _poses(tracker: ConstraintTracker, present: Array, given: Mapping[str, tuple[float, ...]]) -> Array:
-    """(h, 4, 4) where the hands shall be: as given, otherwise where they are."""
+    """(h, 4, 4) poses required of the hands: as given, otherwise the present ones."""
     hands = tracker.robot.hands
     for name in given:
         if name not in hands:

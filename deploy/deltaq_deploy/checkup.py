@@ -1,4 +1,4 @@
-"""How fit this machine is to run a cell: what `deltaq doctor` looks at."""
+"""How fit this machine is to run a cell: the checks of `deltaq doctor`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BINDINGS = ("pinocchio", "coal")
 
 
 def examine(cell: CellDescription, cell_name: str) -> list[Finding]:
-    """Look at this machine with the eyes of one cell."""
+    """Check this machine for one cell."""
     return [
         _python(),
         _cores(),

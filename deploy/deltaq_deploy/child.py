@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 READY = "ready:"
-"""A service prints one line that begins so once it serves."""
+"""Beginning of the line that a service prints once it serves."""
 
 KEPT_LINES = 200
 
@@ -54,7 +54,7 @@ class Child:
         """Start it.
 
         Args:
-            name: what people call it.
+            name: of the service.
             command: program and arguments.
             on_event: called from a thread of this child when it serves and when it has ended.
             on_line: called from a thread of this child with its name and each line of its output.

@@ -42,7 +42,7 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     services = cell_services(cell, cell_name)
     document: dict[str, Any] = {service.name: _container(service, cell_name) for service in services}
     for controller in demo_controllers(cell):
-        # numba writes beside the machine code that it finds
+        # numba writes to the folder in which it finds machine code
         demo = {"profiles": ["demo"], "tmpfs": ["/tmp"]}
         document[controller.name] = _container(controller, cell_name) | demo
     if off_loopback(cell) is None:

@@ -1,4 +1,4 @@
-"""What `deltaq doctor` finds."""
+"""Findings of `deltaq doctor`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at; advice is empty where nothing needs to be done."""
+    """One check; advice is empty where nothing needs to be done."""
 
     what: str
     found: str

@@ -114,7 +114,7 @@ class Launcher:
         self._start([service for service in self.services if service.name == name], timeout_s)
 
     def wait(self, timeout_s: float | None = None) -> Event | None:
-        """The next thing that happens, or None if nothing does within `timeout_s`."""
+        """The next event, or None if there is none within `timeout_s`."""
         try:
             event = self._events.get(timeout=timeout_s)
         except queue.Empty:
@@ -148,11 +148,11 @@ class Launcher:
             self.stop_service(name)
 
     def say(self, line: str) -> None:
-        """Put in a word between the services' lines."""
+        """Print a line of the launcher between the services' lines."""
         self._on_line("deltaq", line)
 
     def last_lines(self, name: str, count: int = SHOWN_LINES) -> list[str]:
-        """What a service said last."""
+        """The last lines of a service."""
         child = self.children.get(name)
         return list(child.lines)[-count:] if child else []
 
@@ -221,7 +221,7 @@ def describe_exit(name: str, status: int) -> str:
 
 
 def check_ports(services: Iterable[Service]) -> None:
-    """See that nobody else listens where these services want to.
+    """Check that nobody else listens on the ports of these services.
 
     Raises:
         LaunchError: naming the service, the port, and where the cell's file sets it.
@@ -243,6 +243,6 @@ def _bind(listener: Listener) -> None:
     family = socket.AF_INET6 if ":" in listener.address else socket.AF_INET
     with socket.socket(family, kind) as probe:
         if kind is socket.SOCK_STREAM:
-            # connections of the last run that are still closing are no hindrance, a listener is
+            # connections of the last run that are still closing do not block the port, a listener does
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((listener.address, listener.port))

@@ -1,4 +1,4 @@
-"""What a bystander sees of a running cell: how regularly states come, and how far the robots move."""
+"""Observation of a running cell: how regularly states come, and how far the robots move."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from deltaq_protocol.messages import RobotState
 
 @dataclass
 class Track:
-    """What was seen of one robot.
+    """Observations of one robot.
 
     Attributes:
         times_s: arrival of each state on this process's clock [s].
@@ -33,7 +33,7 @@ class Track:
     _last_cycle: int | None = None
 
     def take(self, state: RobotState, time_s: float) -> None:
-        """Take in one state that arrived at `time_s`."""
+        """Add one state that arrived at `time_s`."""
         self.times_s.append(time_s)
         self.lower = tuple(map(min, self.lower or state.q, state.q))
         self.upper = tuple(map(max, self.upper or state.q, state.q))
@@ -57,7 +57,7 @@ class Observer:
 
     def __init__(self, listener: Listener, robots: Sequence[str]) -> None:
         self.tracks = {robot: Track() for robot in robots}
-        self._lock = threading.Lock()  # zenoh calls back from threads of its own
+        self._lock = threading.Lock()  # zenoh calls back from its own threads
         self._subscribers = [listener.subscribe(topics.STATE, self._take, robot) for robot in robots]
 
     def close(self) -> None:

@@ -9,10 +9,10 @@ from typing import Any
 
 
 async def while_parent_lives(work: Coroutine[Any, Any, None]) -> None:
-    """Do this work, and cancel it should the process end that started this one.
+    """Do this work, and cancel it if the process that started this one ends.
 
-    That a process has ended is told by a descriptor of it: unlike the parent-death signal this does not depend on
-    the thread that started us.
+    A process descriptor shows that it has ended: unlike the parent-death signal, this does not depend on
+    the thread that started this process.
     """
     parent = os.pidfd_open(os.getppid())
     loop, task = asyncio.get_running_loop(), asyncio.ensure_future(work)

@@ -1,7 +1,7 @@
-"""Compiling controllers before anything runs that their compiler could make late.
+"""Compiling controllers before anything runs that their compiler could delay.
 
-A camera law takes numba up to a minute on a small machine. Beside a running cell that is a minute in which services
-share their cores with a compiler, and in which the controller is not there.
+A camera law takes numba up to a minute on a small machine. Beside a running cell, services would share
+their cores with a compiler for that minute, and the controller would be missing.
 """
 
 from __future__ import annotations
@@ -18,21 +18,19 @@ from deltaq_deploy.warden import Warden
 
 COMPILER = ("-m", "deltaq_controllers.camera")
 COMPILES = "compiling "
-"""What a line about a function that is being compiled begins with."""
-NOWHERE = (
-    "no folder for machine code can be written to: every start compiles anew; XDG_CACHE_HOME may name one"
-)
+"""Beginning of a line about a function that is being compiled."""
+NOWHERE = "no folder for machine code can be written to: every start recompiles; XDG_CACHE_HOME may name one"
 
 
 @contextmanager
 def compiled_ahead(
     controllers: Sequence[str], tell: Callable[[str], None], on_function: Callable[[str], None]
 ) -> Iterator[None]:
-    """Have camera controllers compiled, by a process that ends with it; within the block nobody compiles them again.
+    """Compile camera controllers in a process that ends before the block; within the block nobody compiles them again.
 
     Args:
         controllers: names of camera controllers that come with the project.
-        tell: called with what the user has to know.
+        tell: called with messages for the user.
         on_function: called with the name of each function before it is compiled; never if all are kept from before.
 
     Raises:
@@ -66,7 +64,7 @@ def compiled_ahead(
 def _compile(controllers: Sequence[str], on_function: Callable[[str], None]) -> None:
     command = [sys.executable, *COMPILER, *controllers]
     said: list[str] = []
-    # in a session of its own: Ctrl-C on the terminal is for who waits, and ends it from here
+    # in its own session: Ctrl-C on the terminal reaches the waiting program, which ends it from here
     with (
         Warden() as warden,
         subprocess.Popen(

@@ -25,7 +25,7 @@ class NoProbeError(DeltaqError):
 
 
 class _Panel(BaseModel):
-    """What is asked of an emulator's panel; it tells more."""
+    """The part of an emulator's panel status that is used."""
 
     ok: bool
     state: str
@@ -34,7 +34,7 @@ class _Panel(BaseModel):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a service said of itself."""
+    """A service's report on itself."""
 
     healthy: bool
     detail: str

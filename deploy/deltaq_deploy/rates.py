@@ -42,5 +42,5 @@ def rate_of(times_s: list[float]) -> Rate:
 
 
 def percentile(ordered: list[float], share: float) -> float:
-    """The value that `share` of all values do not exceed, by nearest rank; `ordered` is not empty."""
+    """The value that a fraction `share` of all values do not exceed, by nearest rank; `ordered` is not empty."""
     return ordered[max(0, math.ceil(share * len(ordered)) - 1)]

@@ -1,4 +1,4 @@
-"""Whether a cell's addresses can be those of real robots, asked before any of them is listened for."""
+"""Whether a cell's addresses can be those of real robots, checked before anything listens."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from deltaq_protocol.rsi.judge import is_any, is_loopback
 
 
 class NotRealError(DeltaqError):
-    """A cell that cannot be meant for real robots; the message has a line for each reason."""
+    """A cell that is not ready for real robots; the message has a line for each reason."""
 
 
 def refuse_unreal(cell: CellDescription, file: Path, robots: Iterable[str]) -> None:
-    """Refuse addresses at which no real KRC can be met, and files of a KRC that cannot be safe.
+    """Refuse addresses at which no real KRC can be, and files of a KRC that cannot be safe.
 
-    A loopback in the cell and in the KRC's file is let pass: an emulator that somebody started by hand.
+    A loopback both in the cell and in the KRC's file is accepted: an emulator that somebody started by hand.
 
     Args:
         cell: the cell.

@@ -1,4 +1,4 @@
-"""Real-time priority: what Robot Servers, SIM and HLI ask for, and what this user and this kernel give."""
+"""Real-time priority: what Robot Servers, SIM and HLI ask for, and what the kernel gives to this user."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PERIOD_US = Path("/proc/sys/kernel/sched_rt_period_us")
 
 
 def examine_real_time() -> list[Finding]:
-    """Ask as a service does, and look at what keeps services that ask from starving the machine."""
+    """Ask as a service does, and check what keeps real-time services from starving the machine."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     return [
         judge_priority(_is_given(ASKED), limit),
@@ -25,7 +25,7 @@ def examine_real_time() -> list[Finding]:
 
 
 def judge_priority(given: bool, limit: int) -> Finding:
-    """What asking came to.
+    """Result of asking for real-time priority.
 
     Args:
         given: whether the kernel gave the priority.
@@ -45,10 +45,10 @@ def judge_priority(given: bool, limit: int) -> Finding:
 
 
 def judge_throttling(runtime_us: int | None, period_us: int | None) -> Finding:
-    """Whether the kernel leaves other programs a share of the time, whatever real-time processes do.
+    """Whether the kernel reserves a fraction of the time for other programs, whatever real-time processes do.
 
     Args:
-        runtime_us: what they may take of a period, -1 for all of it; None if the kernel does not tell [us].
+        runtime_us: time of a period that they may take, -1 for all of it; None if the kernel does not say [us].
         period_us: the period [us].
     """
     what = "real-time throttling"

@@ -74,7 +74,7 @@ def _topics() -> str:
     columns = ("topic", "realm", "kind", "key", "message", "rate", "greatest age [cycles]", "recorded")
     return (
         "# Topics\n\nzenoh carries msgpack maps with the fields of the message named. Clients reach the open realm;"
-        " HLI, SIM and Robot Servers alone speak in the guarded realm.\n\n" + _table(columns, rows)
+        " only HLI, SIM and Robot Servers speak in the guarded realm.\n\n" + _table(columns, rows)
     )
 
 
@@ -219,7 +219,7 @@ def _sessions() -> str:
 
 
 def _texts_of_members(members: type[Enum] | type[BaseModel], fields: bool = False) -> list[str]:
-    """The text that stands below each member of a table in its source; of `fields` those without one have none."""
+    """The text below each member of a table in its source; `fields` may lack one."""
     body = ast.parse(inspect.getsource(members)).body[0]
     assert isinstance(body, ast.ClassDef)  # that is what it was given
     texts: list[str] = []
@@ -330,7 +330,7 @@ def _bounds(field: FieldInfo) -> str:
 
 
 def _metadata(annotation: Any) -> list[Any]:
-    """What is said of the parts of an alternative, e.g. of a number that may be null."""
+    """Bounds of the parts of an alternative, e.g. of a number that may be null."""
     found: list[Any] = []
     if get_origin(annotation) is Annotated:
         for item in annotation.__metadata__:

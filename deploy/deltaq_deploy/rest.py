@@ -13,15 +13,15 @@ from deltaq_protocol.reasons import ReasonCode
 TIMEOUT_S = 5.0
 POLL_S = 0.05
 STILL = 1e-5
-"""Change of a joint between two looks that counts as standing still [rad or m]."""
+"""Change of a joint between two states that counts as standing still [rad or m]."""
 
 
 def bring_to_rest(cell: CellDescription, client: str) -> None:
-    """Stop every robot of a cell through its HLI, and wait until each stands.
+    """Stop every robot of a cell through its HLI, and wait until each is at rest.
 
     Args:
         cell: the cell's description.
-        client: who asks.
+        client: name of the client that asks.
 
     Raises:
         ServiceUnreachableError: if the HLI does not answer, or a robot is not at rest within `TIMEOUT_S`.
@@ -44,7 +44,7 @@ def bring_to_rest(cell: CellDescription, client: str) -> None:
 def rests(before: RobotStatus | None, now: RobotStatus) -> bool:
     """Held, and measured at one place twice: a robot is held from its stop on, and then still brakes."""
     if now.phase is Phase.OFFLINE or now.reason is ReasonCode.KRC_LOST:
-        return True  # nothing is heard of it, so nothing more can be waited for
+        return True  # it is silent: there is nothing to wait for
     if now.phase is not Phase.HELD or before is None or before.cycle == now.cycle:
         return False
     return all(abs(q - q_before) < STILL for q, q_before in zip(now.q, before.q, strict=True))

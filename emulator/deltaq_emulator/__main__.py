@@ -62,13 +62,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def build(
     cell_name: str, robot_name: str, settings: KrcSettings, context: Context = NOTHING
 ) -> tuple[Krc, RsiDriver]:
-    """The controller of one robot of a cell, at its home, and the driver that tells where it speaks.
+    """The controller of one robot of a cell, at its home, and the driver with its addresses.
 
     Args:
         cell_name: name of a cell, or path of its file.
         robot_name: name of the robot in it.
         settings: of the controller.
-        context: what the files of its RSI application say, which counts more.
+        context: settings from the files of its RSI application, which take precedence.
 
     Raises:
         DeltaqError: if the cell, its robot or a file that it names cannot be used.
@@ -124,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             if arguments.record is not None:
                 emulator.recorder.start(arguments.record)
-            # nothing that stands now is garbage: no need to look at it again in every collection
+            # no object that exists now is garbage: spare every collection the visit
             gc.collect()
             gc.freeze()
             real_time = ask_for_real_time()

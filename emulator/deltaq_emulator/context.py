@@ -1,4 +1,4 @@
-"""What the files of an RSI application say of corrections: an RSI context, and the KRL program that starts it.
+"""Settings of corrections from the files of an RSI application: an RSI context, and the KRL program that starts it.
 
 | file | of | what is read |
 | --- | --- | --- |
@@ -7,7 +7,7 @@
 | `*.src` | RSI 2 | ST_AXISCORR and the ST_SETPARAM calls for its handle, where index and value are numbers |
 
 Source: contexts and programs that ROS-Industrial and others publish for KR C2 and KR C4. Objects and parameters that
-are not in the table change nothing here.
+are not in the table have no effect here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
 
 MAKERS_LIMIT, MAKERS_MONITOR = 5.0, 6.0
-"""Of an axis that the file says nothing of [deg or mm]."""
+"""Limit of an axis that the file does not mention [deg or mm]."""
 
 _CORRECTED_BY = {"axiscorr": ARM_AXES, "axiscorrext": EXTERNAL_AXES}
 _RSI2_AXES = (*ARM_AXES, *EXTERNAL_AXES)
@@ -42,7 +42,7 @@ _ST_SETPARAM = re.compile(r"\bST_SETPARAM\s*\(\s*(\w+)\s*,([^,()]+),([^,()]+)\)"
 
 @dataclass(frozen=True)
 class Context:
-    """What the files say; None where they say nothing.
+    """Settings from the files; None where they say nothing.
 
     Attributes:
         corrected: axes for which there is a correction object.
@@ -50,7 +50,7 @@ class Context:
         monitor: per axis the total correction that stops RSI [deg or mm].
         timeout: cycles without a valid reply that are permitted.
         precision: decimals of a DOUBLE in the controller's telegrams.
-        correction: what RSI_ON is called with.
+        correction: the argument of RSI_ON.
     """
 
     corrected: frozenset[str]
@@ -62,7 +62,7 @@ class Context:
     correction: Correction | None = None
 
     def over(self, other: Context) -> Context:
-        """Both; where both say something, this one counts."""
+        """Both; where both give a value, this one counts."""
         return Context(
             self.corrected | other.corrected,
             {**other.lower, **self.lower},
@@ -74,7 +74,7 @@ class Context:
         )
 
     def settings(self, settings: KrcSettings) -> KrcSettings:
-        """These settings, with what the files say in their place."""
+        """These settings, replaced by the values that the files give."""
         said = {"late_budget": self.timeout, "precision": self.precision, "correction": self.correction}
         return settings.model_copy(update={name: value for name, value in said.items() if value is not None})
 
@@ -104,11 +104,11 @@ class Context:
 
 
 NOTHING = Context(frozenset(), {}, {}, {})
-"""What no file says."""
+"""No settings from files."""
 
 
 def read_context(files: Iterable[Path]) -> Context:
-    """Read the files of one RSI application; where two say something of the same thing, the later one counts.
+    """Read the files of one RSI application; where two give the same value, the later one counts.
 
     Raises:
         SettingsError: if a file cannot be read, or a value in it is not allowed.
@@ -130,7 +130,7 @@ def parse_context_xml(data: bytes, source: str) -> Context:
     """Read an RSI context; `source` is its name in messages.
 
     Raises:
-        SettingsError: if it is no context, or a value in it is not allowed.
+        SettingsError: if it is not a context, or a value in it is not allowed.
     """
     try:
         root = ET.fromstring(data)

@@ -1,4 +1,4 @@
-"""What corrections come to: absolute or relative, with HOLDON for late telegrams, within limits.
+"""The total correction: absolute or relative, with HOLDON for late telegrams, within limits.
 
 | | HOLDON 1 | HOLDON 0 |
 | --- | --- | --- |
@@ -21,7 +21,7 @@ class Corrections:
 
     Args:
         codec: knows HOLDON of every element.
-        limits: where the total correction is cut off.
+        limits: where the total correction is clipped.
     """
 
     def __init__(self, codec: KrcCodec, limits: CorrectionLimits) -> None:
@@ -32,7 +32,7 @@ class Corrections:
         self.outputs: dict[str, bool] = dict.fromkeys(codec.output_hold_on, False)
         """Digital outputs as they are."""
         self.clamped = 0
-        """Cycles in which a correction was cut off at its limit."""
+        """Cycles in which a correction was clipped at its limit."""
         self.begin_session("absolute")
 
     def begin_session(self, mode: Correction) -> None:
@@ -43,10 +43,10 @@ class Corrections:
         """(n,) sum of all corrections of this session [rad or m]."""
         self._stop = False
         self.stop_rose = False
-        """The signal that ends the motion came up in the last cycle."""
+        """The signal that ends the motion rose in the last cycle."""
 
     def take(self, reply: SensorTelegram | None) -> None:
-        """Take the reply of a cycle, or that there was none."""
+        """Take the reply of a cycle, or None if there was none."""
         held = np.where(self._hold_on, self._value, 0.0)
         self._value = held if reply is None else np.where(reply.present, reply.correction, held)
         received = {} if reply is None else reply.outputs

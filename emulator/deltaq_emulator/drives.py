@@ -1,4 +1,4 @@
-"""The drives of the robot: where they are sent, where the robot is, and how they come to rest by themselves."""
+"""The drives of the robot: their setpoint, the robot's position, and how they come to rest by themselves."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Drives:
         self._brake = robot.max_acceleration * cycle_s**2
         self._lower, self._upper = lower, upper
         self.setpoint = q.copy()
-        """(n,) where the drives are sent [rad or m]."""
+        """(n,) setpoint of the drives [rad or m]."""
         self._step = np.zeros_like(q)
 
     @property
     def q(self) -> Array:
-        """(n,) where the robot is [rad or m]."""
+        """(n,) position of the robot [rad or m]."""
         return self._servo.q
 
     @property

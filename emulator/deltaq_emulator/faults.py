@@ -1,4 +1,4 @@
-"""Faults of the network, as a queue in time: nothing here knows a clock, and one seed is one run."""
+"""Faults of the network, as a queue in time: no clock is used here, and one seed is one run."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ MAX_QUEUED = 10_000
 
 
 class LinkFaults(BaseModel):
-    """What happens to datagrams on their way in one direction; nothing by default."""
+    """Faults of datagrams in one direction; none by default."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     drop: Probability = 0.0
-    """Share that is lost."""
+    """Fraction that is lost."""
     duplicate: Probability = 0.0
-    """Share that arrives twice."""
+    """Fraction that arrives twice."""
     reorder: Probability = 0.0
-    """Share that is overtaken by the next one."""
+    """Fraction that is overtaken by the next one."""
     corrupt: Probability = 0.0
-    """Share that has bytes changed, or its end cut off."""
+    """Fraction that has bytes changed, or its end cut off."""
     flip: Probability = 0.0
-    """Share in which one digit becomes another: a telegram that reads well and says something else."""
+    """Fraction in which one digit becomes another: a telegram that is valid and says something else."""
     truncate: Probability = 0.0
-    """Share that has its end cut off."""
+    """Fraction that has its end cut off."""
     delay_s: Seconds = 0.0
-    """How long each one takes."""
+    """Delay of each datagram."""
     jitter_s: Seconds = 0.0
-    """How much longer each one takes at most, evenly distributed."""
+    """Largest additional delay, uniformly distributed."""
 
 
 class Forgery(BaseModel):
-    """A telegram that somebody else sends to the PC right after the controller's own, from a socket of his own.
+    """A telegram that somebody else sends to the PC right after the controller's own, from another socket.
 
     With nothing but an address it is the same telegram from a second sender; with a shift of the IPOC it is a second
     controller, or the beginning of a new session.
@@ -64,7 +64,7 @@ class FaultyLink:
 
     Attributes:
         faults: may be set at any time.
-        counts: what has been done so far.
+        counts: faults so far.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -85,7 +85,7 @@ class FaultyLink:
         if draw() < faults.corrupt:
             datagram = self._damaged(datagram)
             self.counts["corrupted"] += 1
-        # nothing is drawn for what is not asked for, so that the runs of a seed stay what they were
+        # no random number is drawn for an absent fault, so that the runs of a seed stay the same
         if faults.flip and draw() < faults.flip:
             datagram = self._with_another_digit(datagram)
             self.counts["flipped"] += 1

@@ -1,6 +1,6 @@
 """The core of the emulated controller: cycles and datagrams in, telegrams out; no clock, no sockets.
 
-One cycle: `tick` begins it, judges what came in reply to the last telegram, moves the robot by one cycle and
+One cycle: `tick` begins it, judges the replies to the last telegram, moves the robot by one cycle and
 returns the telegram to send; `receive` takes whatever comes until the next `tick`.
 """
 
@@ -102,9 +102,9 @@ class Krc:
         self.mode = self.settings.mode
         """Operating mode."""
         self.correction: Correction = self.settings.correction
-        """What the program calls RSI_ON with."""
+        """The argument with which the program calls RSI_ON."""
         self.message: KrcMessage | None = None
-        """What is on the pendant."""
+        """The message on the pendant."""
         self.text = ""
         """What the PC last wrote on the pendant (EStr)."""
         self._state = KrcState.DRIVES_OFF
@@ -141,7 +141,7 @@ class Krc:
         """Begin a cycle; returns the telegram to send, or None when RSI is off.
 
         Args:
-            excused: the machine held the controller itself up during the last cycle: a reply that is missing does not
+            excused: the machine held up the controller itself during the last cycle: a missing reply does not
                 count against the PC.
         """
         self._cycle += 1
@@ -229,7 +229,7 @@ class Krc:
     # --- the program --------------------------------------------------------------------------------------
 
     def _begin_session(self) -> None:
-        """RSI_ON, and RSI_MOVECORR behind it."""
+        """RSI_ON, and RSI_MOVECORR after it."""
         self._state = after(self._state, KrcEvent.START)
         self._starting = None
         self._drives.stand()
@@ -244,7 +244,7 @@ class Krc:
             self.confirm()
 
     def _go_on(self) -> None:
-        """What the program does when the robot rests."""
+        """The program's next step when the robot rests."""
         if self._starting is not None:
             self._starting = max(self._starting - 1, 0)
         if not self._drives.at_rest:
@@ -321,7 +321,7 @@ class Krc:
     # --- faults -------------------------------------------------------------------------------------------
 
     def freeze(self, cycles: int) -> None:
-        """Fall silent for a number of cycles, then go on as if nothing had been."""
+        """Fall silent for a number of cycles, then continue as before."""
         self._frozen = cycles
 
     def shift_ipoc(self, by: int) -> None:
@@ -329,7 +329,7 @@ class Krc:
         self._ipoc = (self._ipoc + by) % IPOC_RANGE
 
     def forged(self, forgery: Forgery) -> bytes:
-        """What somebody else could send who knows this cycle's telegram."""
+        """The telegram of a sender who knows this cycle's telegram."""
         report = self._report()
         shift = math.radians(forgery.offset_deg)
         return self._codec.encode(

@@ -6,8 +6,8 @@
 | `total` | late cycles since RSI_ON | more than the budget |
 | `share` | late cycles among the last 1000 telegrams | more than so many percent of 1000 |
 
-KR C4 and later have a number of cycles (Timeout of the ETHERNET object); whether in a row or altogether is not known.
-A KR C2 has a share (maxLatePackages) in a field of view of 1000 telegrams; those not sent yet count as answered.
+KR C4 and later permit a number of cycles (Timeout of the ETHERNET object); whether in a row or altogether is not known.
+A KR C2 permits a fraction (maxLatePackages) of a window of 1000 telegrams; those not sent yet count as answered.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class LateBudget:
     Args:
         rule: which of them count.
         cycles: permitted, where cycles are counted.
-        percent: of the field of view permitted, where the share is.
+        percent: of the window permitted, where a fraction is counted.
     """
 
     def __init__(self, rule: LateRule, cycles: int, percent: float) -> None:

@@ -22,7 +22,7 @@ class CorrectionLimits:
     """Limits of the total correction of each axis, from where RSI started [rad or m].
 
     Attributes:
-        lower: (n,) AXISCORR and AXISCORREXT cut a correction off here; upper: and here.
+        lower: (n,) AXISCORR and AXISCORREXT clip a correction here; upper: and here.
         monitor: (n,) AXISCORRMON stops RSI beyond this, in either direction.
     """
 

@@ -1,4 +1,4 @@
-"""What makes the controller stop the robot: its limits, and the message that names the axis and the excess."""
+"""Monitors by which the controller stops the robot: limits, and the message that names the axis and the excess."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from deltaq_emulator.settings import KrcSettings, Mode
 from deltaq_protocol.rsi import AxisMap
 
 ACCELERATION_CYCLES = 10
-"""Over how many cycles the acceleration is averaged, so that a lost telegram is none."""
+"""Cycles over which the acceleration is averaged, so that a lost telegram does not count as one."""
 LIMIT_TOLERANCE = 1e-5
-"""How far behind a software limit switch a setpoint may be [rad or m]: what telegrams round away."""
+"""How far beyond a software limit switch a setpoint may be [rad or m]: the rounding of telegrams."""
 
 
 class Monitors:
@@ -80,8 +80,8 @@ class Monitors:
         """Why the robot must not go on moving as it did in the last cycle, if it must not.
 
         Args:
-            dq: (n,) what the joints moved [rad or m].
-            tool_m: what the tool moved [m].
+            dq: (n,) motion of the joints [rad or m].
+            tool_m: motion of the tool [m].
             mode: T1 bounds the tool's speed.
         """
         speed = np.abs(dq) / self._cycle_s
@@ -92,7 +92,7 @@ class Monitors:
         return None
 
     def _worst(self, code: Code, value: Array, bound: Array, sign: float = 1.0) -> KrcMessage:
-        """The message for the axis that exceeds its bound most, in what people read."""
+        """The message for the axis that exceeds its bound most, in deg or mm."""
         worst = int(np.argmax((value - bound) * self._axes.commanded))
         scale = sign * float(self._axes.commanded[worst])
         unit = "deg" if self._axes.units[worst] == "rad" else "mm"

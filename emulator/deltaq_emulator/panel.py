@@ -14,9 +14,9 @@
 | `{"op": "fault", "forge": [{"ipoc_shift": 7000}, {"offset_deg": 1.4}]}` | others send, after each telegram, these |
 | `{"op": "fault"}` | no more faults |
 | `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
-| `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | be told once all this holds |
+| `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | answer once all this holds |
 
-The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`. It comes at once, but to what is awaited.
+The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`. It comes at once, except to `await`.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class _Await(_Request):
 
 @dataclass(frozen=True)
 class _Awaiting:
-    """Who waits for what, from which cycle on and until which."""
+    """One request that awaits a state: from which cycle on, and until which."""
 
     request: _Await
     answer: Callable[[bytes], None]
@@ -140,12 +140,12 @@ class Panel:
         self._shell_counts = shell_counts
         self._awaiting: list[_Awaiting] = []
         self.forgeries: tuple[Forgery, ...] = ()
-        """What others send to the PC after each telegram."""
+        """Forged telegrams that follow each telegram to the PC."""
 
     def take(self, datagram: bytes, answer: Callable[[bytes], None]) -> None:
         """Do what a request says; whatever it is, `answer` is called once and nothing raised.
 
-        What a request awaits may come later: then `cycle_passed` answers it.
+        An awaited state may come later: then `cycle_passed` answers it.
         """
         try:
             if len(datagram) > MAX_REQUEST_BYTES:
@@ -170,7 +170,7 @@ class Panel:
             self._answer_or_keep(one)
 
     def status(self) -> dict[str, Any]:
-        """What the pendant shows, and every counter."""
+        """The pendant's display, and every counter."""
         sample = self._krc.sample
         return {
             "robot": self._robot,

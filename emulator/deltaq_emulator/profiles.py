@@ -1,4 +1,4 @@
-"""What differs between generations of controllers."""
+"""Differences between generations of controllers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Profile:
     Attributes:
         name: as in a cell's `driver.krc`; the telegram codec knows how it reports linear axes.
         cycles_s: sensor cycles it can run.
-        reply_within: share of the cycle in which a reply has to arrive.
+        reply_within: fraction of the cycle in which a reply has to arrive.
         ipoc_only_first: the first telegram after RSI started has nothing but its IPOC.
         late_count: which late replies count against its budget.
     """

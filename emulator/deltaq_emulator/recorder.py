@@ -10,7 +10,7 @@ from deltaq_protocol.errors import DeltaqError
 
 
 class RecordError(DeltaqError):
-    """A record that cannot be written."""
+    """A recording file that cannot be written."""
 
 
 class CsvRecorder:
@@ -20,7 +20,7 @@ class CsvRecorder:
 
     Attributes:
         path: the file being written, or None.
-        error: why the last record ended, if it had to.
+        error: why the last record ended, if an error ended it.
     """
 
     def __init__(self, cycle_s: float, joints: int) -> None:

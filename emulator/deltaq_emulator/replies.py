@@ -10,7 +10,7 @@ from deltaq_emulator.late_budget import LateBudget
 from deltaq_protocol.rsi import KrcCodec, SensorTelegram, TelegramError
 
 HISTORY = 256
-"""Telegrams that a reply can still be recognised as late or double for."""
+"""Number of past telegrams for which a reply is still recognised as late or duplicate."""
 MAX_EXCUSED = 100
 """Cycles in a row for which a missing reply may be excused; a PC that is silent for longer is late."""
 _RING = 2**32
@@ -25,17 +25,17 @@ class Reply(StrEnum):
     STALE = "stale"
     """Answers a telegram too old to remember, or one that was never sent."""
     DUPLICATE = "duplicate"
-    """Answers a telegram that has had its answer."""
+    """Answers a telegram that was answered already."""
     FUTURE = "future"
-    """Has a time stamp that has not been yet."""
+    """Has a time stamp that was not sent yet."""
     GARBLED = "garbled"
     WRONG_TYPE = "wrong_type"
     MISSING = "missing"
-    """Nothing at all came in a cycle."""
+    """No datagram came in a cycle."""
     UNANSWERED = "unanswered"
-    """A cycle in which nothing valid came, whatever the reason: what the element Delay counts."""
+    """A cycle without a valid reply, whatever the reason; the element Delay counts these."""
     EXCUSED = "excused"
-    """One of those in which the machine held the controller itself up: no fault of the PC's."""
+    """Such a cycle in which the machine held up the controller itself: not the PC's fault."""
 
 
 class ReplyJudge:
@@ -64,7 +64,7 @@ class ReplyJudge:
         self.begin_session()
 
     def begin_session(self) -> None:
-        """Forget the telegrams of the last session and count late cycles from zero."""
+        """Forget the telegrams of the last session, and count late cycles from zero."""
         self._answered: OrderedDict[int, bool] = OrderedDict()
         self._current: int | None = None
         self._accepted: SensorTelegram | None = None

@@ -16,8 +16,8 @@ class Sample:
     Attributes:
         cycle: cycles since the controller was switched on.
         q: (n,) actual joints at the beginning of the cycle [rad or m].
-        q_setpoint: (n,) where the drives are sent during the cycle, corrections included [rad or m].
-        message: what is on the pendant, if anything.
+        q_setpoint: (n,) setpoint of the drives during the cycle, corrections included [rad or m].
+        message: the message on the pendant, if any.
         counters: datagrams and cycles by class, see `deltaq_emulator.replies.Reply`, and `clamped`, `sent`,
             `delay` (the telegram's element), `late_counted` (against the budget).
     """

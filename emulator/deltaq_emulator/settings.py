@@ -1,4 +1,4 @@
-"""What an integrator sets at a controller: correction limits, late packets, precision, operating mode."""
+"""Settings that an integrator makes at a controller: correction limits, late packets, precision, operating mode."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from deltaq_emulator.late_budget import LateRule
 from deltaq_protocol.errors import DeltaqError
 
 SHIPPED = Path(__file__).with_name("krc_settings.yaml")
-"""The settings that the emulator uses unless it is given others."""
+"""The emulator's default settings."""
 
 Correction = Literal["absolute", "relative"]
-"""What RSI_ON is called with."""
+"""The argument of RSI_ON."""
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -34,7 +34,7 @@ class Mode(StrEnum):
 
 
 class KrcSettings(BaseModel):
-    """Settings of an emulated controller; the defaults are the maker's, which allow no motion to speak of."""
+    """Settings of an emulated controller; the defaults are the maker's, which allow hardly any motion."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -42,7 +42,7 @@ class KrcSettings(BaseModel):
     """RSI_ON(#ABSOLUTE): offset from where RSI started; RSI_ON(#RELATIVE): increment a cycle, so that a correction that
     stays the same is a constant velocity."""
     correction_limit_deg: Positive = 5.0
-    """AXISCORR: a rotating axis is corrected by no more than this in total; the rest is cut off."""
+    """AXISCORR: a rotating axis is corrected by no more than this in total; the rest is clipped."""
     correction_limit_mm: Positive = 5.0
     """AXISCORREXT: the same for a linear axis."""
     monitor_limit_deg: Positive = 6.0
@@ -52,13 +52,13 @@ class KrcSettings(BaseModel):
     late_budget: Annotated[int, Field(ge=0)] = 10
     """Timeout: cycles without a valid reply that are permitted; one more stops RSI (KSS29002)."""
     late_percent: Annotated[float, Field(ge=0, le=100)] = 10.0
-    """maxLatePackages: the same for a KR C2, as a share of the last 1000 telegrams; the default is a stand-in."""
+    """maxLatePackages: the same for a KR C2, as a fraction of the last 1000 telegrams; the default is a stand-in."""
     late_count: LateRule | None = None
-    """Which cycles count against the budget; none: as the generation does, a KR C2 the share, others consecutive ones.
-    The maker's documents do not tell whether those count that are consecutive or all."""
+    """Which cycles count against the budget; none: as the generation does, a KR C2 the fraction, others consecutive
+    ones. The maker's documents do not say whether consecutive late cycles count or all."""
     count_from: Literal["first_reply", "start"] = "first_reply"
     """Start counting against the budget when the PC has replied once, or with the first telegram as a real
-    controller does. There the operator starts the program once the PC is up; here nobody does."""
+    controller does. There an operator starts the program once the PC is up; here it starts by itself."""
     precision: Annotated[int, Field(ge=1, le=9)] = 1
     """Decimals of a DOUBLE in the controller's telegrams."""
     velocity_stop_factor: Positive = 1.1

@@ -1,8 +1,9 @@
 """The emulated controller as a process: one loop, one thread, sockets and time.
 
-The loop keeps absolute deadlines: it sends each cycle whatever came back, as a real controller does. Where the machine
-holds it up for longer than a cycle the emulated time stands still instead of catching up in a burst, and the
-slip is counted. A reply that is missing beside a cycle that this process itself began late is not held against the PC.
+The loop keeps absolute deadlines: it sends in every cycle, whatever came back, as a real controller does. If the
+machine holds it up for longer than a cycle, the emulated time stands still instead of catching up in a burst, and
+the slip is counted. A reply that is missing in a cycle that this process itself began late does not count against
+the PC.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ MAX_READ = 64
 """Datagrams read in one go, so that a flood cannot hold up the cycle."""
 MAX_DATAGRAM = 65535
 LATE_START = 0.25
-"""A cycle that begins later than this share of a cycle has been held up by the machine."""
+"""A cycle that begins later than this fraction of a cycle has been held up by the machine."""
 
 Address = tuple[str, int]
 
@@ -61,8 +62,8 @@ class Emulator:
         self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
         self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q))
         self.counts = {"slipped": 0, "late_starts": 0, "latest_start_us": 0, "send_errors": 0}
-        """Cycles that were lost because the machine held this process up; cycles that began late, and how late the
-        latest of them [µs]; telegrams that could not be sent."""
+        """Cycles that were lost because the machine held up this process; cycles that began late, and the largest delay
+        [µs]; telegrams that could not be sent."""
         self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, self._all_counts)
         self._sent_at = 0.0
         self._link = _udp_socket()
@@ -108,7 +109,7 @@ class Emulator:
                 deadline = now
             held_up_before, held_up = held_up, late_s > LATE_START * self._krc.cycle_s
             self._count_start(late_s, held_up)
-            # begun late itself, or held up while the PC's reply was to come
+            # this cycle began late, or was held up while the PC's reply was due
             telegram = self._krc.tick(excused=held_up_before or held_up)
             self._sent_at = now
             if telegram is not None:
@@ -139,7 +140,7 @@ class Emulator:
                 self._answer_operator()
             if self._link in readable:
                 self._read_link(now)
-            # what waited in the socket while this process was held up has not been late
+            # datagrams that waited in the socket while this process was held up were not late
             age_s = now - self._sent_at if now < deadline else 0.0
             for datagram in self._from_pc.take(now):
                 self._krc.receive(datagram, age_s)
@@ -154,7 +155,7 @@ class Emulator:
             except BlockingIOError:
                 return
             except OSError:
-                # nobody listens there (yet); what was sent is lost, as on any network
+                # nobody listens there (yet); the telegram is lost, as on any network
                 self.counts["send_errors"] += 1
 
     def _send(self, now: float) -> None:

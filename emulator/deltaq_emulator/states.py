@@ -1,4 +1,4 @@
-"""States of the emulated controller and its program, and what leads from one to another.
+"""States of the emulated controller and its program, and the events between them.
 
 The program is the one that every RSI application begins with: RSI_ON, RSI_MOVECORR, RSI_OFF. `docs/reference/krc.md`
 is drawn from this table.
@@ -19,7 +19,7 @@ class KrcState(StrEnum):
     READY = "ready"
     """The drives are on, and no program runs."""
     RSI_ON = "RSI on"
-    """RSI_ON has been executed and RSI_MOVECORR has not: telegrams go to and fro, and no correction moves the robot."""
+    """RSI_ON has been executed and RSI_MOVECORR has not: telegrams are exchanged, and no correction moves the robot."""
     RSI_RUNNING = "RSI running"
     """RSI_MOVECORR is being executed: corrections move the robot."""
     MOTION_ENDED = "motion ended"
@@ -29,20 +29,20 @@ class KrcState(StrEnum):
 
 
 class KrcEvent(StrEnum):
-    """What can happen to it."""
+    """An event of the controller."""
 
     DRIVES_ON = "drives on"
     """The operator switches the drives on."""
     DRIVES_OFF = "drives off"
     """The operator switches the drives off."""
     START = "start"
-    """The operator starts the program, and it has come as far as RSI_ON."""
+    """The operator starts the program, and it has reached RSI_ON."""
     CONFIRM = "confirm"
     """RSI_MOVECORR begins: in T1 when the operator has confirmed its warning, else at once."""
     END_MOTION = "end motion"
     """The signal that the cell names in `driver.stop` rises."""
     END = "end"
-    """The robot rests after the motion was ended, and the program has come to RSI_OFF and its end."""
+    """The robot rests after the motion was ended, and the program has reached RSI_OFF and its end."""
     STOP = "stop"
     """The operator stops the program."""
     FAULT = "fault"
@@ -58,7 +58,7 @@ TELEGRAMS_GO_OUT = frozenset({KrcState.RSI_ON, KrcState.RSI_RUNNING, KrcState.MO
 
 
 def _program_runs(state: KrcState) -> dict[tuple[KrcState, KrcEvent], KrcState]:
-    """What ends the program wherever it is."""
+    """Events that end the program in any state."""
     return {
         (state, KrcEvent.STOP): KrcState.READY,
         (state, KrcEvent.FAULT): KrcState.STOPPED,
@@ -86,7 +86,7 @@ TRANSITIONS: dict[tuple[KrcState, KrcEvent], KrcState] = {
 
 
 class NotNowError(DeltaqError):
-    """The controller does not do that in the state it is in."""
+    """The controller cannot do that in its present state."""
 
 
 def after(state: KrcState, event: KrcEvent) -> KrcState:

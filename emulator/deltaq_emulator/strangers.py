@@ -9,7 +9,7 @@ from deltaq_emulator.faults import Forgery
 from deltaq_emulator.krc import Krc
 
 MAX_SOCKETS = 16
-"""Addresses that can be sent from; one more is not opened."""
+"""Largest number of sender addresses; further ones are not opened."""
 
 
 class Strangers:

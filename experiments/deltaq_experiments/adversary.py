@@ -1,4 +1,4 @@
-"""Controllers that mean harm: each tries to break an invariant of the gate in a way of its own."""
+"""Malicious controllers: each tries to break an invariant of the gate by its own tactic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Tactic = Callable[[Array, Array], Array]
 
 
 class Adversary:
-    """Changes its tactic at random moments, as a seed decides.
+    """Changes its tactic at random times, from a seed.
 
     Args:
         robot: what it drives.
@@ -59,7 +59,7 @@ class Adversary:
         return self._at_full_speed(dq)
 
     def _limit_rider(self, q_cmd: Array, _target_m: Array) -> Array:
-        """Each joint goes for one of its limits."""
+        """Each joint moves to one of its limits."""
         limit = np.where(self._aim > 0, self._robot.upper, self._robot.lower)
         return np.clip(limit - q_cmd, -self._fastest, self._fastest)
 

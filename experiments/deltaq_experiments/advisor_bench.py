@@ -1,8 +1,8 @@
 """The advisor's methods side by side: time and quality on seeded tasks of the dual-arm cell.
 
-A task is where the hands of a random clear configuration are. Best known is the least energy that any method, or a
-longer search of two of them, has found for it in the same run. And what a whole answer costs, all options with the ways
-to them, from the home of each robot that the advisor knows.
+A task is the hand poses of a random clear configuration. Best known is the least energy that any method, or a
+longer search of two of them, has found for it in the same run. A second part times whole answers, all options with the
+paths to them, from the home of each robot that the advisor knows.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LONGER = {"annealing": 4.0, "shotgun": 3.0}
 ANSWERED = (("dawm", "dawm"), ("lab", "gr"))
 """Cells and robots of which whole answers are timed."""
 GOOD = 0.01
-"""A search is good if it ends within this share of the best known energy."""
+"""A search is good if it ends within this fraction of the best known energy."""
 
 
 class Row(BaseModel):
@@ -48,12 +48,12 @@ class Row(BaseModel):
     median_cpu_s: float
     """Processor time of the same."""
     median_gap: float | None
-    """Share by which the energy found is above the best known; None where nothing was found."""
+    """Fraction by which the energy found is above the best known; None where nothing was found."""
     worst_gap: float | None
     good: int
     """Tasks solved within 1 % of the best known."""
     least_options: int
-    """Distinct options with exact clearance on the task that has fewest."""
+    """Distinct options that are clear by the exact shapes, on the task with the fewest."""
     trials: int
     """Mean over the tasks."""
 
@@ -66,14 +66,14 @@ class Answer(BaseModel):
     cell: str
     robot: str
     median_cpu_s: float
-    """Processor time from the question to the last way."""
+    """Processor time from the question to the last path."""
     worst_cpu_s: float
     options: float
     """Mean number of options in an answer."""
     barred: float
-    """Of these so many are beyond a singularity."""
+    """Mean number of these that lie beyond a singularity."""
     ways: float
-    """And to so many a way was found."""
+    """Mean number of these to which a path was found."""
 
 
 class Table(BaseModel):
@@ -83,7 +83,7 @@ class Table(BaseModel):
 
     tasks: int
     inverse_poses_per_s: float
-    """Poses of a Titan II solved in a second of the processor, all branches, many at once."""
+    """Poses of a Titan II solved per second of processor time, all branches, many at once."""
     inverse_one_by_one_per_s: float
     """The same in a plain loop, one pose a call."""
     best_known: tuple[float, ...]
@@ -166,7 +166,7 @@ def run(
 
 
 def whole_answers(cell_name: str, robot: str, count: int) -> Answer:
-    """Ask the advisor `count` times, each with a seed of its own, for options and the ways to them."""
+    """Ask the advisor `count` times, each with another seed, for options and the paths to them."""
     cell = CellModel.load(cell_name)
     tracker, exact, home = (
         ConstraintTracker(cell.robots[robot]),
@@ -192,7 +192,7 @@ def whole_answers(cell_name: str, robot: str, count: int) -> Answer:
 
 
 def inverse_rates(count: int = 100_000, loop: int = 2000) -> tuple[float, float]:
-    """Poses that the closed form of the Titan II solves in a second of the processor, best of three.
+    """Poses that the closed form of the Titan II solves per second of processor time, best of three.
 
     Args:
         count: poses that are solved together.

@@ -30,7 +30,7 @@ class Approach(BaseModel):
     Attributes:
         start_deg: view angle error at the start.
         time_to_1_deg_s: when it was below 1 degree, None if never.
-        largest_rise_deg: by how much the error ever rose on the way there; 0 for a monotone approach.
+        largest_rise_deg: largest rise of the error until then; 0 for a monotone approach.
         final_deg: error at the end.
         final_distance_m: error of the view distance at the end.
     """

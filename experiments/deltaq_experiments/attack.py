@@ -1,4 +1,4 @@
-"""Both robots driven by adversaries over wires that lose, delay, double and reorder: does the gate hold?
+"""Both robots driven by adversaries over links that lose, delay, duplicate and reorder: does the gate hold?
 
 One seed is one run. The oracle measures every cycle of both robots as the emulated controllers recorded them;
 the gate's own figures are not believed.
@@ -25,10 +25,10 @@ from deltaq_protocol.messages import Phase, RobotState
 Array = NDArray[np.float64]
 
 CLEARANCE_TOLERANCE_M = 1e-4
-"""What the telegram's decimals and the drives' older past may take off the stop distance."""
+"""Tolerance of the stop distance: the telegram's decimals and the drives' older setpoints."""
 
 _DRIFT = 0.01
-"""Chance of a robot to sit a cycle out."""
+"""Probability that a robot skips a cycle."""
 
 _MILD = Impairment(loss=0.02, delay=0.03, duplicate=0.02)
 _SEVERE = Impairment(loss=0.3, delay=0.4, duplicate=0.2)
@@ -88,7 +88,7 @@ def run(
 
     Args:
         cell_name: cell whose robots are all driven over RSI.
-        seed: seed of the adversaries, the wires and the clocks.
+        seed: seed of the adversaries, the links and the clocks.
         duration_s: virtual length.
         on_cycle: called with the number of cycles done and the number of all.
     """
@@ -116,7 +116,7 @@ def run(
 
 
 def _rewire(arms: dict[str, Arm], random: np.random.Generator) -> None:
-    """Mostly mild wires, sometimes severe ones, and now and then one that is cut, so that a robot is dead."""
+    """Mostly mild links, sometimes severe ones, and now and then one that is cut, so that a robot is dead."""
     for arm in arms.values():
         kinds = random.choice(3, size=3, p=[0.7, 0.2, 0.1])
         impairments = [(_MILD, _SEVERE, _CUT)[kind] for kind in kinds]

@@ -93,7 +93,7 @@ class Stopwatch:
     """Times every decision of a gate.
 
     Attributes:
-        seconds: what each took.
+        seconds: duration of each.
     """
 
     def __init__(self, gate: Decider) -> None:

@@ -1,6 +1,6 @@
-"""The paper's claims beside what comes out here: `python -m deltaq_experiments.claims` writes a page and its pictures.
+"""The paper's claims beside our results: `python -m deltaq_experiments.claims` writes a page and its pictures.
 
-Every row is one run in virtual time from its seed, so the page can be made anew at any time and come out the same.
+Every row is one run in virtual time from its seed, so the page can be regenerated at any time with the same result.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class Claim:
 
     Attributes:
         experiment: module of this package.
-        options: what it is run with.
-        claim: what the paper says, or what is asked for beyond it.
-        holds: whether a report bears it out.
-        reading: the figures of a report that it is about.
+        options: of the run.
+        claim: the paper's claim, or a stricter one.
+        holds: whether a report confirms it.
+        reading: the relevant figures of a report.
         picture: name of the picture that is kept; empty for none.
     """
 
@@ -123,11 +123,11 @@ BARRIER_LESS_1_CM = 0.09
 """The programme keeps other robots 10 cm away, twice the gate's stop distance."""
 
 FIRST_ATTACK_S = 1.0
-"""By then the camera looks where it shall, and the first attack has just begun [s]."""
+"""By then the camera looks at its focus, and the first attack has just begun [s]."""
 
 
 def _attack(claim: str, picture: str = "", **options: Any) -> Claim:
-    """An attack on `qp` that it evades, the view kept."""
+    """An attack that `qp` evades while it keeps the view."""
     return Claim(
         "collision",
         Options(controller="qp", settle_s=FIRST_ATTACK_S, **options),

@@ -24,13 +24,13 @@ DURATION_S = 40.0
 
 
 class CollisionReport(Report):
-    """The common figures, and what became of the attacks.
+    """The common figures, and the outcome of the attacks.
 
     Attributes:
-        target: what they homed in on.
+        target: the part that they homed in on.
         contacts: cycles in which bodies of the two robots touched.
-        evading_share: share of the cycles in which the follower got out of the way.
-        angle_below_1_deg_share: share of the cycles in which the focus was kept within a degree.
+        evading_share: fraction of the cycles in which the follower got out of the way.
+        angle_below_1_deg_share: fraction of the cycles in which the focus was kept within a degree.
     """
 
     target: str

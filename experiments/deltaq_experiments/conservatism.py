@@ -1,8 +1,8 @@
-"""How timid the gate is: of what it scaled or held for clearance, how much would really have come too near?
+"""How conservative the gate is: of what it scaled or held for clearance, how much would really have come too near?
 
-`python -m deltaq_experiments.conservatism` drives both robots with adversaries over perfect wires. For every decision
-that clearance bound, an oracle of dense samples (an independent implementation) is asked whether the tube of the
-blend that velocity, acceleration and position would have allowed really passes the stop distance.
+`python -m deltaq_experiments.conservatism` drives both robots with adversaries over perfect links. For every decision
+that clearance limited, an oracle of dense samples (an independent implementation) checks whether the tube of the
+blend that velocity, acceleration and position would have allowed really violates the stop distance.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Figures:
-    """Decisions that clearance bound, and what the oracle says of them."""
+    """Decisions that clearance limited, and the oracle's judgement of them."""
 
     decisions: int
     bound_by_clearance: int
@@ -40,17 +40,17 @@ class Figures:
 
     @property
     def confirmed_share(self) -> float | None:
-        """Share of the decisions asked about in which the oracle would have refused too; None if it was not asked."""
+        """Fraction of the checked decisions that the oracle would have refused too; None if none was checked."""
         return self.confirmed / self.asked if self.asked else None
 
 
 class Auditor:
-    """Stands around a gate and asks the oracle about every so many decisions that clearance bound.
+    """Wraps a gate, and asks the oracle about a sample of the decisions that clearance limited.
 
     Args:
-        gate: what decides.
+        gate: makes the decisions.
         cell: its cell.
-        every: ask about one decision in so many.
+        every: one decision in this many is checked.
         samples: configurations of each tube that are measured.
     """
 
@@ -129,7 +129,9 @@ def run(
 
 def main() -> None:
     """Print the figures as one JSON object."""
-    parser = argparse.ArgumentParser(description="How timid the gate is, by an oracle of dense samples.")
+    parser = argparse.ArgumentParser(
+        description="How conservative the gate is, by an oracle of dense samples."
+    )
     parser.add_argument("--cell", default="lab", help="cell with two robots (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="one seed is one run (default: %(default)s)")
     parser.add_argument(

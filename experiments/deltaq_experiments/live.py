@@ -30,13 +30,13 @@ Array = NDArray[np.float64]
 
 
 START_S = 30.0
-"""Most time that going to the start of a run may take [s]."""
+"""Longest time that the motion to the start of a run may take [s]."""
 
 
 def run_live(
     options: Options, cell: CellModel, following: Sequence[str] = (), leading: Sequence[str] | None = ()
 ) -> Recording:
-    """Start the cell's services, lead and follow, and take everything down again.
+    """Start the cell's services, lead and follow, and end everything again.
 
     Args:
         options: with `length_s` known.
@@ -45,7 +45,7 @@ def run_live(
         leading: further arguments of `deltaq_controllers.leader`; None lets the leader stand.
 
     Raises:
-        LaunchError: if a service does not come up, or dies on the way, or the follower does not get to its start.
+        LaunchError: if a service does not come up, or dies, or the follower does not reach its start.
     """
     description = cell.description
     with tempfile.TemporaryDirectory() as folder:
@@ -83,7 +83,7 @@ def run_live(
 
 
 class _Lines:
-    """Keeps what the services say, to be shown if a run fails."""
+    """Keeps the output of the services, to be shown if a run fails."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []

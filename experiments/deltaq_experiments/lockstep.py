@@ -2,7 +2,7 @@
 
 Emulated KRC, Robot Server, SIM and HLI exchange the messages and telegrams that they exchange over UDP and
 zenoh, one cycle of all robots after the other. Nothing waits, so it runs faster than real time, and nothing is
-left to chance, so the same controllers give the same run to the bit.
+random, so the same controllers give the same run to the bit.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ T = TypeVar("T")
 
 
 class LockstepError(Exception):
-    """A client of the lockstep run was refused what it needs to go on."""
+    """A request that a client of the lockstep run depends on was refused."""
 
 
 class _Client(Sender):
-    """A controller's end of the HLI: keeps what it was told."""
+    """A controller's end of the HLI: keeps the messages that it got."""
 
     lasting = True
 
@@ -73,13 +73,13 @@ class _Client(Sender):
 
 @dataclass
 class Arm:
-    """One robot: its emulated controller, its Robot Server, and the wires between it and the gate.
+    """One robot: its emulated controller, its Robot Server, and the links between it and the gate.
 
     Attributes:
         krc: the emulated controller; None for a kinematic robot.
         server: the Robot Server's core.
         state: what controllers see; None before the first cycle.
-        admissions, supervisions, states: wires from and to the gate; perfect unless replaced.
+        admissions, supervisions, states: links from and to the gate; perfect unless replaced.
     """
 
     krc: Krc | None
@@ -95,7 +95,7 @@ class Arm:
     states: Wire[ServerState] = field(default_factory=PerfectWire)
 
     def cycle(self, time_s: float) -> ServerState | None:
-        """One telegram and its answer, with the newest of what the gate has sent, as a ring channel keeps it."""
+        """One telegram and its answer, with the newest message of the gate, as a ring channel keeps it."""
         admission = _last(self.admissions.arrived())
         supervision = _last(self.supervisions.arrived())
         if self.krc is None or self.rsi is None:
@@ -127,7 +127,7 @@ class Lockstep:
 
     Args:
         cell_name: name or file of the cell.
-        start: (n,) configuration per robot that shall not start at home [rad or m].
+        start: (n,) configuration of each robot that does not start at home [rad or m].
 
     Attributes:
         cell: its model.

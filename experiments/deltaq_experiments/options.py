@@ -1,4 +1,4 @@
-"""What an experiment is run with: the options that all of `deltaq experiment` share."""
+"""The options that all experiments of `deltaq experiment` share."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Options:
         controller: name of the camera controller, or `package.module:function` of one's own.
         leader_speed_m_s: largest speed of the leader's tool.
         latency_s: from the leader's motion to the camera's, the drives' lag and the loop's own cycles
-            included; what these leave is added to the age of the measurement. The controller knows it.
+            included; the rest is added to the age of the measurement. The controller knows it.
         duration_s: length of the run; None for the experiment's own.
         seed: one seed is one run.
         settle_s: start-up that rms and max leave out.
         live: real processes, zenoh and UDP.
-        target: what a collision's attacks home in on; the other experiments have no use for it.
+        target: the part that a collision's attacks home in on; other experiments do not use it.
         record: MCAP file to record to; of several runs in one experiment the later ones are numbered.
     """
 

@@ -1,8 +1,8 @@
-"""An oracle of its own: how near bodies really came, and whether a limit was passed.
+"""An independent oracle: how near bodies really came, and whether a limit was passed.
 
 It shares nothing with the gate but the bodies and the kinematics: every recorded configuration is placed as it
 is and every pair that can be nearest is measured; nothing is inflated. Limits are judged on the emulated controller's
-record of its own setpoints, not on what anybody meant to send.
+record of its own setpoints, not on what a service intended to send.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class LimitViolations:
 
 
 TELEGRAM_STEP = 1e-6 * np.pi / 180
-"""What six decimals of a degree leave of a setpoint [rad]; of a millimetre they leave less [m]."""
+"""Rounding of a setpoint to six decimals of a degree [rad]; of a millimetre it is less [m]."""
 
 
 def limit_violations(robot: RobotModel, setpoints: Array, cycle_s: float) -> LimitViolations:

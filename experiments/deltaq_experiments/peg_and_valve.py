@@ -1,7 +1,7 @@
 """A peg and a valve in each mode: which mode is for which task, in figures.
 
 The hand goes to a hole, puts a peg in along the hole's axis and takes it out, goes to a valve and turns it. Hole and
-valve are in free space: what is measured is the way, not a contact. All of it goes through the whole stack in
+valve are in free space: the motion is measured, not a contact. All of it passes the whole stack in
 virtual time, steered by operators that are programs (`peg_and_valve_operators`).
 """
 
@@ -57,7 +57,7 @@ class ModeFigures(BaseModel):
         time_s: for the whole task.
         insert_s: for putting the peg in.
         turn_s: for turning the valve.
-        peg_off_mm: greatest distance of the peg from the hole's axis on its way in and out.
+        peg_off_mm: greatest distance of the peg from the hole's axis, in and out.
         peg_tilt_deg: greatest angle between them.
         valve_off_mm: greatest distance of the hand from the valve while it turns.
         end_mm: distance from the goal at the end, the mean of all goals.
@@ -108,7 +108,7 @@ def run(
 
     Args:
         cell: the cell.
-        robot: a robot of it with one hand and joints to spare.
+        robot: a redundant robot of it with one hand.
         modes: the modes.
         progress: called with the modes done and their number.
 

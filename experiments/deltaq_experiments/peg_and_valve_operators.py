@@ -1,4 +1,4 @@
-"""Operators that are programs: they see the robot late, and steer it to one goal after the other in their mode."""
+"""Programs as operators: they see the robot with a delay, and steer it to one goal after the other in their mode."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deltaq_controllers.modes.switch import Teleoperator
 Array = NDArray[np.float64]
 
 REACTION_S = 0.25
-"""How late an operator acts on what is seen."""
+"""Reaction time of an operator."""
 
 HAND_M_S, HAND_RAD_S = 0.1, np.deg2rad(20.0)
 JOINT_M_S, JOINT_RAD_S = 0.1, np.deg2rad(10.0)
@@ -34,7 +34,7 @@ CHANGE_S = 0.4
 """Time to choose another joint."""
 
 NEAR_M, NEAR_RAD = 1.5e-3, np.deg2rad(0.3)
-"""What an operator takes for reached."""
+"""Tolerance within which an operator takes a goal for reached."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Goal:
     Attributes:
         name: of the part of the task that ends there.
         pose: T_world_tool, (4, 4).
-        steps: into how many pieces an operator without hand axes divides the way.
+        steps: into how many pieces an operator without hand axes divides the path.
     """
 
     name: str
@@ -114,7 +114,7 @@ class HandOperator:
 
 
 class PostureOperator:
-    """Steers the hand as in decoupled mode, then betters the posture by self-motion before going on to work.
+    """Steers the hand as in decoupled mode, then improves the posture by self-motion before going on to work.
 
     The base joint that lowers joint travel the most is driven for `POSTURE_S`, once for each goal that is reached from
     afar.
@@ -160,8 +160,8 @@ class PostureOperator:
 class AdvisedOperator:
     """Steers the hand as in decoupled mode, and goes to an option of the advisor before going on to work.
 
-    It is the option with the most room to the nearest joint limit of those that there is a way to, once for each goal
-    that is reached from afar, and wherever the hand is held up; where it is held up again on its way to the same goal,
+    It is the reachable option with the largest margin to the nearest joint limit, once for each goal
+    that is reached from afar, and wherever the hand is held up; where it is held up again on the path to the same goal,
     the next one. The advisor's thinking takes no time here.
     """
 
@@ -173,7 +173,7 @@ class AdvisedOperator:
         self._times_stuck = 0
 
     def wish(self, q: Array, goal: Goal) -> Wish | None:
-        """To the goal, then the option; where something holds the hand up, the option first."""
+        """To the goal, then the option; where something stops the hand, the option first."""
         if goal is not self._goal:
             self._goal, self._times_stuck = goal, 0
         if not self._is_advised:

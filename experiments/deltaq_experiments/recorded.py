@@ -54,7 +54,7 @@ def not_there_yet(path: Path) -> Path:
 
 
 class RecordedLockstep(Lockstep):
-    """A cell in virtual time that writes down what a recorder of a running cell would.
+    """A cell in virtual time that records what a recorder of a running cell would.
 
     Attributes:
         writer: of the recording, to be closed in the end.
@@ -85,7 +85,7 @@ class RecordedLockstep(Lockstep):
 
 
 class _RecordedSim(Sim):
-    """The gate's core, telling what it took in and gave out."""
+    """The gate's core, with a log of its inputs and outputs."""
 
     def __init__(
         self, cell: CellModel, epoch: int, took: Callable[[Topic, Message, list[Output]], None]

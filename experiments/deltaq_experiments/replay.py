@@ -1,9 +1,9 @@
-"""Runs a recording through the gate again, and compares all that it gives out bit for bit.
+"""Runs a recording through the gate again, and compares all outputs bit for bit.
 
-The messages that the gate took in go into the same core in the same order, from a memory of the gate that the
-recording holds. Every admission, verdict, order and reply must come out equal to the last bit, and so must
-every later memory; the receipts of the recorded refusals must form one chain. After a gap in the recording
-the replay goes on at the next memory.
+The recorded inputs of the gate go into the same core in the same order, after a recorded snapshot of the gate was
+restored. Every admission, verdict, order and reply must be equal to the last bit, and so must
+every later snapshot; the receipts of the recorded refusals must form one chain. After a gap in the recording
+the replay continues from the next snapshot.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _NUMBERS = 2**32
 
 @dataclass(frozen=True)
 class Difference:
-    """One field that came out otherwise than it was recorded.
+    """One field whose value differs from the recorded one.
 
     Attributes:
-        number: of the message that the gate had taken in.
+        number: of the message that the gate had taken.
         cycle: of the robot; None where the message has none.
         robot: its name, or "".
-        topic: of the message given out.
+        topic: of the output.
         field: path of the field; "" where one of the two messages is missing.
         recorded: its value in the recording.
         replayed: its value now.
@@ -60,24 +60,24 @@ class Difference:
 
 @dataclass
 class Replay:
-    """What came of a replay.
+    """Result of a replay.
 
     Attributes:
         messages: of the gate that were replayed.
         verdicts: compared.
         admissions: compared.
         receipts: of the recorded chain that were verified.
-        memories: compared.
+        memories: snapshots compared.
         differences: the first ones.
         difference_count: all of them.
         broken_receipts: verdicts whose receipt does not follow from the one before.
         gaps: places where messages of the gate are missing.
-        skipped: messages of the gate that could not be replayed, for want of a memory before them.
+        skipped: messages of the gate that could not be replayed, since no snapshot came before them.
         verdicts_sha256: one hash over all verdicts that were replayed.
         recorded_sha256: the same of the recorded verdicts beside them.
         fingerprint: of the gate that replayed.
         recorded_fingerprint: of the gate that was recorded.
-        notices: what could not be read.
+        notices: the parts that could not be read.
     """
 
     messages: int = 0
@@ -130,9 +130,9 @@ def replay(
 
 @dataclass
 class _Exchange:
-    """A message that the gate took in, or a memory of it, and what it gave out.
+    """A message that the gate took, or a snapshot of the gate, and the outputs.
 
-    `whole` is false where the recording breaks off after it, so that some of what it gave out may be missing.
+    `whole` is false where the recording breaks off after it, so that some of the outputs may be missing.
     """
 
     taken: Recorded
@@ -146,7 +146,7 @@ def _exchanges(recording: Recording) -> Iterator[_Exchange]:
     for recorded in recording.messages((*TAKEN_IN, *GIVEN_OUT, topics.GATE_MEMORY)):
         number = recorded.number
         if recorded.topic in GIVEN_OUT:
-            # what does not belong to the message before it answers one that is missing
+            # an output that does not belong to the message before it answers a missing one
             if exchange is not None and number == exchange.taken.number:
                 exchange.given.append(recorded)
             continue
@@ -163,7 +163,7 @@ def _exchanges(recording: Recording) -> Iterator[_Exchange]:
 
 
 class _Run:
-    """A replay under way."""
+    """A replay still running."""
 
     def __init__(self, sim: Sim) -> None:
         self._sim = sim
@@ -174,7 +174,7 @@ class _Run:
         self._result = Replay(fingerprint=sim.fingerprint)
 
     def exchange(self, exchange: _Exchange) -> None:
-        """One message that the gate took in, or one of its memories."""
+        """One message that the gate took, or one of its snapshots."""
         taken = exchange.taken
         if isinstance(taken.message, GateMemory):
             self._remember(taken.message)
@@ -194,7 +194,7 @@ class _Run:
         self._compare(taken, exchange.given, sim.take(taken.message))
 
     def result(self, notices: list[str]) -> Replay:
-        """What came of it."""
+        """The result."""
         result = self._result
         result.verdicts_sha256, result.recorded_sha256 = (digest.hexdigest() for digest in self._hashes)
         result.notices = list(notices)
@@ -212,7 +212,7 @@ class _Run:
                 return
         if memory.epoch != sim.epoch:
             self._last = None  # another process of the SIM, which counts anew
-        # whatever differed or is missing before, from here on it goes as it was recorded
+        # whatever differed or is missing before, from here on the recorded state applies
         sim.recall(memory)
         self._in_step = True
         self._receipt = memory.receipt
@@ -241,7 +241,7 @@ class _Run:
     def _verify(self, verdict: Verdict, number: int) -> None:
         if verdict.receipt is None:
             return
-        assert self._receipt is not None  # in step, so there was a memory
+        assert self._receipt is not None  # in step, so there was a snapshot
         if verdict.receipt == receipt_of(self._receipt, verdict):
             self._result.receipts += 1
         else:

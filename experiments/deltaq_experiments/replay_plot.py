@@ -1,4 +1,4 @@
-"""A picture of a recording, with where the gate stepped in.
+"""A picture of a recording, with the gate's interventions.
 
 Of the paper's two robots it is Fig. 9, how well the camera kept the leader in view; of others, where their tools went.
 """
@@ -25,7 +25,7 @@ def plot(path: Path, picture: Path) -> list[str]:
     """Draw the picture of a recording.
 
     Returns:
-        What of the recording could not be read.
+        The parts of the recording that could not be read.
 
     Raises:
         DeltaqError: it is no recording of deltaq, or the picture cannot be written.
@@ -73,7 +73,7 @@ def panels_of(recording: Recording) -> tuple[Panel, ...]:
 
 
 def _tool_path(robot: str, states: list[RobotState], times: list[float], marks: dict[str, Marks]) -> Panel:
-    """Where the tool of a robot went [m], and when the gate bound it."""
+    """The path of a robot's tool [m], and when the gate limited it."""
     own = [(at, state.tool.position) for at, state in zip(times, states, strict=True) if state.robot == robot]
     clock, places = np.array([at for at, _ in own]), np.array([place for _, place in own]).reshape(-1, 3)
     moved = places - places[:1]

@@ -108,7 +108,7 @@ class Report(BaseModel):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an experiment gives.
+    """Result of an experiment.
 
     Attributes:
         report: its figures.

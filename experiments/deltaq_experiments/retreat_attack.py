@@ -1,9 +1,9 @@
-"""Does retreat keep its word? Thousands of violations, each asked to come nearer in every way that there is.
+"""Attacks on retreat: thousands of violations, each with increments that try to come nearer.
 
 `python -m deltaq_experiments.retreat_attack` draws situations (`retreat_situations`), asks the gate for increments
-outwards, inwards, along and at random, drives what it admits and measures every pair of bodies at every setpoint and
-between them. Nothing may come nearer than it was, or than the stop distance if it was further; what another robot that
-is still braking does by itself excepted.
+outwards, inwards, sideways and at random, drives what it admits and measures every pair of bodies at every setpoint and
+between them. No pair may come nearer than it was, or than the stop distance if it was further, except by the motion of
+another robot that is still braking.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ TOLERANCE_M = 1e-5
 """How much nearer a pair may come in all."""
 
 CYCLES = 24
-"""Increments that are asked for in each situation."""
+"""Increments that are requested in each situation."""
 
 ASK = ("outwards", "inwards", "along", "creep", "noise", "mixed")
-"""Which increments are asked for; mixed draws one of the others anew in each cycle."""
+"""Kinds of increments; mixed draws one of the others in each cycle."""
 _CREEP = 1e-6
-"""Share of the velocity limit that a creep asks for at least; each of its increments is drawn anew."""
+"""Least fraction of the velocity limit that a creep requests; each of its increments is drawn separately."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one situation.
+    """Result of one situation.
 
     Attributes:
         seed: of the situation.
-        ask: which increments were asked for.
-        room_m: what it began with, beyond the stop distance.
+        ask: kind of the requested increments.
+        room_m: clearance beyond the stop distance at the beginning.
         moving: whether another robot moved.
         nearer_m: most by which a pair came nearer than it may; negative if none did.
         gained_m: by how much the least room of all pairs grew.
@@ -102,7 +102,7 @@ class RetreatAttack:
             for share in (0.5, 1.0):
                 now = {name: before[name] + share * (after[name] - before[name]) for name in before}
                 if _moves(drawn):
-                    # what a robot that nobody drives brings nearer is not the doing of the one that is asked
+                    # motion of a robot that nobody drives does not count against the driven one
                     undriven = {name: now[name] if name not in driven else drawn.q[name] for name in now}
                     keeps_m = np.minimum(keeps_m, self._oracle.distances_m(undriven, keeps_m))
                 nearer = max(nearer, -self._oracle.least_room_m(now, keeps_m))
@@ -162,8 +162,8 @@ def _run(seed: int) -> Outcome:
 
 
 def main() -> None:
-    """Play situations and print what came of them as one JSON object."""
-    parser = argparse.ArgumentParser(description="Retreat under attack, judged by an oracle of its own.")
+    """Play situations and print the results as one JSON object."""
+    parser = argparse.ArgumentParser(description="Retreat under attack, judged by an independent oracle.")
     parser.add_argument(
         "--cell", default="lab", help="cell with RSI or kinematic robots (default: %(default)s)"
     )
@@ -184,7 +184,7 @@ def main() -> None:
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, object]:
-    """Figures of many situations: how near, how often let out, and the worst seed."""
+    """Figures of many situations: how near, how often it got out, and the worst seed."""
     worst = max(outcomes, key=lambda item: item.nearer_m)
     inside = [
         item for item in outcomes if item.room_m < -TOLERANCE_M and item.ask == "outwards" and not item.moving

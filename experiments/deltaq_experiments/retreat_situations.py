@@ -19,13 +19,13 @@ from deltaq_protocol.brake import brake_cycles, brake_travel
 Array = NDArray[np.float64]
 
 DEEPEST_M = 0.03
-"""How far inside the stop distance a situation begins at most."""
+"""Largest depth inside the stop distance at which a situation begins."""
 
 _MOVING = 0.4
-"""Share of situations in which the other robot is in motion."""
+"""Fraction of situations in which the other robot is in motion."""
 
 _REACH = 0.6
-"""Length of the line along which a robot is moved, as a share of its joints' ranges."""
+"""Length of the line along which a robot is moved, as a fraction of its joints' ranges."""
 
 _STEPS = 40
 
@@ -37,8 +37,8 @@ class Situation:
     Attributes:
         robot: the one that asks.
         q: per robot its setpoint (n,) [rad or m].
-        dq: per robot the increment (n,) with which it has come there; zero where it stands.
-        room_m: what it was drawn with, beyond the stop distance.
+        dq: per robot the increment (n,) with which it came there; zero where it stands.
+        room_m: clearance beyond the stop distance that was drawn.
     """
 
     robot: str
@@ -53,7 +53,7 @@ def situation(
     """Draw a situation.
 
     Raises:
-        RuntimeError: if none was found in so many attempts.
+        RuntimeError: if none was found in this number of attempts.
     """
     names = list(cell.robots)
     for _ in range(attempts):
@@ -134,6 +134,6 @@ def _with_room(
 
 
 def _course(robot: RobotModel, cycle_s: float, q: Array, dq: Array) -> Array:
-    """(5, n) samples of the way that a robot brakes along."""
+    """(5, n) samples of a robot's braking path."""
     travel = brake_travel(dq, brake_cycles(dq, robot.max_acceleration * cycle_s**2), 0)
     return np.linspace(q, q + travel, 5)

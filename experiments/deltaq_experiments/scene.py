@@ -17,7 +17,7 @@ FOLLOWER, LEADER = "fr", "gr"
 VIEW_DISTANCE_M = 1.25
 
 LOOP_CYCLES = 3
-"""Cycles from a measurement to the drives: the answer, its way to the controller, the drives' sampling."""
+"""Cycles from a measurement to the drives: the answer, its transport to the controller, the drives' sampling."""
 
 
 def load(options: Options, experiment: str) -> CellModel:

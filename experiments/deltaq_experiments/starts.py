@@ -19,7 +19,7 @@ DISTANCES_M = 0.9, 1.7
 """View distances that a start may have."""
 
 _REACH_RAD = np.array([0.6, 0.4, 0.4, 3.0, 2.0, 1.5])
-"""How far from home the joints of a start are drawn; the wrist's most."""
+"""Ranges around home from which the joints of a start are drawn; the wrist's are largest."""
 
 
 def start_with_error(cell: CellModel, camera: FocusController, error: float, seed: int) -> Array:
@@ -27,7 +27,7 @@ def start_with_error(cell: CellModel, camera: FocusController, error: float, see
 
     Args:
         cell: the cell.
-        camera: knows the camera and what it looks at.
+        camera: controller with the camera and its focus.
         error: the angle [rad].
         seed: of the search.
 
@@ -63,7 +63,7 @@ def start_with_error(cell: CellModel, camera: FocusController, error: float, see
 
 
 def _between(camera: FocusController, near: Array, far: Array, q_leader: Array, error: float) -> Array:
-    """The configuration on the way from `near` to `far` at which the angle passes `error`."""
+    """The configuration between `near` and `far` at which the angle passes `error`."""
     low, high = 0.0, 1.0
     for _ in range(30):
         middle = 0.5 * (low + high)

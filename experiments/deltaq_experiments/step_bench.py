@@ -1,9 +1,9 @@
 """What one step of a camera controller costs: `python -m deltaq_experiments.step_bench` prints the distribution.
 
 The views are those of a run in virtual time, closed by the controller itself; they are then answered again, one
-after the other, and timed in processor time. Whatever else runs on the machine still slows a step down, by the caches
-and the core that it shares. So all views are answered several times over, each time by a fresh controller, and of
-every step its least time counts: what it costs on a quiet core. `one pass` is the distribution without that.
+after the other, and timed in processor time. Other programs still slow a step down, by the caches and the core that
+they share. So all views are answered several times, each time by a fresh controller, and the least time of every step
+counts: its cost on a quiet core. `one pass` is the distribution of a single pass.
 """
 
 from __future__ import annotations

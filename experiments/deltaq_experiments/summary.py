@@ -29,9 +29,9 @@ def summary(
 
     Args:
         experiment: its name.
-        options: what it was run with.
+        options: of the run.
         cell: the cell.
-        recording: what was recorded.
+        recording: of the run.
         angle_deg: (k,) view angle error.
         distance_error_m: (k,) view distance less the desired one.
         elapsed_s: time that it took.

@@ -1,4 +1,4 @@
-"""What was recorded of a run, and the figures that follow from it."""
+"""The record of a run, and the figures that follow from it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Trace:
         """(k, 2) view angle error [deg] and view distance [m] of the measured configurations.
 
         Args:
-            camera: knows the camera and what it looks at.
+            camera: controller with the camera and its focus.
             robot: the one with the camera.
             leader: the one that is watched.
         """
@@ -51,7 +51,7 @@ class Trace:
         return np.array([camera.clearance(q, q_leader) for q, q_leader in pairs])
 
     def near_limit(self, robot: RobotModel, share: float = 0.03) -> NDArray[np.bool_]:
-        """(k,) whether a joint is within `share` of its range of a limit."""
+        """(k,) whether a joint is within the fraction `share` of its range of a limit."""
         q, margin = self.q[robot.name], share * (robot.upper - robot.lower)
         near: NDArray[np.bool_] = (q < robot.lower + margin) | (q > robot.upper - margin)
         return np.asarray(near.any(axis=1))

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Recording:
-    """What came of a run.
+    """Result of a run.
 
     Attributes:
         trace: where the robots were.
@@ -52,7 +52,7 @@ def record(
         options: with `length_s` known.
         camera: moves the robot with the camera.
         leader: moves the leader; None lets it stand.
-        start: (n,) configuration per robot that shall not start at home [rad or m].
+        start: (n,) configuration of each robot that does not start at home [rad or m].
         before_cycle: called with the time since the start, before the controllers are asked.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Wires between the cores of the lockstep runner: perfect ones, and ones that lose, delay, double and reorder."""
+"""Wires between the cores of the lockstep runner: perfect ones, and ones that lose, delay, duplicate and reorder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Impairment:
 
 
 class FaultyWire(Generic[T]):
-    """Loses, delays, doubles and reorders, as a seed decides."""
+    """Loses, delays, duplicates and reorders, as a seed decides."""
 
     def __init__(self, impairment: Impairment, random: np.random.Generator) -> None:
         self._impairment = impairment

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 DURATION_S = 40.0
 DISTANCES_M = (VIEW_DISTANCE_M, 1.0, 1.5, 0.8, 2.6)
-"""What the operator asks for, one after the other; the last one is farther than the arm reaches back."""
+"""Distances that the operator requests in turn; the last one is farther than the arm reaches back."""
 
 REACHED_M = 0.01
 """Error of a plateau that counts as reached."""
@@ -39,7 +39,7 @@ class Plateau(BaseModel):
         largest_error_m: largest error of that time.
         largest_angle_deg: largest view angle error of that time.
         reached: whether `error_m` is within a centimetre.
-        why_not: what stood in the way; None if it was reached.
+        why_not: the obstacle; None if it was reached.
     """
 
     model_config = ConfigDict(frozen=True)

@@ -1,4 +1,4 @@
-"""What crosses a wire in deltaq, and the client that a controller imports.
+"""What crosses a link in deltaq, and the client that a controller imports.
 
 Importing this package loads neither pinocchio nor coal.
 """

@@ -1,4 +1,4 @@
-"""An event loop in a thread of its own, for callers that have none."""
+"""An event loop in a separate thread, for callers that have none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ THREAD_NAME = "deltaq client"
 
 
 class Background:
-    """An event loop in a thread of its own."""
+    """An event loop in a separate thread."""
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()

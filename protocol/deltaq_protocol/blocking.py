@@ -5,8 +5,8 @@
             for state in robot.states():
                 verdict = robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
-The event loop runs in a thread of its own, so the lease is renewed while the script computes. A controller that is
-slower than a cycle, or further away, does not wait: `robot.send(dq)`, and `robot.verdicts()` tells what became of it.
+The event loop runs in a separate thread, so the lease is renewed while the script computes. A controller that is slower
+than a cycle, or farther away, does not wait: it calls `robot.send(dq)` and reads `robot.verdicts()`.
 
 In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` last until `robot.close()` and
 `cell.close()`, or until the interpreter ends.
@@ -41,10 +41,10 @@ T = TypeVar("T")
 class Opening(AbstractContextManager[T]):
     """A manager that has `open` and `close` too, for notebooks; it opens once.
 
-    Who forgets to close is closed when the interpreter ends.
+    If it is not closed, it closes when the interpreter ends.
 
     Args:
-        manager: what opens and closes.
+        manager: opens and closes.
     """
 
     def __init__(self, manager: AbstractContextManager[T]) -> None:
@@ -81,7 +81,7 @@ class Opening(AbstractContextManager[T]):
 class BlockingRobot:
     """A robot whose lease this client holds; see `deltaq_protocol.leased_robot.LeasedRobot`.
 
-    What is done every cycle is done in the caller's thread: a detour through the loop's would cost cycles.
+    The operations of every cycle run in the caller's thread: a detour through the loop's thread would cost cycles.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class BlockingCell:
         return self._background.run(self._cell.stop())
 
     def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
-        """What the gate would say to an increment (n,) [rad or m] now; see `Cell.dry_run`."""
+        """The gate's verdict on an increment (n,) [rad or m] if it came now; see `Cell.dry_run`."""
         return self._background.run(self._cell.dry_run(robot, dq))
 
     def allow_contact(self, contact: str, allowed: bool = True) -> Done:

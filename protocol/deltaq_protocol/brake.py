@@ -2,7 +2,7 @@
 
 An admitted increment `dq` is followed by `dq * (N - k) / N` for k = 1 ... N, the last of which is zero. N is
 the least number of cycles for which no joint exceeds its deceleration limit. Gate and Robot Server use
-these same functions, so that both know to the bit what is sent when nothing arrives.
+these same functions, so that both know to the bit which setpoints are sent when nothing arrives.
 """
 
 from __future__ import annotations

@@ -5,12 +5,12 @@
             async for state in robot.states():
                 verdict = await robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
-Leaving a block, by any road, sends nothing more: the robot brakes to rest along a path that the gate has
-certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same, and so has a lease `open`
-and `close`.
+However a block is left, nothing more is sent: the robot brakes to rest along a path that the gate has
+certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same; a lease has `open`
+and `close`, too.
 
-A controller that is slower than a cycle, or further away, does not wait: `await robot.send(dq)`, and `robot.verdicts()`
-tells what became of each increment.
+A controller that is slower than a cycle, or farther away, does not wait: it calls `await robot.send(dq)` and reads
+`robot.verdicts()`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _VERDICTS_WAITING = 1024
 
 
 class Cell:
-    """A connection to a running cell; `connect` hands it out.
+    """A connection to a running cell; `connect` returns it.
 
     Attributes:
         description: everything needed to model the cell: YAML, URDFs, limits.
@@ -91,11 +91,11 @@ class Cell:
         return self._newest[self._known(robot)].value
 
     def newest(self, robot: str) -> Newest[RobotState]:
-        """Where the newest state of a robot is put, for whoever waits in another thread."""
+        """The holder of the newest state of a robot, for a reader in another thread."""
         return self._newest[self._known(robot)]
 
     async def states(self, robot: str) -> AsyncIterator[RobotState]:
-        """States of a robot as they come, the newest only: whoever is slow skips.
+        """States of a robot as they come, the newest only: a slow reader skips states.
 
         Raises:
             RefusedError: the cell has no such robot.
@@ -113,7 +113,7 @@ class Cell:
             yield state
 
     async def verdicts(self, robot: str) -> AsyncIterator[Verdict]:
-        """Every verdict on the increments of a robot, whoever sent them; the oldest are lost on the slow.
+        """Every verdict on the increments of a robot, whoever sent them; a slow reader loses the oldest.
 
         Raises:
             RefusedError: the cell has no such robot.
@@ -161,7 +161,7 @@ class Cell:
         return unpack(Done, await self._wire.ask(topics.RESET.key(self.description.cell), request))
 
     async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
-        """What the gate would say to an increment now; nothing moves.
+        """The gate's verdict on an increment if it came now; nothing moves.
 
         Args:
             robot: its name.
@@ -195,12 +195,12 @@ class Cell:
         return unpack(Status, await self._wire.ask(key, DescribeRequest()))
 
     def lease(self, robot: str, client: str | None = None, take: bool = False) -> Opening[LeasedRobot]:
-        """Hold the lease of a robot for the length of a block, or from `open` to `close`; it is renewed by itself.
+        """Hold the lease of a robot for the length of a block, or from `open` to `close`; it is renewed automatically.
 
         Args:
             robot: name of the robot.
             client: what others see as the holder's name; otherwise the name given to `connect`.
-            take: take the lease from whoever holds it; it is on record.
+            take: take the lease from whoever holds it; this is logged.
 
         Raises:
             RefusedError: `lease_taken` by another client, `unknown_robot`, or `not_permitted` to take.
@@ -243,11 +243,11 @@ class Cell:
         await asyncio.gather(*(leased.release() for leased in self._leases))
         try:
             await asyncio.to_thread(self._wire.close)
-        except RuntimeError:  # the interpreter ends: no thread begins any more
+        except RuntimeError:  # the interpreter ends: no new thread can start
             self._wire.close()
 
     def close_now(self) -> None:
-        """What `close` does, where the loop has ended and nobody has closed: the interpreter is about to end."""
+        """`close` for a loop that has ended without it: the interpreter is about to end."""
         for leased in self._leases:
             leased.release_now()
         self._wire.close()
@@ -284,12 +284,12 @@ def connect(
 ) -> Opening[Cell]:
     """Connect to a running cell for the length of a block, or from `open` to `close`.
 
-    Who forgets to close is disconnected when the loop or the interpreter ends: leases are given back, robots come to
-    rest.
+    A client that is not closed is disconnected when the loop or the interpreter ends: its leases are released, and its
+    robots come to rest.
 
     Args:
         address: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
-        client: a name for others to see.
+        client: name that others see.
         token: the operator's token, where `reset` and taking a lease need one.
 
     Raises:

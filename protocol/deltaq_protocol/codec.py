@@ -1,7 +1,7 @@
 """Bytes to messages and back: msgpack on zenoh, JSON lines over TCP.
 
-Both go through pydantic, so a message that has been decoded is a valid one. Errors say which field,
-what value came, and what is allowed.
+Both go through pydantic, so a decoded message is a valid one. Errors name the field, its value, and what is
+allowed.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ MAX_MESSAGE_BYTES = 64 * 1024
 
 
 class InvalidMessageError(ProtocolError):
-    """Bytes that are no valid message of the type asked for.
+    """Bytes that are no valid message of the expected type.
 
     Attributes:
-        code: `bad_shape` and `not_finite` where that is what is wrong with `dq`, otherwise `malformed`.
+        code: `bad_shape` or `not_finite` if `dq` is at fault, otherwise `malformed`.
         data: the decoded map, if it got that far, so that an answer can name its sequence number.
     """
 
@@ -88,7 +88,7 @@ def from_map(message_type: type[M], data: object) -> M:
         InvalidMessageError: naming the first field that is wrong, its value and what is allowed.
     """
     try:
-        # a wire has lists where a message has tuples, and names where it has enumerations
+        # encoded data has lists where a message has tuples, and names where it has enumerations
         return message_type.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]

@@ -21,7 +21,7 @@ async def described(wire: Wire, address: str) -> Description:
 
     Args:
         wire: a connection that has just been opened.
-        address: where to, for people.
+        address: of the server, for messages.
 
     Raises:
         ServiceUnreachableError: nobody there serves a cell.

@@ -1,4 +1,4 @@
-"""Where something listens, as cells and commands write it: `tcp/HOST:PORT` or `udp/HOST:PORT`."""
+"""The address of a listener, as cells and commands write it: `tcp/HOST:PORT` or `udp/HOST:PORT`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Endpoint:
 
     @property
     def is_loopback(self) -> bool:
-        """Whether nobody but this machine can reach it."""
+        """Whether only this machine can reach it."""
         try:
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:

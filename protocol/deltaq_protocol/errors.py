@@ -11,7 +11,7 @@ class DeltaqError(Exception):
 
 
 class ProtocolError(DeltaqError):
-    """Bytes from a wire that are no valid message."""
+    """Bytes from a link that are no valid message."""
 
 
 class ServiceUnreachableError(DeltaqError):
@@ -19,7 +19,7 @@ class ServiceUnreachableError(DeltaqError):
 
 
 class RefusedError(DeltaqError):
-    """A request that was understood and turned down.
+    """A request that was understood and refused.
 
     Attributes:
         code: reason code, one of `deltaq_protocol.reasons.ReasonCode`.

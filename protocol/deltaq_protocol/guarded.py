@@ -1,4 +1,4 @@
-"""Messages of the guarded realm: what HLI, SIM and Robot Server tell one another."""
+"""Messages of the guarded realm: between HLI, SIM and Robot Servers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ BrakeCycles = Annotated[int, Field(ge=1, le=10_000)]
 
 
 class Plan(Message):
-    """What a Robot Server is doing: the increment `dq` it was last admitted and the brake that follows it.
+    """The plan that a Robot Server executes: the increment `dq` that was last admitted, and the brake that follows it.
 
-    `step` counts what has been sent: 0 the increment itself, then the steps of the brake. At rest `dq` is
+    `step` is the step that was sent last: 0 the increment itself, then the steps of the brake. At rest `dq` is
     zero. See `deltaq_protocol.brake` for the formula.
     """
 
@@ -27,11 +27,11 @@ class Plan(Message):
 class ServerState(Message):
     """State of one robot as its Robot Server publishes it, after it replied to the KRC.
 
-    `process` is a number that no other process of this Robot Server has: each begins with cycle 1, and knows nothing of
-    the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment; `q_reset`, of a held
-    robot, is the setpoint that the KRC has instead in a session that began since, and that a reset takes. `sequence`
-    is the admission it follows in gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n
-    everywhere.
+    `process` is the instance id of the Robot Server's process: each process begins with cycle 1, and knows nothing
+    of earlier holds and resets. `q_cmd` and `dq` are the setpoint just sent and its increment. `q_reset`, of a held
+    robot, is the setpoint that the KRC has instead, in a session that began since; a reset adopts it. `sequence` is
+    the admission that it follows in gate epoch `epoch` (0 and 0: none yet). All lists of joints have the robot's n
+    elements.
     """
 
     robot: Name
@@ -64,7 +64,7 @@ class ServerState(Message):
 
 
 class Request(Message):
-    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a sign of life."""
+    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat."""
 
     robot: Name
     cycle: Count
@@ -76,8 +76,8 @@ class Request(Message):
 class Admission(Message):
     """SIM to Robot Server: an increment and the length of the brake that follows it.
 
-    Valid for the reply right after `cycle` only, and only if the Robot Server then still does what the gate
-    believed: it follows admission `follows_sequence`, its setpoint is `follows_q_cmd` and its last
+    Valid for the reply right after `cycle` only, and only if the Robot Server's plan is still the one that the gate
+    assumed: it follows admission `follows_sequence`, its setpoint is `follows_q_cmd` and its last
     increment `follows_dq`, all compared exactly.
     """
 
@@ -93,9 +93,9 @@ class Admission(Message):
 
 
 class Supervision(Message):
-    """SIM to Robot Server, once a cycle: a sign of life, and standing orders.
+    """SIM to Robot Server, once a cycle: a heartbeat, and standing orders.
 
-    Orders are levels, not edges, so that a lost message costs nothing: `stop` stands until the state
+    Orders are levels, not edges, so that a lost message does no harm: `stop` is repeated until the state
     shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's.
     """
 
@@ -112,9 +112,9 @@ class Command(Message):
 
     Stop robots or reset one, set digital outputs, judge an increment `dq` without moving, or allow a contact.
 
-    A stop is always obeyed. Anything else is taken once, in its order and time: by the gate of `epoch` only, if `id` is
-    greater than that of every command before, and none of the robots it concerns is further from `cycles`, the newest
-    that the HLI had seen of each, than an increment may be old.
+    A stop is always obeyed. Any other command is taken once, in order, and only while it is fresh: by the gate of
+    `epoch` only, if `id` is greater than that of every command before, and if `cycles`, the newest that the HLI had
+    seen of each robot that it concerns, are no older than an increment may be.
     """
 
     id: Count
@@ -132,7 +132,7 @@ class Command(Message):
 class CommandReply(Message):
     """SIM to HLI: whether the command was taken, and if not, why; of a dry run the verdict.
 
-    `epoch` and `newest_id` are what the next command has to go by, told to who did not know.
+    `epoch` and `newest_id` are those that the next command has to use, for an HLI that did not know them.
     """
 
     id: Count
@@ -145,10 +145,10 @@ class CommandReply(Message):
 
 
 class Health(Message):
-    """A service's sign of life for `deltaq up`, container health checks and `deltaq status`.
+    """A service's heartbeat for `deltaq up`, container health checks and `deltaq status`.
 
-    `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
-    that are allowed now.
+    `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration; `contacts`, too, come from
+    the SIM: those that are allowed now.
     """
 
     service: Name
@@ -162,9 +162,9 @@ class Health(Message):
 
 
 class GateEntry(Message):
-    """One message that the gate took in, and what it gave out in answer, as msgpack; published to be recorded.
+    """One message that the gate took, and its outputs in answer, as msgpack; published to be recorded.
 
-    `number` counts the messages taken in since the SIM began `epoch`, so that a gap shows. `topic` and the names
+    `number` counts the messages taken since the SIM began `epoch`, so that a gap shows. `topic` and the names
     in `outputs` are those of the table of topics.
     """
 
@@ -176,7 +176,7 @@ class GateEntry(Message):
 
 
 class TrackerMemory(Message):
-    """What the gate remembers of one robot's motion: its newest state and the setpoints behind it."""
+    """Snapshot of one robot's motion in the gate: its newest state and the setpoints before it."""
 
     state: ServerState | None = None
     ended_processes: tuple[Count, ...] = ()
@@ -186,7 +186,7 @@ class TrackerMemory(Message):
 
 
 class OrdersMemory(Message):
-    """What the gate remembers of its orders to one robot."""
+    """Snapshot of the gate's orders to one robot."""
 
     standing_stop: ReasonCode | None = None
     resets: Count = 0
@@ -197,7 +197,7 @@ class OrdersMemory(Message):
 
 
 class RobotMemory(Message):
-    """What the gate remembers of one robot: motion, orders, and how far its requests have come."""
+    """Snapshot of one robot in the gate: motion, orders, and the sequence of its requests."""
 
     tracker: TrackerMemory
     orders: OrdersMemory
@@ -209,17 +209,17 @@ class RobotMemory(Message):
 
 
 class KeptDistance(Message):
-    """A violated pair of bodies, and what it has to keep until its violation has ended [m]."""
+    """A violated pair of bodies, and the distance that it has to keep until its violation has ended [m]."""
 
     pair: tuple[str, str]
     distance_m: FiniteFloat
 
 
 class GateMemory(Message):
-    """All that the gate's decisions depend on after `number` messages, so that a replay can begin there.
+    """Snapshot of all that the gate's decisions depend on after `number` messages; a replay can restore it.
 
     `sequence` is that of the last admission, `command_id` the greatest of any command, `receipt` the head of the chain
-    of refusals, and `fingerprint` tells the gate's code and configuration.
+    of refusals, and `fingerprint` that of the gate's code and configuration.
     """
 
     epoch: Count

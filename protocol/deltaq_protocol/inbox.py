@@ -14,7 +14,7 @@ T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 _ITEMS_A_TURN = 32
-"""Items taken before the loop turns to others, so that one flood does not starve the rest."""
+"""Items taken before the loop turns to other work, so that one flood does not starve the rest."""
 
 
 class Inbox(Generic[T]):
@@ -27,7 +27,7 @@ class Inbox(Generic[T]):
 
     Attributes:
         dropped: how many were dropped.
-        failed: how many `take` failed on; it is logged, and the next one is taken.
+        failed: how many made `take` fail; the failure is logged, and the next item is taken.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[T], None], capacity: int) -> None:
@@ -46,7 +46,7 @@ class Inbox(Generic[T]):
         if len(self._items) == self._items.maxlen:
             self.dropped += 1
         self._items.append(item)
-        # whoever reads True here can be sure that the turn it stands for has not begun: it will see the item
+        # True here means that the scheduled turn has not begun: it will see the item
         if not self._is_scheduled:
             self._is_scheduled = True
             # a loop that has ended has nobody left to take it
@@ -54,7 +54,7 @@ class Inbox(Generic[T]):
                 self._loop.call_soon_threadsafe(self._turn)
 
     def close(self) -> None:
-        """Take nothing any more, not even what waits."""
+        """Take no more items, not even those that wait."""
         self._is_open = False
         self._items.clear()
 
@@ -66,7 +66,7 @@ class Inbox(Generic[T]):
             item = self._items.popleft()
             try:
                 self._take(item)
-            except Exception:  # nothing that runs dies of a message
+            except Exception:  # no message may end the process
                 self.failed += 1
                 _log.exception("a message could not be served")
         if not self._is_scheduled:

@@ -33,15 +33,15 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.wire import Wire
 
 VERDICT_DEADLINE_S = 0.25
-"""Twice as long as an increment may be under way: a verdict that has not come by then was lost."""
+"""Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""
 _FIRST_STATE_DEADLINE_S = 0.5
 _VERDICTS_WAITING = 1024
-"""Increments that were sent, and verdicts that came, without anybody asking for the verdicts."""
+"""Bound of sent increments, and of received verdicts, that nobody has read."""
 _RENEWALS_A_LEASE = 4
 
 
 class LeasedRobot:
-    """A robot whose lease this client holds; `Cell.lease` hands it out and keeps the lease renewed.
+    """A robot whose lease this client holds; `Cell.lease` returns it and keeps the lease renewed.
 
     Attributes:
         name: of the robot.
@@ -69,7 +69,7 @@ class LeasedRobot:
         self._publisher = wire.publisher(topics.INCREMENT.key(cell, robot=name))
         self._seqs = itertools.count(1)
         self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
-        # each of its operations is one step, whichever thread does another meanwhile
+        # each of its operations is atomic, whatever other threads do meanwhile
         self._sent: deque[int] = deque(maxlen=_VERDICTS_WAITING)
         self._verdicts: asyncio.Queue[Verdict] = asyncio.Queue(_VERDICTS_WAITING)
         self._lost: DeltaqError | None = None
@@ -81,7 +81,7 @@ class LeasedRobot:
         return self._newest.value
 
     async def states(self) -> AsyncIterator[RobotState]:
-        """States as they come, the newest only: whoever is slow skips.
+        """States as they come, the newest only: a slow reader skips states.
 
         Raises:
             RefusedError: the lease was lost.
@@ -92,13 +92,13 @@ class LeasedRobot:
             yield state
 
     async def move(self, dq: Iterable[float]) -> Verdict:
-        """Ask for an increment in answer to the newest state, and wait for what becomes of it.
+        """Ask for an increment in answer to the newest state, and wait for its verdict.
 
         Args:
             dq: (n,) increment over one cycle [rad or m].
 
         Returns:
-            The verdict. Its `dq` is what was admitted, which may be less than was asked for; a request that
+            The verdict. Its `dq` is what was admitted, which may be less than requested; a request that
             was refused has the outcome `refused`, reasons, and no `dq`. Where no verdict came within
             `VERDICT_DEADLINE_S` the outcome is `unknown`: the increment or its verdict was lost, and the next state
             shows which.
@@ -122,11 +122,11 @@ class LeasedRobot:
             del self._awaited[seq]
 
     def move_now(self, dq: Iterable[float], renew: Callable[[], None]) -> Verdict:
-        """What `move` does where a state has come already; for threads other than the loop's, which wait themselves.
+        """`move` for a robot that has a state already; for threads other than the loop's, which wait themselves.
 
         Args:
             dq: (n,) increment over one cycle [rad or m].
-            renew: renews the lease, or raises what took it away.
+            renew: renews the lease, or raises the error with which it was lost.
         """
         self.check_lease()
         state = self._newest.value
@@ -150,15 +150,15 @@ class LeasedRobot:
             del self._awaited[seq]
 
     async def send(self, dq: Iterable[float]) -> int:
-        """Ask for an increment in answer to the newest state, and do not wait: `verdicts` tells what becomes of it.
+        """Ask for an increment in answer to the newest state, and do not wait: its verdict comes with `verdicts`.
 
-        For a controller that is slower than a cycle, or further away than one.
+        For a controller that is slower than a cycle, or farther away than one.
 
         Args:
             dq: (n,) increment over one cycle [rad or m].
 
         Returns:
-            The sequence number, by which its verdict can be told.
+            The sequence number, which its verdict carries.
 
         Raises:
             RefusedError: the lease was lost.
@@ -168,7 +168,7 @@ class LeasedRobot:
         return self.send_now(dq)
 
     def send_now(self, dq: Iterable[float]) -> int:
-        """What `send` does where a state has come already; any thread may."""
+        """`send` for a robot that has a state already; any thread may call it."""
         self.check_lease()
         state = self._newest.value
         if state is None:
@@ -179,9 +179,9 @@ class LeasedRobot:
         return seq
 
     async def verdicts(self) -> AsyncIterator[Verdict]:
-        """The verdicts on what was sent with `send`, as they come; the oldest are lost on who reads too slowly.
+        """The verdicts on increments sent with `send`, as they come; a reader that is too slow loses the oldest.
 
-        One that was lost on its way does not come: its sequence number is missing. One reader at a time.
+        A verdict that was lost in transit does not come: its sequence number is missing. One reader at a time.
 
         Raises:
             RefusedError: the lease was lost.
@@ -236,13 +236,13 @@ class LeasedRobot:
                     self._lost = error
 
     async def release(self) -> None:
-        """Give the lease back, if the server can still be told; `Cell.lease` does so on leaving its block."""
+        """Release the lease, if the server can still be reached; `Cell.lease` does so when its block is left."""
         if self._releasing is None:
             self._releasing = asyncio.ensure_future(self._release())
         await asyncio.shield(self._releasing)
 
     def release_now(self) -> None:
-        """What `release` does, without a loop: the loop has ended before its controller did."""
+        """`release` without a loop: the loop ended before its controller did."""
         if self._releasing is None:
             key, request = self._lease_request(LeaseAction.RELEASE)
             self._wire.ask_now(key, request)
@@ -268,7 +268,7 @@ class LeasedRobot:
         )
 
     def _ask_for(self, dq: Iterable[float], seq: int, state: RobotState) -> None:
-        # not validated here: the server judges, so that there is one truth about what is refused
+        # not validated here: only the server decides what is refused
         increment = Increment.model_construct(
             robot=self.name,
             seq=seq,
@@ -284,7 +284,7 @@ class LeasedRobot:
             ) from error
 
     async def _own(self, verdicts: asyncio.Queue[Verdict]) -> Verdict:
-        """The next verdict on an increment of ours."""
+        """The next verdict on an increment of this client."""
         while True:
             verdict = await verdicts.get()
             if not _is_about_lease(verdict):
@@ -315,7 +315,7 @@ class LeasedRobot:
         return topics.LEASE.key(self._cell, robot=self.name), request
 
     def check_lease(self) -> None:
-        """Raise what took the lease away, if anything has."""
+        """Raise the error with which the lease was lost, if it was."""
         if self._lost is not None:
             raise self._lost
 

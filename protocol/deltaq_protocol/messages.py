@@ -40,7 +40,7 @@ class Phase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What became of an increment; `unknown` is never sent, a client says it where no verdict came."""
+    """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came."""
 
     ADMITTED = "admitted"
     SCALED = "scaled"
@@ -50,7 +50,7 @@ class Outcome(StrEnum):
 
 
 class Reason(Message):
-    """One thing that bound a request: which limit, on what, the value asked for and the bound (SI units)."""
+    """One thing that limited a request: which limit, on what, the value requested and the bound (SI units)."""
 
     code: ReasonCode
     what: str = ""
@@ -103,10 +103,10 @@ class Increment(Message):
 class Verdict(Message):
     """The gate's answer to one increment.
 
-    `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the
-    distance of `pair`, the two bodies whose room to the stop distance is least at the middle of the tube.
+    `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of
+    `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.
     `time_to_stop_s` is the length of the brake behind `dq`.
-    Where the gate held or refused, `receipt` is its link in the chain of refusals (`deltaq_protocol.receipts`).
+    If the gate held or refused, `receipt` is the verdict's entry in the chain of refusals (`deltaq_protocol.receipts`).
     """
 
     type: Literal["verdict"] = "verdict"
@@ -167,7 +167,7 @@ class StopRequest(Message):
 
 
 class ResetRequest(Message):
-    """Leave `held`; refused while the cause stands, and without the operator's token where one is set."""
+    """Leave `held`; refused while the cause persists, and without the operator's token where one is set."""
 
     type: Literal["reset"] = "reset"
     robot: Name
@@ -176,7 +176,7 @@ class ResetRequest(Message):
 
 
 class DryRunRequest(Message):
-    """Ask what the gate would say to an increment now; nothing moves, and no lease is needed."""
+    """Ask for the gate's verdict on an increment if it came now; nothing moves, and no lease is needed."""
 
     type: Literal["dry_run"] = "dry_run"
     robot: Name
@@ -184,7 +184,7 @@ class DryRunRequest(Message):
 
 
 class DryRunReply(Message):
-    """What the gate would have said; the verdict's `seq` is 0."""
+    """The verdict that the gate would have given; its `seq` is 0."""
 
     type: Literal["dry_run"] = "dry_run"
     robot: Name
@@ -209,7 +209,7 @@ class Done(Message):
 
 
 class IoRequest(Message):
-    """Set digital outputs by name; the reply tells all outputs and inputs.
+    """Set digital outputs by name; the reply has all outputs and inputs.
 
     While a robot is leased only the holder of `lease` sets its outputs; anybody may read.
     """
@@ -245,7 +245,7 @@ class DescribeRequest(Message):
 
 
 class RobotSummary(Message):
-    """What a controller must know of a robot: names, units and limits in joint order, SI units."""
+    """Summary of a robot for a controller: names, units and limits in joint order, SI units."""
 
     joints: tuple[str, ...]
     units: tuple[Literal["rad", "m"], ...]
@@ -269,8 +269,8 @@ class Welcome(Message):
 class Description(Message):
     """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
 
-    `hulls` holds what the gate takes the collision meshes of a URDF for: by robot and body, the corners of
-    a convex hull in the frame of the body [m]. Visual meshes are not sent.
+    `hulls` holds the convex hulls that the gate uses for the collision meshes of a URDF: by robot and body, the corners
+    of a hull in the frame of the body [m]. Visual meshes are not sent.
     """
 
     type: Literal["description"] = "description"
@@ -287,7 +287,7 @@ class Error(Message):
     """A message that could not be served, and why.
 
     `request` is the type of the message that it answers; `robot` and `seq` are that message's, as far as it had any.
-    What was not asked for, as the loss of a lease, has no `request`.
+    An error that answers no message, such as the loss of a lease, has no `request`.
     """
 
     type: Literal["error"] = "error"

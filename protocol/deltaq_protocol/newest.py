@@ -1,4 +1,4 @@
-"""The newest value of a stream: who is slow skips, nothing queues."""
+"""The newest value of a stream: a slow reader skips values, nothing queues."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Newest(Generic[T]):
             self.version += 1
             self._in_threads.notify_all()
         self._changed.set()
-        self._changed.clear()  # whoever waits now is woken; the next one waits for the next value
+        self._changed.clear()  # present waiters are woken; later ones wait for the next value
 
     async def after(self, version: int, deadline_s: float) -> T:
         """The newest value, as soon as there is one beyond `version`.

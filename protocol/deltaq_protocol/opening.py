@@ -1,4 +1,4 @@
-"""What is used in an `async with` block, or opened and closed by hand where a block is in the way."""
+"""Managers for an `async with` block, or to be opened and closed by hand where a block is inconvenient."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 _open: set[Opening[Any]] = set()
-"""What was opened and not closed, so that it stays open though its user keeps only what it gave."""
+"""Managers that are open, so that they stay open though their users keep only the opened object."""
 
 
 class Opening(AbstractAsyncContextManager[T]):
     """A manager that has `open` and `close` too, for notebooks; it opens once.
 
     Args:
-        manager: what opens and closes.
+        manager: opens and closes.
     """
 
     def __init__(self, manager: AbstractAsyncContextManager[T]) -> None:

@@ -11,7 +11,7 @@ from enum import StrEnum
 class ReasonCode(StrEnum):
     """Machine-readable reasons; `EXPLANATIONS` says what each one means."""
 
-    # what bounded a request that the gate decided
+    # what limited a request that the gate decided
     POSITION_LIMIT = "position_limit"
     VELOCITY_LIMIT = "velocity_limit"
     ACCELERATION_LIMIT = "acceleration_limit"
@@ -56,15 +56,15 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.VELOCITY_LIMIT: "a joint would have moved faster than its velocity limit",
     ReasonCode.ACCELERATION_LIMIT: "a joint would have changed speed faster than its acceleration limit",
     ReasonCode.CLEARANCE: "two bodies could have come nearer than the stop distance",
-    ReasonCode.RETREAT: "two bodies are too near already: only slow motion that parts them is admitted",
-    ReasonCode.SLOW_DOWN: "bodies that are near one another would have approached too fast",
-    ReasonCode.CONTACT: "while a contact is allowed the robot moves slowly",
+    ReasonCode.RETREAT: "two bodies are too near already: only slow motion that does not bring them nearer is admitted",
+    ReasonCode.SLOW_DOWN: "two bodies near one another would have approached too fast",
+    ReasonCode.CONTACT: "while a contact is allowed, the robot moves slowly",
     ReasonCode.MALFORMED: "the message does not have the fields of its type",
     ReasonCode.BAD_SHAPE: "dq does not have one element for each joint of the robot",
     ReasonCode.NOT_FINITE: "dq has an element that is not a finite number",
     ReasonCode.STALE_CYCLE: "it answers a cycle of the robot that is too old",
     ReasonCode.STALE_EPOCH: "the command is for a gate that has ended",
-    ReasonCode.FUTURE_CYCLE: "the increment answers a cycle that has not been",
+    ReasonCode.FUTURE_CYCLE: "the increment answers a cycle that has not begun",
     ReasonCode.REPLAYED_SEQUENCE: "the sequence number is not greater than the last one",
     ReasonCode.SUPERSEDED: "a newer increment of the same cycle took its place",
     ReasonCode.UNKNOWN_ROBOT: "the cell has no robot of that name",
@@ -80,10 +80,10 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.HLI_LOST: "the high-level interface fell silent",
     ReasonCode.GATE_LOST: "the System Integrity Module fell silent",
     ReasonCode.KRC_LOST: "the robot controller (KRC) fell silent",
-    ReasonCode.SERVER_LOST: "the Robot Server was started anew",
-    ReasonCode.SERVER_ENDED: "the Robot Server was told to end",
-    ReasonCode.REPLY_REFUSED: "the Robot Server did not send a correction that its last check refused",
-    ReasonCode.TRACKING_ERROR: "the robot left the path that was commanded",
-    ReasonCode.CAUSE_STANDS: "the cause of the hold still stands",
+    ReasonCode.SERVER_LOST: "the Robot Server was restarted",
+    ReasonCode.SERVER_ENDED: "the Robot Server was ended",
+    ReasonCode.REPLY_REFUSED: "the Robot Server's last check refused a correction, which was not sent",
+    ReasonCode.TRACKING_ERROR: "the robot left its commanded path",
+    ReasonCode.CAUSE_STANDS: "the cause of the hold persists",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",
 }

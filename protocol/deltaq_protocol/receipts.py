@@ -1,8 +1,8 @@
-"""Receipts: every verdict by which the gate held or refused is a link in a chain of hashes.
+"""Receipts: every verdict by which the gate held or refused is an entry in a chain of hashes.
 
 A receipt is the SHA-256 of the receipt before it and of the verdict itself, as JSON without the fields that have
-their default. Who keeps one receipt can later show that no refusal before it was changed, added or
-taken away; `deltaq replay` verifies the whole chain of a recording.
+their default. Anybody who keeps one receipt can later show that no refusal before it was changed, added or
+removed; `deltaq replay` verifies the whole chain of a recording.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from deltaq_protocol.messages import Verdict
 
 
 def first_receipt(fingerprint: str, epoch: int) -> str:
-    """Where the chain of a SIM begins: bound to the gate's code and configuration, and to its epoch."""
+    """First hash of a SIM's chain: bound to the gate's code and configuration, and to its epoch."""
     return hashlib.sha256(f"{fingerprint} {epoch}".encode()).hexdigest()
 
 

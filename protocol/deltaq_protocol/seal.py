@@ -1,9 +1,9 @@
-"""Seals on the messages of the guarded realm, for where it leaves the loopback.
+"""Seals on the messages of the guarded realm, for realms that leave the loopback.
 
-A sealed message is `MAC (32 bytes) | number (8 bytes, big endian) | message`. The MAC is BLAKE2b keyed with the realm's
-key (RFC 7693, 2.9) over the zenoh key, the number and the message, so that a message says nothing under another key;
-what binds it to gate epoch, lease epoch, sequence and cycle are fields of the message itself. Numbers of a sender only
-grow, over its restarts too, and each is good once.
+A sealed message is `MAC (32 bytes) | number (8 bytes, big endian) | message`. The MAC is BLAKE2b keyed with the
+realm's key (RFC 7693, 2.9) over the zenoh key, the number and the message, so that a message is invalid under
+another zenoh key; fields of the message itself bind it to gate epoch, lease epoch, sequence and cycle. Numbers of a
+sender only grow, also over its restarts, and each is valid once.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ _HEAD_BYTES = _MAC_BYTES + _NUMBER_BYTES
 
 
 class ForgedMessageError(ProtocolError):
-    """A message without the right seal, or one that came before."""
+    """A message without the right seal, or a duplicate."""
 
 
 class Seal:
     """Leaves messages as they are: on the loopback nobody else can speak."""
 
     def close(self, zenoh_key: str, message: bytes) -> bytes:  # noqa: ARG002 - where there is no key, nothing depends on it
-        """What to publish under `zenoh_key` for a message."""
+        """The bytes to publish under `zenoh_key` for a message."""
         return message
 
     def open(self, zenoh_key: str, sealed: bytes) -> bytes:  # noqa: ARG002 - as above
         """The message that came under `zenoh_key`.
 
         Raises:
-            ForgedMessageError: if nobody who has the key published it there, or it is not newer than the last.
+            ForgedMessageError: if no holder of the key published it there, or it is not newer than the last.
         """
         return sealed
 
 
 class KeyedSeal(Seal):
-    """Seals what is published and checks what comes; one for each process.
+    """Seals published messages and checks received ones; one for each process.
 
     Each zenoh key has one sender, whose numbers are compared.
 
@@ -59,7 +59,7 @@ class KeyedSeal(Seal):
         self._newest: dict[str, int] = {}
 
     def close(self, zenoh_key: str, message: bytes) -> bytes:
-        """What to publish under `zenoh_key` for a message."""
+        """The bytes to publish under `zenoh_key` for a message."""
         self._number += 1
         numbered = self._number.to_bytes(_NUMBER_BYTES, "big") + message
         return self._mac(zenoh_key, numbered) + numbered

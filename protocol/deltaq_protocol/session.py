@@ -17,14 +17,14 @@ from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.seal import UNSEALED, Seal
 
 MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
-"""Largest message that a session puts together; descriptions with their URDF texts are the largest."""
+"""Largest message that a session reassembles; descriptions with their URDF texts are the largest."""
 MAX_SESSIONS = 64
 """Peers that one session serves; one more is kept out until another leaves."""
 _WAITING_TO_BE_SENT = 16
 """Urgent messages that may wait for a link to be served, the most that zenoh allows. With its own two, every
 millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""
 _ACCEPT_MS = 1000
-"""Those who connect and stay silent are sent away after this: until then they keep others waiting."""
+"""Silent connections are closed after this: until then they keep others waiting."""
 
 
 def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_connect: bool = False) -> Any:
@@ -47,7 +47,7 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "scouting/delay": 0,  # nobody is scouted for, so nobody is to be waited for
+        "scouting/delay": 0,  # no scouting, so no peer to wait for
         "transport/link/tx/lease": 1000,
         "transport/link/tx/queue/size/real_time": _WAITING_TO_BE_SENT,
         "transport/link/rx/max_message_size": MAX_ZENOH_MESSAGE_BYTES,
@@ -65,13 +65,13 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
                 f"nobody answers at {', '.join(connect)}; is the cell up (`deltaq up`), the address right, "
                 f"and fewer than {MAX_SESSIONS} others there?"
             ) from error
-        # zenoh adds where in its own source it happened
+        # zenoh appends a line of its own source
         why = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))
         raise ServiceUnreachableError(f"cannot listen on {', '.join(listen)}: {why}") from error
 
 
 class SealedPublisher:
-    """Publishes under a seal what it is given."""
+    """Publishes messages under a seal."""
 
     def __init__(self, publisher: Any, key: str, seal: Seal) -> None:
         self._publisher, self._key, self._seal = publisher, key, seal

@@ -16,7 +16,7 @@ from deltaq_protocol.messages import Error, Message
 from deltaq_protocol.session import declare_publisher
 
 QUERY_DEADLINE_S = 1.0
-"""Longer than the server waits for the gate, so that its own answer is the one that is seen."""
+"""Longer than the server waits for the gate, so that the server's own answer arrives first."""
 
 
 class Wire:
@@ -24,7 +24,7 @@ class Wire:
 
     Args:
         session: an open zenoh session.
-        loop: the loop that everything is served in.
+        loop: the loop in which everything is served.
     """
 
     def __init__(self, session: Any, loop: asyncio.AbstractEventLoop) -> None:
@@ -36,7 +36,7 @@ class Wire:
         """Send a query and return the payload of its answer.
 
         Raises:
-            RefusedError: the server turned the request down.
+            RefusedError: the server refused the request.
             ServiceUnreachableError: nobody answered within the deadline.
         """
         future: asyncio.Future[zenoh.Reply | None] = self._loop.create_future()
@@ -66,7 +66,7 @@ class Wire:
         if reply is not None and reply.ok is not None:
             return reply.ok.payload.to_bytes()
         if reply is not None and reply.err is not None:
-            with contextlib.suppress(InvalidMessageError):  # a time-out of zenoh's own is no message of ours
+            with contextlib.suppress(InvalidMessageError):  # a timeout of zenoh itself is no reply
                 refusal = unpack(Error, reply.err.payload.to_bytes())
                 raise RefusedError(refusal.code, refusal.message, refusal.hint)
         raise ServiceUnreachableError(
@@ -74,13 +74,13 @@ class Wire:
         )
 
     def ask_now(self, key: str, request: Message) -> None:
-        """Send a query from where no loop runs any more, and wait until it was answered or will not be."""
+        """Send a query where no loop runs any more, and wait until it is answered or has failed."""
         with contextlib.suppress(zenoh.ZError):
             for _ in self._session.get(key, payload=pack(request), timeout=QUERY_DEADLINE_S):
                 pass
 
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
-        """Call `take` in the loop with the samples of a key; of those that wait the newest `capacity` stay."""
+        """Call `take` in the loop with the samples of a key; of waiting samples the newest `capacity` are kept."""
         inbox = Inbox[zenoh.Sample](self._loop, take, capacity)
         callback = zenoh.handlers.Callback(inbox.put, indirect=False)
         self._declared.append((self._session.declare_subscriber(key, callback), inbox))
@@ -90,7 +90,7 @@ class Wire:
         return declare_publisher(self._session, key)
 
     def close(self) -> None:
-        """Stop listening, then close: a session that closes with callbacks under way can panic."""
+        """Stop listening, then close: a session that closes with callbacks still running can panic."""
         while self._declared:
             declared, inbox = self._declared.pop()
             declared.undeclare()

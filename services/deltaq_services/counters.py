@@ -1,7 +1,7 @@
 """The table of counters: everything that a service counts, and what it means.
 
-The reference is written from it; a test fails where something is counted that has no row. What stands in braces is
-filled in: a name with a variable part is one row. Counts run from the start of the process.
+The reference is written from it; a test fails if a counter has no row. Braces mark a variable part, which is filled
+in: such a name is one row. Counts run from the start of the process.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class Counted:
     """One row.
 
     Attributes:
-        service: who counts.
+        service: which counts it.
         name: as in the status, with its variable part in braces.
         meaning: what was counted.
     """
@@ -31,17 +31,17 @@ class Counted:
 COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "states", "cycles of robots that were heard"),
     Counted(HLI, "states_ignored", "states of a robot, or with joints, that the cell does not have"),
-    Counted(HLI, "increments", "increments that came, good or bad"),
+    Counted(HLI, "increments", "increments received, valid or not"),
     Counted(HLI, "requests", "increments handed on to the gate: at most one a robot and cycle"),
     Counted(HLI, "refused", "increments that never reached the gate"),
     Counted(HLI, "refused_{code}", "those refused for this reason"),
-    Counted(HLI, "signs_of_life", "cycles in which there was no increment to hand on"),
+    Counted(
+        HLI, "signs_of_life", "cycles without an increment to hand on, in which the gate got a heartbeat"
+    ),
     Counted(HLI, "verdicts_{outcome}", "verdicts of the gate with this outcome"),
     Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
-    Counted(
-        HLI, "malformed", "messages of clients that are none; each got an error where its sender is known"
-    ),
-    Counted(HLI, "malformed_guarded", "messages from the guarded realm that are none"),
+    Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),
+    Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
     Counted(HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong"),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
     Counted(HLI, "leases_granted", "leases that were granted, taken ones included"),
@@ -49,55 +49,67 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "leases_expired", "leases that ran out because the holder was silent"),
     Counted(HLI, "leases_outdated", "leases ended because the gate knows of later ones"),
     Counted(HLI, "lease_refused_{code}", "lease requests refused for this reason"),
-    Counted(HLI, "controllers_lost", "holders that vanished without giving back a robot that they had moved"),
-    Counted(HLI, "stops", "stops that were asked for"),
-    Counted(HLI, "resets", "resets that were asked for"),
-    Counted(HLI, "dry_runs", "dry runs that were asked for"),
-    Counted(HLI, "contacts_switched", "contacts that were asked to be allowed or forbidden"),
+    Counted(HLI, "controllers_lost", "holders that vanished without releasing a robot that they had moved"),
+    Counted(HLI, "stops", "stops requested"),
+    Counted(HLI, "resets", "resets requested"),
+    Counted(HLI, "dry_runs", "dry runs requested"),
+    Counted(HLI, "contacts_switched", "requests to allow or forbid a contact"),
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
     Counted(HLI, "tcp_connections_refused", "TCP connections refused because too many were open"),
     Counted(HLI, "tcp_given_up", "TCP connections ended for a missing hello, long lines or malformed ones"),
-    Counted(HLI, "tcp_not_reading", "TCP connections ended because their client asked and did not read"),
+    Counted(HLI, "tcp_not_reading", "TCP connections ended because their client did not read its answers"),
     Counted(
         HLI, "tcp_states_skipped", "states replaced by newer ones before a slow TCP client had read them"
     ),
-    Counted(HLI, "{topic}_dropped", "messages of this topic that came faster than they could be served"),
     Counted(
-        HLI, "failed", "messages that could not be served for a fault of the HLI's own; its log has each"
+        HLI,
+        "{topic}_dropped",
+        "messages of this topic dropped because they came faster than they could be served",
+    ),
+    Counted(
+        HLI, "failed", "messages that could not be served because of a fault of the HLI; its log has each"
     ),
     Counted(SIM, "{outcome}", "increments with this outcome"),
     Counted(SIM, "reason_{code}", "verdicts whose first reason is this one"),
-    Counted(SIM, "command_{kind}", "commands of this kind that were obeyed in their turn"),
+    Counted(SIM, "command_{kind}", "commands of this kind that were obeyed"),
     Counted(SIM, "command_{code}", "commands not obeyed for this reason"),
     Counted(SIM, "missed_admissions_{robot}", "admissions that the Robot Server of this robot did not take"),
     Counted(SIM, "unknown_state", "states of a robot, or with joints, that the cell does not have"),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
     Counted(SIM, "forged_messages", "messages whose seal is wrong"),
-    Counted(SIM, "invalid_messages", "messages that are none"),
+    Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
-    Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by why, e.g. `admission_late`"),
-    Counted(ROBOT_SERVER, "admission_while_not_ready", "admissions that came while the robot might not move"),
-    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, for want of an admission"),
+    Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by reason, e.g. `admission_late`"),
+    Counted(
+        ROBOT_SERVER,
+        "admission_while_not_ready",
+        "admissions that came in a phase in which the robot must not move",
+    ),
+    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, because no admission had come"),
     Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
-    Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
+    Counted(ROBOT_SERVER, "krc_silent", "times that the KRC was silent for longer than its timeout"),
     Counted(
-        ROBOT_SERVER, "motion_stops", "times that the KRC was told to end a motion that went on by itself"
+        ROBOT_SERVER,
+        "motion_stops",
+        "times that the KRC was ordered to end a motion that went on although its setpoint rested",
     ),
-    Counted(ROBOT_SERVER, "replies_refused", "replies that the last check did not let go to the drives"),
+    Counted(ROBOT_SERVER, "replies_refused", "replies that the last check refused"),
     Counted(ROBOT_SERVER, "replies_unsent", "replies that the socket did not take"),
-    Counted(ROBOT_SERVER, "socket_errors", "errors of the socket while it was read"),
+    Counted(ROBOT_SERVER, "socket_errors", "errors while reading the socket"),
     Counted(
-        ROBOT_SERVER, "{sender}", "datagrams of others than the KRC, by who, e.g. `telegrams_second_krc`"
+        ROBOT_SERVER,
+        "{sender}",
+        "datagrams of other senders than the KRC, by sender, e.g. `telegrams_second_krc`",
     ),
-    Counted(ROBOT_SERVER, "telegrams_implausible", "telegrams that say what cannot be true"),
+    Counted(ROBOT_SERVER, "telegrams_implausible", "telegrams whose values cannot be true"),
     Counted(ROBOT_SERVER, "reply_missed", "cycles whose reply the KRC did not take"),
-    Counted(ROBOT_SERVER, "session_restarted", "RSI sessions that began anew"),
+    Counted(ROBOT_SERVER, "session_restarted", "RSI sessions that restarted"),
     Counted(ROBOT_SERVER, "telegrams_garbled", "datagrams that are no telegram of this robot"),
-    Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams passed over because a newer one had come"),
+    Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams skipped because a newer one had come"),
     Counted(ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong"),
-    Counted(ROBOT_SERVER, "invalid_{message}", "messages of this type that are none"),
+    Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
 )
 """The table."""

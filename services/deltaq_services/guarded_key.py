@@ -16,11 +16,11 @@ KEY_FILE = "DELTAQ_GUARDED_KEY_FILE"
 
 
 class GuardedKeyError(DeltaqError):
-    """A key that is needed and not there, or is none."""
+    """A key that is needed and missing, or invalid."""
 
 
 def guarded_seal(cell: CellDescription) -> Seal:
-    """What seals the guarded messages of a cell: nothing as long as all of them stay on the loopback.
+    """The seal of a cell's guarded messages: none as long as all of them stay on the loopback.
 
     Raises:
         GuardedKeyError: if they do not, and there is no key.
@@ -49,7 +49,7 @@ def off_loopback(cell: CellDescription) -> str | None:
 
 
 def write_new_key(file: Path) -> None:
-    """Make a key that nobody else has, in a file that nobody else may read.
+    """Make a random key, in a file that only its owner may read.
 
     Raises:
         GuardedKeyError: if the file is there already or cannot be written.
@@ -72,7 +72,7 @@ def _read(file: Path) -> bytes:
     except OSError as error:
         raise GuardedKeyError(f"{KEY_FILE}: {file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError:
-        text = ""  # told like anything else that is no key, and never shown
+        text = ""  # reported like any other invalid key, and never shown
     try:
         key = bytes.fromhex(text)
     except ValueError:

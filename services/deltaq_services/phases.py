@@ -13,7 +13,7 @@ from deltaq_protocol.messages import Phase
 
 
 class Event(StrEnum):
-    """What can happen to a robot."""
+    """An event of a robot."""
 
     LINKED = "linked"
     """The KRC and the gate were both heard for the first time."""

@@ -1,4 +1,4 @@
-"""What every service process does at its start and end."""
+"""Start and end of every service process."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def arguments(description: str, *, of_robot: bool = False) -> argparse.Namespace
 def run(serve: Callable[[], None]) -> None:
     """Run a service until SIGTERM or Ctrl-C.
 
-    A user's mistake becomes one line and exit status 2; an address that cannot be had, exit status 3.
+    A user's mistake becomes one line and exit status 2; an address that is not available, exit status 3.
     """
     signal.signal(signal.SIGTERM, end_on_interrupt)
-    gc.freeze()  # what is loaded by now stays: the collector need not look at it in every cycle
+    gc.freeze()  # objects loaded by now stay: the collector need not visit them in every cycle
     try:
         serve()
     except (ServiceUnreachableError, OSError) as error:
@@ -41,13 +41,13 @@ def run(serve: Callable[[], None]) -> None:
 
 
 def ask_for_real_time(priority: int) -> None:
-    """Real-time priority for this thread, and those that it starts from here on, where the system allows it.
+    """Real-time priority for this thread, and for those that it starts later, if the system allows it.
 
-    Where they share cores with controllers, whoever is nearer to the motors has to go first: the Robot Server
+    On cores shared with controllers, the process nearer to the motors has to run first: the Robot Server
     before the gate, the gate before the HLI, whose clients might keep it busy.
 
     Args:
-        priority: of SCHED_FIFO, the greater the sooner.
+        priority: of SCHED_FIFO; greater runs first.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -56,7 +56,7 @@ def ask_for_real_time(priority: int) -> None:
 
 
 def end_on_interrupt(_signal: int, _frame: FrameType | None) -> Never:
-    """A signal's handler: end as Ctrl-C does."""
+    """Signal handler: end as Ctrl-C does."""
     raise KeyboardInterrupt
 
 

@@ -19,10 +19,10 @@ from deltaq_controllers.criteria.normalised import cost
 Array = NDArray[np.float64]
 
 THERE_M, THERE_RAD = 1e-4, 1e-3
-"""The robot's hands count as being where they shall be within this."""
+"""The robot's hands count as being where they should be within this."""
 
 DRIVABLE = 3
-"""Number of options that can be driven to, if there are as many, even if others have less energy."""
+"""This many of the options can be driven to, if there are that many, even if others have less energy."""
 
 MEASURED = 100
 """Configurations that are measured exactly to find the options."""
@@ -41,9 +41,9 @@ class Option:
         costs: its cost, 0 good to 1 bad.
         clearance: exact, with the tightest pair.
         nearest_limit: the joint that is nearest to a limit of its own.
-        limit_share: its distance from there as a share of its range.
+        limit_share: its distance from there as a fraction of its range.
         hands_move: whether the hands are elsewhere now, so that every path moves them.
-        start: (n,) configuration from which a path is looked for.
+        start: (n,) configuration from which a path is searched for.
         path: (P, n) from there, clear of everything; None if none is known.
         no_path: why not; empty if there is one.
     """
@@ -63,14 +63,14 @@ class Option:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the advisor is.
+    """Progress of the advisor.
 
     Attributes:
         doing: `searching`, `polishing`, `checking` or `finding paths`.
-        done: share of that step that is done.
+        done: fraction of that step that is done.
         energy: least so far; infinite before the first.
         trials: so far.
-        options: best first, once they are known; their paths are found one after the other.
+        options: best first, once they are known; their paths follow one after the other.
     """
 
     doing: str

@@ -31,14 +31,14 @@ class Answered:
         self.trouble = ""
 
     def prepare(self) -> None:
-        """There is nothing to get ready."""
+        """Nothing to prepare."""
 
     def ask(self, _q: Array) -> None:
-        """The answer is there."""
+        """The answer is known already."""
 
     def seek(self, _back: Array, _rank: int) -> None:
-        """The robot is not where the paths begin."""
+        """No path begins where the robot is."""
         self.trouble = f"{self.tracker.robot.name} has been moved meanwhile; advise again"
 
     def give_up(self) -> None:
-        """Nothing is going on."""
+        """Nothing to cancel."""

@@ -1,4 +1,4 @@
-"""The advisor within the control loop, for virtual time: its search takes none of it."""
+"""The advisor within the control loop, for virtual time: its search takes no virtual time."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class AdvisorAtOnce:
         self.progress: Progress | None = None
 
     def prepare(self) -> None:
-        """It has its model of the cell."""
+        """Nothing to prepare: the model of the cell is loaded."""
 
     def ask(self, q: Array) -> None:
         """Look for options that keep the hands where they are at `q` (n,)."""

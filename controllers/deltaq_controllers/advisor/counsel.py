@@ -1,4 +1,4 @@
-"""What an advisor does for one robot, question by question."""
+"""An advisor for one robot, question by question."""
 
 from __future__ import annotations
 
@@ -66,7 +66,8 @@ class Counsel:
         Args:
             q: (n,) where the robot stands.
             others: (n,) where each other robot is.
-            go_on: told of every step, and the options as they become known; says whether anybody still waits.
+            go_on: called with every step, and with the options as they become known; returns whether anybody still
+                waits.
         """
         self._problem = self._problem.at(self.tracker.hands(q))
         self._exact.place(others)
@@ -89,11 +90,11 @@ class Counsel:
         """Search for a path to one of the options.
 
         Args:
-            back: (P, n) a way from where the robot stands to where it stood when options were asked for. If there is no
-                other way, that to the option leads back along this one.
+            back: (P, n) a path from where the robot stands to where it stood when options were asked for. If there
+                is no other path, that to the option leads back along this one.
             rank: of the option, from 1.
             others: (n,) where each other robot is.
-            go_on: told the options at the end; asked now and then whether anybody still waits.
+            go_on: called with the options at the end, and now and then; returns whether anybody still waits.
         """
         self._exact.place(others)
         space = HandsKept(self.tracker, self._problem.poses)

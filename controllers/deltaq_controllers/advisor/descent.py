@@ -15,7 +15,7 @@ from deltaq_controllers.criteria import Postures
 Array = NDArray[np.float64]
 
 LENGTHS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
-"""Shares of a step that are tried."""
+"""Fractions of a step that are tried."""
 
 DAMPING = 1e-6
 """Added to the squares of an arm's Jacobian, so that a singular arm gives no infinite rates."""
@@ -43,10 +43,10 @@ def reduced_gradient(problem: Problem, q: Array) -> Array:
 def descend(
     problem: Problem, q: Array, energy: Array, generator: np.random.Generator, steps: int
 ) -> tuple[Array, Array]:
-    """Go downhill from configurations, each on its branch.
+    """Descend from configurations, each on its branch.
 
-    Beside the quasi-Newton step two random ones of the same radius are tried, since a clearance has kinks at which the
-    gradient tells half of the truth.
+    Beside the quasi-Newton step two random ones of the same radius are tried, since a clearance has kinks at which
+    the gradient is one-sided.
 
     Args:
         problem: the task.

@@ -1,4 +1,4 @@
-"""Follow a path: its time law, and the next step from the robot's present configuration."""
+"""Follow a path: its time parameterisation, and the next step from the robot's present configuration."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker
 Array = NDArray[np.float64]
 
 SHARE = 0.6
-"""Of the joints' speed and acceleration limits; the gate's own bounds are never reached."""
+"""Fraction of the joints' speed and acceleration limits; the gate's own bounds are never reached."""
 
 LOOK_AHEAD = 40
-"""Cycles of the path among which the robot's own place is looked for."""
+"""Cycles of the path among which the robot's position is searched for."""
 
 TAKEN_BACK_CYCLES = 20.0
-"""Cycles in which what a brake has left the path by is taken back."""
+"""Cycles in which a deviation from the path after a brake is corrected."""
 
 
 def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: bool = False) -> Array:
@@ -40,7 +40,7 @@ def timed(path: Array, tracker: ConstraintTracker, cycle_s: float, hands_move: b
         return setpoints
     base = setpoints[:, tracker.base]
     held = tracker.track(base, tracker.hands(path[0]), setpoints)
-    # the ends are where the robot is and shall be, to the bit
+    # the ends are where the robot is and should be, to the bit
     between = np.array(np.isfinite(held).all(axis=1))
     between[[0, -1]] = False
     setpoints[between] = held[between]
@@ -98,7 +98,7 @@ class Route:
 
     @property
     def done(self) -> float:
-        """Share of the path's duration that has been driven."""
+        """Fraction of the path's duration that has been driven."""
         return self._place / max(1, len(self._setpoints) - 1)
 
     def step(self, q: Array, cycles: float) -> Array:
@@ -115,7 +115,7 @@ class Route:
         if here + cycles >= last:
             return self.end - q
         on_path = self._at(here)
-        # a brake of the gate is straight and leaves the path by a little
+        # a brake of the gate is straight and deviates slightly from the path
         back = min(1.0, cycles / TAKEN_BACK_CYCLES) * (on_path - q)
         displacement: Array = self._at(here + cycles) - on_path + back
         return displacement

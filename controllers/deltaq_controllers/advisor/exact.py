@@ -73,7 +73,7 @@ class ExactClearance:
 
 
 class _KeptDistances:
-    """A yes or no about the pairs of some groups: much quicker than their distances."""
+    """Whether the pairs of some groups keep their distances: much quicker than to measure them."""
 
     def __init__(self, cell: CellModel, robot: str, groups: Sequence[Group]) -> None:
         self._model, places = joined(cell)

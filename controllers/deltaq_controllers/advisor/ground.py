@@ -1,4 +1,4 @@
-"""Where a path may pass: clear of obstacles and limits, and without a jump of any joint."""
+"""Where a path may pass (motion validity): clear of obstacles and limits, and without a jump of any joint."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STEP = 0.05
-"""Free joints between two configurations that are looked at while searching [rad or m]."""
+"""Distance in the free joints between two configurations that are checked while searching [rad or m]."""
 FINE = 0.01
-"""Free joints between two configurations of a path that is handed out [rad or m]."""
+"""Distance in the free joints between two configurations of a returned path [rad or m]."""
 LEAP = 4.0
-"""Times the step by which any joint may change over it; more is another branch, or too near to a singularity."""
+"""Any joint may change by this many times the step; more is another branch, or too near to a singularity."""
 SEARCHED_LEAP = 3.0
-"""The same while searching, so that the finer look agrees."""
+"""The same while searching, so that the finer check agrees."""
 MARGIN_M = 0.015
-"""Room that the search keeps where start and goal have it, so that the exact check agrees."""
+"""Margin to bodies that the search keeps where start and goal have it, so that the exact check agrees."""
 LIMIT_MARGIN = 0.05
-"""Room to the joints' limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
+"""Margin to joint limits that a path keeps where start and goal have it, so that it can be braked [rad or m]."""
 FINE_SHARE = 0.4
-"""Share of the margins that is kept between the configurations that the search looked at."""
+"""Fraction of the margins that is kept between the configurations that the search looked at."""
 SAMPLED = 6
-"""Of so many configurations of a way one is looked at first: most ways that are barred are so over a good part."""
+"""Of so many configurations of a path one is looked at first: most blocked paths are blocked over a good part."""
 
 
 class Ground:
-    """What ways between some configurations may pass.
+    """Where paths between some configurations may pass.
 
     Args:
         problem: the task, for the robot and the bodies about.
-        space: in which the ways lie.
-        ends: (k, n) configurations that ways begin and end at; margins are no larger than these have them.
-        wider: times the usual margin to bodies.
+        space: in which the paths lie.
+        ends: (k, n) configurations that paths begin and end at; margins are no larger than these have them.
+        wider: factor of the usual margin to bodies.
 
     Attributes:
         space: as given.
-        margin_m: room to bodies that is kept.
+        margin_m: margin to bodies that is kept.
     """
 
     def __init__(self, problem: Problem, space: Space, ends: Array, wider: float) -> None:
@@ -52,7 +52,7 @@ class Ground:
         self._lowest, self._highest = ends.min(axis=0), ends.max(axis=0)
 
     def within(self, q: Array, share: float = 1.0) -> Flags:
-        """(...) whether configurations (..., n) keep a share of the margin to the limits."""
+        """(...) whether configurations (..., n) keep a fraction of the margin to the limits."""
         lower, upper = self._limits
         low = np.minimum(lower + share * LIMIT_MARGIN, self._lowest)
         high = np.maximum(upper - share * LIMIT_MARGIN, self._highest)
@@ -68,14 +68,14 @@ class Ground:
         return clear
 
     def walk(self, origin: Array, target: Array) -> tuple[Array, Flags]:
-        """Ways that are straight in the free joints.
+        """Paths that are straight in the free joints.
 
         Args:
             origin: (N, n) where they begin.
             target: (N, m) free joints where they end.
 
         Returns:
-            (N, P + 1, n) configurations, and (N,) whether each way is inside the limits and without a leap.
+            (N, P + 1, n) configurations, and (N,) whether each path is inside the limits and without a jump.
         """
         change = float(np.abs(target - origin[:, self.space.free]).max(initial=0.0))
         way = self.space.walk(origin, target, max(1, int(np.ceil(change / STEP))))
@@ -95,7 +95,7 @@ class Ground:
         return passes
 
     def fine(self, corners: Array) -> Array | None:
-        """(P, n) the way from corner to corner (k, n) as it is handed out; None if a joint leaps."""
+        """(P, n) the path from corner to corner (k, n) as it is returned; None if a joint jumps."""
         legs = [corners[:1]]
         for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
             change = np.abs(corner - start[self.space.free]).max()
@@ -105,5 +105,5 @@ class Ground:
         return path if self.is_steady(path) and np.abs(path[-1] - corners[-1]).max() < 1e-6 else None
 
     def is_steady(self, path: Array) -> bool:
-        """Whether no joint leaps along a path (P, n) that is handed out."""
+        """Whether no joint jumps along a path (P, n) that is to be returned."""
         return bool((np.abs(np.diff(path, axis=0)).max(axis=1) <= LEAP * FINE).all())

@@ -1,7 +1,7 @@
 """The global methods of Hooper and Noakes, Table 3, behind one interface.
 
-A method is a generator: it yields what it has found, with how far it is, as often as somebody might want to look or to
-stop it; whoever stops asking has cancelled it. Effort 1 is what an operator waits for.
+A method is a generator: it yields its findings and its progress often enough to be shown or stopped; a caller that
+stops asking has cancelled it. Effort 1 is what an operator waits for.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Found:
-    """What a method has found since it was last asked.
+    """Findings of a method since it was last asked.
 
     Attributes:
         q: (M, n) feasible configurations.
         energy: (M,) their energies.
-        done: share of the work that is done, 0 to 1.
+        done: fraction of the work that is done, 0 to 1.
     """
 
     q: Array
@@ -58,7 +58,7 @@ def annealing(problem: Problem, generator: np.random.Generator, effort: float = 
         temperature = FIRST_TEMPERATURE * (LAST_TEMPERATURE / FIRST_TEMPERATURE) ** share
         size = FIRST_STEP * (LAST_STEP / FIRST_STEP) ** share
         change = generator.normal(size=(len(q), problem.free)) * size * extent
-        change *= generator.random(change.shape) < 0.6  # some joints at a time
+        change *= generator.random(change.shape) < 0.6  # only some joints in each trial
         if step % BRANCHES_EVERY == 0:
             trial, trial_energy = problem.try_best(q[:, base] + change)
         else:

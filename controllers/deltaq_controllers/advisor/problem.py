@@ -1,4 +1,4 @@
-"""What the advisor minimises: a weighted sum of criteria over the free joints, the hands kept where they shall be.
+"""What the advisor minimises: a weighted sum of criteria over the free joints, with the hands in place.
 
 Hooper and Noakes, III-B and III-C: constraint tracking leaves the base joints free (5 of 17 on a DAWM), and a trial
 that exceeds a limit, cannot reach or collides is rejected at once.
@@ -53,20 +53,20 @@ class Problem:
     Args:
         cell: model of the cell.
         robot: name of the robot.
-        T_world_hands: (h, 4, 4) where its hands shall be.
+        T_world_hands: (h, 4, 4) where its hands should be.
         weights: of the criteria.
         tracker: of the robot, where there is one already.
 
     Attributes:
         tracker: of the robot.
-        data: what criteria know of it.
+        data: of the robot, for the criteria.
         energy: the weighted sum.
         lower: (m,) lower limits of the free joints.
         upper: (m,) their upper limits.
         count: trials so far.
 
     Raises:
-        AdvisorError: the robot is unknown, has no free joint, or the poses are none.
+        AdvisorError: the robot is unknown, has no free joint, or the poses are not valid.
         TrackingError: its arms have no closed form.
         CriterionError: an unknown criterion.
     """

@@ -1,4 +1,4 @@
-"""The advisor beside a control loop: in a process of its own, so that the loop never waits for it.
+"""The advisor beside a control loop: in a separate process, so that the loop never waits for it.
 
 A thread would not do: the loop needs the interpreter every few milliseconds, and the search has it for longer.
 """
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 _READY = 0
-"""Number of the answer that nobody asked for: the process has its model of the cell."""
+"""Number of the unrequested answer which says that the process has loaded its model of the cell."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class _GiveUp:
 
 @dataclass(frozen=True)
 class _Answer:
-    """What is known of a question by now, or why it cannot be answered."""
+    """The state of an answer by now, or why there can be none."""
 
     number: int
     progress: Progress | None = None
@@ -67,9 +67,9 @@ class AdvisorProcess:
     """Asks the advisor for self-motions of a robot of a running cell.
 
     Args:
-        description: of the cell, as its HLI tells.
+        description: of the cell, from its HLI.
         tracker: of the robot.
-        others: tells where the other robots of the cell are now.
+        others: returns where the other robots of the cell are now.
         weights: of the criteria; the advisor's own if not given.
 
     Attributes:
@@ -96,7 +96,7 @@ class AdvisorProcess:
         theirs.close()
 
     def prepare(self) -> None:
-        """Wait until the process has loaded its model of the cell; a process that has ended is told as trouble."""
+        """Wait until the process has loaded its model of the cell; one that has ended is reported as trouble."""
         while not self._is_ready and not self._newest.trouble:
             self._line.poll(None)
             self._listen()
@@ -167,7 +167,7 @@ class AdvisorProcess:
 def _serve(
     line: Connection, description: Description, robot: str, weights: Mapping[str, float] | None
 ) -> None:
-    """Answer questions until the line is closed; a new one ends the one before."""
+    """Answer questions until the pipe is closed; a new one ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
     counsel, trouble = _counsel(description, robot, weights)
     try:
@@ -192,7 +192,7 @@ def _serve(
 def _counsel(
     description: Description, robot: str, weights: Mapping[str, float] | None
 ) -> tuple[Counsel | None, str]:
-    """Made before the first question, which then need not wait for it; or why it cannot be made."""
+    """The advisor, made before the first question, which then need not wait for it; or why it cannot be made."""
     try:
         return Counsel(cell_model(description), robot, weights), ""
     except DeltaqError as error:

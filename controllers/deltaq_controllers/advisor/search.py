@@ -21,7 +21,7 @@ POLISHED, POLISH_STEPS = 32, 15
 """How many configurations are polished, and how far."""
 
 POOL = 400
-"""Configurations that are remembered while searching."""
+"""Configurations that are kept while searching."""
 
 
 @dataclass
@@ -37,7 +37,7 @@ class Pool:
     energy: Array = field(default_factory=lambda: np.empty(0))
 
     def add(self, q: Array, energy: Array) -> None:
-        """Take in configurations; the worst are forgotten."""
+        """Add configurations; the worst are forgotten."""
         good = np.isfinite(energy)
         q, energy = np.concatenate([self.q, q[good]]), np.concatenate([self.energy, energy[good]])
         order = np.argsort(energy, kind="stable")[: 4 * POOL]
@@ -73,8 +73,8 @@ def search(
         generator: of random numbers.
         method: one of `METHODS`.
         effort: of the method; 1 is what an operator waits for.
-        go_on: told what is being done, which share of it is done, and the least energy so far; once it says no, what
-            was found so far is polished and returned.
+        go_on: called with the present activity, its completed fraction and the least energy so far; once it returns
+            False, the findings so far are polished and returned.
 
     Returns:
         Distinct configurations, best first; empty if nothing was found.

@@ -1,7 +1,7 @@
 """Feasible configurations to start from.
 
-Of all values of the free joints few let every hand be reached: 0.1 to 4 % on a DAWM. Joints that move one hand only are
-therefore drawn for that hand alone, which multiplies the shares instead of the trials.
+Few of all values of the free joints let every hand reach its pose: 0.1 to 4 % on a DAWM. Joints that move one hand
+only are therefore drawn for that hand alone, which multiplies the yields instead of the trials.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def feasible(problem: Problem, generator: np.random.Generator, shared: int, own: int, at_most: int) -> Array:
-    """Values of the free joints with which every hand is reached inside the limits; bodies are not looked at.
+    """Values of the free joints with which every hand reaches its pose inside the limits; bodies are not checked.
 
     Args:
         problem: the task.

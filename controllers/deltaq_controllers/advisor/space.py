@@ -1,4 +1,4 @@
-"""The spaces in which ways are looked for: the hands kept, or all joints free."""
+"""The spaces in which paths are searched for: with the hands fixed, or with all joints free."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Space(Protocol):
     free: NDArray[np.intp]
 
     def walk(self, origin: Array, target: Array, pieces: int) -> Array:
-        """(N, pieces + 1, n) ways from configurations (N, n), straight to (N, m); NaN from where there is none."""
+        """(N, pieces + 1, n) paths from configurations (N, n), straight to (N, m); NaN from where there is none."""
         ...
 
     def placed(self, free: Array, near: Array) -> Array:
@@ -84,9 +84,9 @@ class HandsMoved:
         return way
 
     def placed(self, free: Array, _near: Array) -> Array:
-        """As they are."""
+        """The joints as given."""
         return free
 
     def barred(self, _start: Array, _goal: Array) -> str:
-        """Nothing is."""
+        """No reason: every configuration may be connected."""
         return ""

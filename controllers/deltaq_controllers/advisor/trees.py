@@ -1,7 +1,7 @@
 """Trees of configurations that grow towards each other: RRT-connect of Kuffner and LaValle 2000.
 
-Many extensions are tried at once. A new node is looked at halfway and at its own place, and its edge all along only
-once a way leads over it.
+Many extensions are tried at once. A new node is checked halfway and at its own position, and its whole edge only
+once a path uses it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ EXTENSIONS = 24
 TOWARDS = 6
 """Of these so many go towards nodes of the other tree."""
 LINKS = 4
-"""Straight ways between the trees that are tried at once."""
+"""Straight paths between the trees that are tried at once."""
 
 
 class Tree:
@@ -50,7 +50,7 @@ class Tree:
         return len(self.q)
 
     def add(self, q: Array, parents: Indices) -> Indices:
-        """Add nodes (k, n) whose edges have not been looked at all along; returns their numbers."""
+        """Add nodes (k, n) whose edges have not been checked over their whole length; returns their numbers."""
         first = len(self.q)
         self.q = np.concatenate([self.q, q])
         self._parent = np.append(self._parent, parents)
@@ -117,14 +117,14 @@ class Tree:
 
 
 def linked(tree: Tree, nodes: Indices, other: Tree, others: Indices, ground: Ground) -> Array | None:
-    """(k, n) corners of a way from one tree's root to the other's, straight from a node to one of the other's nodes.
+    """(k, n) corners of a path from one tree's root to the other's, straight from a node to one of the other's nodes.
 
     Args:
         tree: where it begins.
         nodes: (k,) of this tree, each tried with the node of `others` at the same place.
         other: where it ends.
         others: (k,) nodes of the other tree.
-        ground: what the way may pass between the trees.
+        ground: what the path may pass between the trees.
 
     Returns:
         None if there is none.
@@ -148,12 +148,12 @@ def connected(
     rounds: int,
     go_on: Callable[[], bool],
 ) -> Array | None:
-    """(k, n) corners of a way from a tree's root to a goal; what is found on the way to it stays in the tree.
+    """(k, n) corners of a path from a tree's root to a goal; what is found meanwhile stays in the tree.
 
     Args:
-        tree: that has perhaps grown already.
+        tree: which may have grown already.
         goal: (n,) configuration.
-        ground: what ways to the goal may pass.
+        ground: what paths to the goal may pass.
         limits: (m,) lower and upper limits of the free joints.
         generator: of random numbers.
         rounds: how often a tree is grown.

@@ -1,7 +1,7 @@
-"""Collision-free ways from one configuration to others, the hands kept still or not.
+"""Collision-free paths from one configuration to others, with the hands fixed or not.
 
 They are straight in the free joints where that is clear; otherwise two trees grow towards each other. The tree about
-the start is kept, so that the way to one goal helps to find that to the next.
+the start is kept, so that the path to one goal helps to find that to the next.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from deltaq_controllers.advisor.trees import Tree, connected
 Array = NDArray[np.float64]
 
 ROUNDS = 30
-"""How often a tree is grown in search of one way."""
+"""How often a tree is grown in search of one path."""
 CHECKED = 2
 """Of so many configurations of a path one is measured exactly; the gate measures every one that is driven."""
 ROUNDED = 31
 """Configurations of a path over which a corner is rounded."""
 WIDER = (1.0, 2.0)
-"""Times the margin to bodies with which a way is looked for, one after the other."""
+"""Factors of the margin to bodies with which a path is searched for, one after the other."""
 
 
 class NoWayError(Exception):
@@ -34,12 +34,12 @@ class NoWayError(Exception):
 
 
 class Ways:
-    """Finds ways from one configuration.
+    """Finds paths from one configuration.
 
     Args:
         problem: the task, for the robot and the bodies about.
         space: in which to look.
-        exact: measures what is handed out.
+        exact: measures the paths that are returned.
         generator: of random numbers.
         start: (n,) where they begin, in the space.
     """
@@ -110,7 +110,7 @@ def _paths(ground: Ground, corners: Array) -> Iterator[Array]:
 
 
 def _shortened(ground: Ground, corners: Array) -> Array:
-    """Leave out corners where the straight way is clear."""
+    """Leave out corners where the straight path is clear."""
     first = 0
     while first < len(corners) - 2:
         later = corners[first + 2 :]
@@ -122,7 +122,7 @@ def _shortened(ground: Ground, corners: Array) -> Array:
 
 
 def _rounded(ground: Ground, path: Array) -> Array | None:
-    """The path with its corners rounded, which would have to be passed at a crawl; None if a joint leaps then."""
+    """The path with its corners rounded, since a robot would have to crawl round them; None if a joint jumps then."""
     window = min(ROUNDED, 2 * ((len(path) - 1) // 2) + 1)
     half = window // 2
     free = path[:, ground.space.free]

@@ -1,6 +1,6 @@
-"""Compile the camera's laws: `python -m deltaq_controllers.camera [NAME ...]`, so that no start of a cell need.
+"""Compile the camera's laws, so that no start of a cell has to: `python -m deltaq_controllers.camera [NAME ...]`.
 
-Prints a line for each function that it compiles, and does nothing where all of them are kept from an earlier run.
+Prints a line for each function that it compiles, and does nothing if all of them are stored from an earlier run.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from deltaq_controllers.machine_code import folder, is_complete, mark_complete
 
 
 def main() -> int:
-    """Make every controller that is named once, which compiles what it needs."""
+    """Make every named controller once, which compiles what it needs."""
     parser = argparse.ArgumentParser(prog="python -m deltaq_controllers.camera", description=__doc__)
     parser.add_argument(
         "names",
@@ -31,7 +31,7 @@ def main() -> int:
 
 def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     """Make the controllers of these names for the lab cell, all if there is none; returns which they were."""
-    # what is heavy is imported only where something is left to do
+    # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
     from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
     from deltaq_controllers.camera.scene import Scene

@@ -1,4 +1,4 @@
-"""The camera follower as a controller: what it looks at and keeps clear of comes out of the view."""
+"""The camera follower as a controller: its focus and its obstacles come from the view."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 class CameraController:
     """Looks at the leader's tool, or at a fixed point, from a desired distance.
 
-    Until the leader has been heard of the robot is brought to rest.
+    Until the leader has been heard the robot is brought to rest.
 
     Args:
         follower: the follower.

@@ -1,4 +1,4 @@
-"""Camera controllers by name: the paper's law and its variants, the quadratic programme, and one's own.
+"""Camera controllers by name: the paper's law and its variants, the quadratic programme, and your own.
 
 All of them answer a `View` with an increment, and let their focus and view distance be set.
 """
@@ -27,7 +27,7 @@ class FocusController(Controller, Protocol):
 
     Attributes:
         desired_distance_m: desired view distance; may be changed at any time [m].
-        evades_below_m: clearance below which it moves out of the way [m].
+        evades_below_m: clearance below which it evades [m].
     """
 
     desired_distance_m: float
@@ -38,7 +38,7 @@ class FocusController(Controller, Protocol):
         ...
 
     def clearance(self, q: Array, q_leader: Array) -> float:
-        """Least distance of what the controller keeps apart, as it measures it [m]."""
+        """Least distance between the bodies that the controller keeps apart, as it measures it [m]."""
         ...
 
 
@@ -61,7 +61,7 @@ def camera_controller_named(
         focus: (3,) fixed point to look at in place of the leader's tool [m].
 
     Raises:
-        ControllerError: there is none of that name.
+        ControllerError: there is no controller of that name.
     """
     if name in BY_NAME:
         gains = FollowerGains(latency_s=scene.latency_s)

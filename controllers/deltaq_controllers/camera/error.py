@@ -7,9 +7,9 @@ e1 points up in the picture. The paper cites the derivatives only; with `u = (p 
     P   = S R^T (I - u u^T) / d                 (2, 3)
     J_t = -P (J_v - [p - x]x J_w) = -P J_p      (2, n)
 
-where `J_p` is the linear Jacobian of the point of the camera's rigid body that lies at p. At exactly 180
-degrees (3) is 0/0 and every way round is as short; from within `ANTIPODE_RAD` of it, `look` takes the error to be
-`ANTIPODE_RAD` short of it, on the way round that it is told to take.
+where `J_p` is the linear Jacobian of the point of the camera's rigid body that lies at p. At exactly 180 degrees
+(3) is 0/0 and every direction of rotation is equally short; from within `ANTIPODE_RAD` of it, `look` takes the
+error to be `ANTIPODE_RAD` short of it, in the direction of rotation `way_round`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MIN_DISTANCE_M = 1e-3
 
 
 class Look(NamedTuple):
-    """Where the focus lies as the camera sees it.
+    """Direction and distance of the focus as the camera sees it.
 
     Attributes:
         psi: (2,) stereographic error (3); its norm is tan(angle / 2).
@@ -43,7 +43,7 @@ class Look(NamedTuple):
         u: (3,) unit vector from the lens to the focus, in the world.
         P: (2, 3) derivative of psi with respect to the focus [1/m].
         stretch: (1 + |psi|^2) / 2, both singular values of d psi / d angle.
-        undecided: every way round is as short, and `way_round` was taken.
+        undecided: every direction of rotation is equally short, and `way_round` was used.
     """
 
     psi: Array
@@ -73,7 +73,7 @@ def look(rotation: Array, position: Array, focus: Array, way_round: Array | None
         position: (3,) lens in the world [m].
         focus: (3,) point to look at, in the world [m].
         way_round: (2,) unit vector in the picture, the way round to take from 180 degrees, or its
-            opposite, whichever the focus is nearer to; to the side if not given.
+            opposite, whichever the focus is nearer to; sideways if not given.
     """
     away = distance(position, focus)
     if away > MIN_DISTANCE_M:
@@ -106,8 +106,8 @@ def look(rotation: Array, position: Array, focus: Array, way_round: Array | None
 def easiest_way_round(rotation: Array, focus: Array, twists: Array) -> Array:
     """The direction in the picture in which the joints move the focus most easily.
 
-    From 180 degrees every way round is as short, but not every one need be open: a focus behind the camera on
-    the axis of A1, with A4 and A5 at zero, can only be reached over the top.
+    From 180 degrees every direction of rotation is equally short, but not every one need be possible: a focus
+    behind the camera on the axis of A1, with A4 and A5 at zero, can only be reached over the top.
 
     Args:
         rotation: (3, 3) camera axes in the world.

@@ -1,7 +1,7 @@
-"""Where the focus will be once the follower has got there.
+"""Where the focus will be when the follower's increment takes effect.
 
 The error of a follower that chases the measured focus is pure latency, speed times latency over distance
-(errata on III-F). The focus is therefore carried ahead once by the known latency, along a velocity that an
+(errata on III-F). The focus is therefore extrapolated once by the known latency, along a velocity that an
 alpha-beta filter estimates, and then held during the integration as the paper does.
 """
 
@@ -19,9 +19,9 @@ class FocusTracker:
     """An alpha-beta filter of a point.
 
     Args:
-        alpha: share of the innovation that goes into the position.
-        beta: share of the innovation that goes into the velocity.
-        gap_s: after a longer silence than this the estimate starts anew [s].
+        alpha: fraction of the innovation that goes into the position.
+        beta: fraction of the innovation that goes into the velocity.
+        gap_s: after a longer silence than this the estimate restarts [s].
 
     Attributes:
         velocity: (3,) estimate [m/s].
@@ -39,7 +39,7 @@ class FocusTracker:
         return self._position is not None
 
     def update(self, position: Array, time_s: float) -> None:
-        """Take in a measurement.
+        """Add a measurement.
 
         Args:
             position: (3,) measured point [m].

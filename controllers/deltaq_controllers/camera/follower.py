@@ -68,7 +68,7 @@ class CameraFollower:
         self._warm_up(leader)
 
     def _warm_up(self, leader: RobotModel | None) -> None:
-        """Have what the law does not compile itself compiled: the first cycle has no time for it."""
+        """Compile what the law does not compile itself: the first cycle has no time for it."""
         gains, q = self.gains, np.array(self.robot.home)
         integrate(self._law.rates, q, gains.horizon_s, gains.max_step_s, self.limits.max_dq)
         self._obstacles(leader.home if leader is not None else None)
@@ -90,7 +90,7 @@ class CameraFollower:
         """One increment, III-F.
 
         Args:
-            q_cmd: (n,) commanded reference: the last setpoint, with all increments under way [rad or m].
+            q_cmd: (n,) commanded reference: the last setpoint, with all increments in flight [rad or m].
             dq_last: (n,) increment that led to it [rad or m].
             p_focus: (3,) measured focus in the world [m].
             q_leader: (m,) measured configuration of the leader, None if it is not known.
@@ -101,7 +101,7 @@ class CameraFollower:
             (n,) increment within the robot's limits of position, speed and acceleration [rad or m].
         """
         self._tracker.update(p_focus, time_s)
-        # one kind of array: for another one, or one that is read-only, the law would be compiled anew within a cycle
+        # one kind of array: for another one, or one that is read-only, the law would be recompiled within a cycle
         q_cmd, focus = np.array(q_cmd, dtype=np.float64), np.array(p_focus, dtype=np.float64)
         if self.variants.extrapolated_focus:
             focus = self._tracker.ahead(self.gains.latency_s)

@@ -1,4 +1,4 @@
-"""Gains of the camera follower, and where it can be run as printed."""
+"""Gains of the camera follower, and the points in which it can run as printed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FollowerGains(NamedTuple):
         damping: ratio of view angle to joint angle at which the damping of (7) halves the task rate.
         horizon_s: virtual horizon of one increment [s].
         max_step_s: longest Runge-Kutta step [s].
-        latency_s: how far ahead the focus is carried: its measurement's age plus the own robot's lag [s].
+        latency_s: how far ahead the focus is extrapolated: its measurement's age plus the own robot's lag [s].
         turn_rad_s2: deceleration of the view angle that approaching the focus counts on [rad/s^2].
         zoom_m_s2: deceleration of the view distance that approaching the desired one counts on [m/s^2].
         spin_rad_s2: deceleration of the roll that levelling the picture counts on [rad/s^2].
@@ -50,7 +50,7 @@ class FollowerGains(NamedTuple):
 
 
 class Variants(NamedTuple):
-    """Where the paper's print and its correction differ and both are worth running; see the errata.
+    """Points in which the paper's print and its correction differ and both are worth running; see the errata.
 
     Attributes:
         angle_law: view angle decays linearly; else as (9) prints it, like its sine.
@@ -58,7 +58,7 @@ class Variants(NamedTuple):
             away; else they are reduced as fast as it can move.
         one_sided_weights: joints that leave a limit are not weighed; else (10) as printed.
         gradient_repulsion: the gradient of the potential; else (12) as printed.
-        extrapolated_focus: the focus is carried ahead by the latency; else held where it was measured.
+        extrapolated_focus: the focus is extrapolated by the latency; else held where it was measured.
     """
 
     angle_law: bool = True
@@ -87,6 +87,6 @@ BY_NAME = {
     "printed-weights": PAPER._replace(one_sided_weights=False),
     "printed-repulsion": PAPER._replace(gradient_repulsion=False),
 }
-"""`paper` is the paper's law with its errata mended; `predictive` carries the focus ahead as well, which the paper
+"""`paper` is the paper's law with its errata corrected; `predictive` also extrapolates the focus, which the paper
 leaves to future work (VII-B). `printed` undoes every correction, the others one each: the decay of (9), the weights
 (10), the repulsion (12)."""

@@ -1,8 +1,8 @@
 """One increment from a velocity field: Bjerkeng et al., III-F.
 
 The field is integrated by the classical Runge-Kutta method over a virtual horizon, longer than the cycle, so
-that the increment reaches as far towards the optimum as it may. What differs from the print, see the errata:
-the start is the commanded reference, and every step is bounded to a share of the increment cap, since
+that the increment reaches as far towards the optimum as allowed. Differences from the print, see the errata:
+the start is the commanded reference, and every step is bounded to a fraction of the increment cap, since
 near contact the field is stiff. The horizon replaces the CPU time, so that the result does not hang on
 how fast the machine is.
 """
@@ -74,8 +74,8 @@ def integrate(
         horizon_s: virtual time to integrate over [s].
         max_step_s: longest step [s].
         cap: (n,) largest increment [rad or m].
-        max_share: share of the cap that one step may cover.
-        max_steps: number of steps after which to be content.
+        max_share: fraction of the cap that one step may cover.
+        max_steps: number of steps after which the integration ends.
 
     Returns:
         (n,) increment [rad or m].

@@ -83,7 +83,7 @@ class CameraLaw:
         self._warm_up(np.array(robot.home), max_dq)
 
     def _warm_up(self, q: Array, max_dq: Array) -> None:
-        """Have everything compiled: the first cycle, and the first obstacle, have no time for it."""
+        """Compile everything: the first cycle, and the first obstacle, have no time for it."""
         lens = self._kinematics.position
         self.aim(q, lens + 1.0, 0.0, 1.0, lens[None], np.ones(1))
         self.rates(q)
@@ -149,7 +149,7 @@ class CameraLaw:
     def keep_looking(self, dq: Array, q: Array, slowest: Array, fastest: Array) -> Array:
         """Increment within bounds that moves the view as `dq` does, if there is one.
 
-        Joints that cannot follow `dq` would spoil the view direction, which is the main task; the joints that
+        Joints that cannot follow `dq` would disturb the view direction, which is the main task; the joints that
         have room left make up for it, and the sub-tasks pay. Before the view turns away from the focus, joints that
         are braked as `dq` asks are braked less, or more, for it.
 

@@ -73,7 +73,7 @@ def rates(
     last = roll_joint.number
     spin = _roll_rate(pose, q[last], roll_joint, decay)
     if not roll_joint.is_free:
-        # the lens is off the axis of the roll joint: only what the other joints can make up for
+        # the lens is off the axis of the roll joint: only as much as the other joints can compensate
         field[last] += spin
     task = _task_rate(view, goal.focus_speed, decay)
     rates = weighted_rates(weights, q, jacobian, task, field, view.stretch)
@@ -100,7 +100,7 @@ def _roll_rate(pose: CameraPose, q_last: float, roll_joint: RollJoint, decay: De
     turn = turn_to_level(pose.rotation, axis, q_last, roll_joint.lower, roll_joint.upper)
     rate = decay.roll * abs(turn)
     if decay.bounded_rates:
-        # other joints have to make up for a lens off the axis, and can only do so much
+        # other joints have to compensate for a lens off the axis, within their limits
         deceleration = decay.spin_rad_s2 if roll_joint.is_free else decay.turn_rad_s2
         rate = min(rate, _bounded(abs(turn), deceleration, 0.0, decay.share_of_horizon))
     return math.copysign(rate, turn)
@@ -115,10 +115,10 @@ def with_bounded_zoom(
     gains: FollowerGains,
     share_of_horizon: float,
 ) -> Goal:
-    """The goal with a gain k of (14), and an error that it may see, with which it can always brake.
+    """The goal with a gain k of (14), and a largest error for it, such that it can always brake.
 
     How far a field along `approach` moves the lens depends on what the camera task and the joint limits
-    leave of it, the mobility. A gain that makes up for it gives the view distance one and the same rate.
+    leave of it, the mobility. A gain that compensates for it gives the view distance the same rate everywhere.
     """
     view = look_on(pose.rotation, pose.position, goal.focus, pose.twists)
     jacobian, approach = view_jacobians(view, pose.position, goal.focus, pose.twists)
@@ -162,7 +162,7 @@ def kept_looking(
         missing = _moved(jacobian, dq - reached)
         free = (reached > slowest) & (reached < fastest)
         if leave_bounds and (view.direction * _moved(jacobian, reached)).sum() > 0.0:
-            # the focus would be lost: joints that stand at a bound leave it too, if that is of help
+            # the focus would be lost: joints at a bound leave it too, if that helps
             helpful = missing[0] * jacobian[0] + missing[1] * jacobian[1]
             free |= np.where(reached > slowest, helpful < 0.0, helpful > 0.0)
         if not free.any():

@@ -6,8 +6,8 @@ the unit vector from the other body's nearest point b to the own body's nearest 
     d' = n . (J_a(a) - J_b(b)) q'
 
 where q' holds the rates of every robot. A pair is measured only if it can be among the nearest: not while its bodies
-have travelled less than would bring them so near since they were last measured, nor while their bounding spheres
-are farther apart. A body travels no farther than its sphere's centre, and the sphere's radius times all that turned it.
+have travelled too little for that since they were last measured, nor while their bounding spheres are farther apart.
+A body travels no farther than its sphere's centre, plus the sphere's radius times all rotations that turned it.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _UNKNOWN_M = -1e6
-"""What is known of the distance of a pair that was never measured [m]."""
+"""Lower bound of the distance of a pair that was never measured [m]."""
 
 
 class Near(NamedTuple):
-    """Pairs of bodies in range, those first whose distance is the least share of it.
+    """Pairs of bodies in range, those first whose distance is the least fraction of it.
 
     Attributes:
         pairs: (k,) index of each in `Neighbours.names`.
@@ -62,7 +62,7 @@ class Neighbours:
     Args:
         cell: the cell.
         robot: name of the robot.
-        most: how many pairs are told.
+        most: how many pairs are returned.
 
     Attributes:
         names: pair of body names by index.
@@ -112,9 +112,10 @@ class Neighbours:
         self._told: Index = np.zeros(0, dtype=np.intp)
 
     def near(self, q: Array, ranges: Array) -> Near:
-        """What is near at a configuration, as a share of the range.
+        """What is near at a configuration, as a fraction of the range.
 
-        By distance less range the many bodies of a robot that comes, which matter from afar, would crowd out the floor.
+        Ordered by distance less range, the many bodies of an approaching robot, which matter from afar, would
+        displace the floor.
 
         Args:
             q: (m,) joints of all robots of the cell, in its order [rad or m].
@@ -123,7 +124,7 @@ class Neighbours:
         self._place(q)
         told = self._told
         distances = self._measure(told)
-        # those told last time tell how near a pair has to be to be told now
+        # those returned last time bound how near a pair has to be to be returned now
         others = self._candidates(ranges_of_nearer(ranges, told, distances, self._most))
         pairs, distances = np.concatenate([told, others]), np.concatenate([distances, self._measure(others)])
         chosen = nearest(ranges, pairs, distances, self._most)
@@ -157,7 +158,7 @@ class Neighbours:
         self._q = q
 
     def _candidates(self, ranges: Array) -> Index:
-        """Pairs other than those told that can be within (p,) ranges."""
+        """Pairs other than those returned last time that can be within (p,) ranges."""
         return candidates(
             self._one,
             self._other,

@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _LEAST_RANGE_M = 1e-3
-"""Of smaller ranges, or none, there is no share [m]."""
+"""Of smaller ranges, or none, no fraction is taken [m]."""
 
 TOUCHING_M = 1e-3
-"""Nearest points that are closer tell no direction [m]."""
+"""Nearest points that are closer give no direction [m]."""
 
 
 @compiled
@@ -31,7 +31,7 @@ def note_travel(
 ) -> None:
     """Move the `centres` of the `moving` bodies, and add to their `travel` how far they can have gone [m].
 
-    Each goes no farther than its centre, and its radius times what all the joints turned that it is `turned_by`.
+    Each travels no farther than its centre, plus its radius times the rotations of all joints that it is `turned_by`.
     """
     now = placed(spheres, placements)
     for i in range(len(moving)):
@@ -51,7 +51,7 @@ def candidates(
     radii: Array,
     at_least: Array,
 ) -> Index:
-    """Pairs but those told that can be within (p,) ranges; what their spheres tell is noted in `at_least`."""
+    """Pairs except those of last time that can be within (p,) ranges; bounds from their spheres go to `at_least`."""
     possible = at_least - travel[one] - travel[other] < ranges
     possible[told] = False
     near = np.zeros(len(ranges), dtype=np.bool_)
@@ -65,7 +65,7 @@ def candidates(
 
 @compiled
 def ranges_of_nearer(ranges: Array, told: Index, distances: Array, most: int) -> Array:
-    """(p,) how near a pair has to be to be among the `most` told, given the distances (k,) of those told so far."""
+    """(p,) how near a pair has to be to be among the `most` nearest, given the distances (k,) of those found so far."""
     share = 1.0
     if len(told) == most:
         farthest = 0.0
@@ -77,8 +77,8 @@ def ranges_of_nearer(ranges: Array, told: Index, distances: Array, most: int) ->
 
 @compiled
 def nearest(ranges: Array, pairs: Index, distances: Array, most: int) -> Index:
-    """Places of those of `pairs` (k,) in range, the least share of their range first, and `most` of them at most."""
-    # one of two alike comes first that does in the list of all pairs
+    """Places of those of `pairs` (k,) in range, the least fraction of their range first, and `most` of them at most."""
+    # of two equal pairs the one that is first in the list of all pairs comes first
     order = np.argsort(pairs, kind="mergesort")
     shares = distances / np.maximum(ranges[pairs], _LEAST_RANGE_M)
     nearest = order[np.argsort(shares[order], kind="mergesort")][:most]

@@ -1,6 +1,6 @@
 """The constraints of the quadratic programme, compiled: bounds of the joints, and barriers of the distances.
 
-Both are judged where the brake ends that the gate has follow every increment.
+Both are judged at the end of the brake with which the gate follows every increment.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deltaq_controllers.limits import IncrementLimits
 Array = NDArray[np.float64]
 
 _BRAKING = 0.98
-"""Share of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""
+"""Fraction of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""
 
 OTHERS, STANDING, RESERVE = range(3)
 """Kinds of barriers, by their slack."""
@@ -30,8 +30,8 @@ class Keeping(NamedTuple):
         foreign: (p,) whether the pair's other body belongs to another robot.
         margins: (p,) least distance, however they move [m].
         shares: (p,) part of what is left of a distance that one cycle may take.
-        reaction_s: time for which another robot is expected to come on as it does [s].
-        others_brake_m_s2: deceleration that is counted on in another robot [m/s^2].
+        reaction_s: time for which another robot is expected to keep its speed [s].
+        others_brake_m_s2: deceleration that is expected of another robot [m/s^2].
     """
 
     foreign: NDArray[np.bool_]
@@ -42,14 +42,14 @@ class Keeping(NamedTuple):
 
 
 class Braking(NamedTuple):
-    """What is left of the brake under way, `travel` (n,), and by how many increments a new one moves its end."""
+    """The rest of the present brake, `travel` (n,), and by how many increments a new one moves its end."""
 
     travel: Array
     reach: float
 
 
 class Barriers(NamedTuple):
-    """`rows dq >= least` but for a slack of each kind.
+    """`rows dq >= least`, up to a slack of each kind.
 
     Attributes:
         rows: (k, n) change of each distance per increment.
@@ -72,13 +72,13 @@ def barriers_of(
     fastest: Array,
     cycle_s: float,
 ) -> Barriers:
-    """A barrier for each distance in range, but for those that no increment within its bounds can break.
+    """A barrier for each distance in range, except those that no increment within its bounds can break.
 
-    Other robots have two: of the distance to be kept, and of what they need to brake in besides. The second
-    gives way to the view, since it is the gate that stops them.
+    Other robots have two: the distance to be kept, and their braking distance in addition. The second
+    gives way to the view, since the gate stops them.
 
     Args:
-        near: what is near where the brake under way ends.
+        near: what is near where the present brake ends.
         keeping: how distances are kept.
         braking: the brake.
         rates: (m,) rates of all joints of the cell, the own ones zero [rad/s or m/s].
@@ -121,7 +121,7 @@ def bounds(limits: IncrementLimits, q: Array, dq_last: Array, cycles: int) -> tu
     # can slow down by itself before its limit while others speed up: too late, and the whole arm has to brake
     room = 2.0 / (cycles + 4)
     hardest = _BRAKING * limits.max_ddq
-    # a joint that is faster than it may be has both bounds on one side of the other
+    # a joint that exceeds its speed limit has both bounds on the same side
     least = np.maximum(np.minimum(slowest, fastest), room * (limits.lower - q))
     most = np.minimum(np.maximum(slowest, fastest), room * (limits.upper - q))
     return np.minimum(least, dq_last + hardest), np.maximum(most, dq_last - hardest)

@@ -1,8 +1,8 @@
 """The camera follower as one quadratic programme per cycle.
 
-What the paper's law (9) does by projection and weights, with what it leaves to gains: limits are constraints
-that know how the robot brakes, clearance is a barrier that knows how the other robot moves, and the view's
-tasks share what is left by their weights (`qp_gains`). In the null space of nothing: every task is a row.
+It does what the paper's law (9) does by projection, weights and gains: limits are constraints
+that account for the robot's brake, clearance is a barrier that accounts for the other robot's motion, and the view's
+tasks share the remaining freedom by their weights (`qp_gains`). There is no null space: every task is a row.
 
     angle      (J_t / stretch) dq = -step(theta) e - (P p' / stretch) T      (3)-(5), in rad
     distance   -u . J_v dq        =  step(d) - u . p' T                      (14)
@@ -11,7 +11,7 @@ tasks share what is left by their weights (`qp_gains`). In the null space of not
     room       g . dq             =  |G| T,  g along G = -k H                   (11)
     barrier    n . J dq >= n . v T - gamma (d - barrier) - s
 
-T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a share of an error, but never
+T is the cycle, p' the focus' and v the other body's estimated velocity. `step` takes a fraction of an error, but never
 more than leaves room to brake with the acceleration that the joints have in that direction.
 """
 
@@ -39,13 +39,13 @@ from deltaq_protocol.brake import brake_cycles
 Array = NDArray[np.float64]
 
 MOST_PAIRS = 16
-"""Pairs of bodies that one programme takes into account, those first that are nearest for their range."""
+"""Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""
 
 
 class QpFollower:
     """Looks at the leader's tool, or at a fixed point, from a desired distance, keeping clear of everything.
 
-    Until the leader has been heard of the robot is brought to rest.
+    Until the leader has been heard the robot is brought to rest.
 
     Args:
         scene: the cell and who is who in it.
@@ -58,8 +58,8 @@ class QpFollower:
         limits: limits of the increments.
         evades_below_m: clearance from other robots below which barriers act [m].
         barrier_m: least distance from other robots, however they stand [m].
-        slack_m: (3,) by how much the last increment fell short of the barriers to other robots, of all others, and
-            of what other robots need to brake in [m].
+        slack_m: (3,) by how much the last increment fell short of the barriers to other robots, of all other
+            barriers, and of what other robots need to brake in [m].
         unsolved: cycles in which the solver gave no answer and the robot braked.
 
     Raises:
@@ -106,7 +106,7 @@ class QpFollower:
         self._warm_up()
 
     def _warm_up(self) -> None:
-        """Have everything compiled: the first cycle, and the first attack, have no time for it."""
+        """Compile everything: the first cycle, and the first attack, have no time for it."""
         robots, own = self._scene.cell.robots, self._scene.robot_name
         at_home = {name: RobotView(0, 0.0, robot.home, robot.home) for name, robot in robots.items()}
         self._others.update(at_home)
@@ -119,14 +119,14 @@ class QpFollower:
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
-        # one kind of array: for a read-only one the programme's parts would be compiled anew within a cycle
+        # one kind of array: for a read-only one the programme's parts would be recompiled within a cycle
         q, dq_last = np.array(view.own.q_cmd, dtype=np.float64), self._last.update(view.own)
         if self._scene.leader_name not in view.others:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
         self._others.update(view.others)
         focus, velocity = self._focus_ahead()
         cycles = brake_cycles(dq_last, self.limits.max_ddq)
-        # of the brake that is under way, what is left
+        # the rest of the present brake
         travel = dq_last * (0.5 * (cycles - 1))
         others = self._others.ahead(self._scene.latency_s)
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
@@ -163,7 +163,7 @@ class QpFollower:
         if self.focus is not None:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
         tracker = self._others.leader
-        # the increment asked for now arrives after the latency; what it starts from, a cycle earlier
+        # the present request arrives after the latency; its starting point, a cycle earlier
         self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
         focus = self._leader.position
         return focus, self._leader.at_point(focus) @ tracker.velocity
@@ -185,8 +185,8 @@ class QpFollower:
         )
 
     def _barriers(self, near: Near, travel: Array, cycles: int, slowest: Array, fastest: Array) -> Barriers:
-        """What keeps the distances in range, with a brake under way that has (n,) and so many cycles left."""
-        # of the brake that follows an increment the end lies `reach * dq` away, as the gate will see it too; at most
+        """Barriers of the distances in range, while a brake from an increment (n,) has so many cycles left."""
+        # the brake that follows an increment ends `reach * dq` away, as the gate will see it too; at most
         # a cycle is added to it
         braking = Braking(travel, reach=0.5 * (cycles + 2))
         rates = self._others.rates()
@@ -195,8 +195,8 @@ class QpFollower:
     def _evasion(self, q: Array) -> Array:
         """(n,) W^-1 F_rep of (12), off the floor and where the other robots will be [rad/s or m/s].
 
-        Where they go on to within `reaction_s`: the barriers keep that free, and who begins to slide aside only
-        there has the gate hold him.
+        The positions extrapolated by `reaction_s` count: the barriers keep these free, and a follower that begins
+        to slide aside only there is held by the gate.
         """
         ahead_s = self._scene.latency_s + self.gains.reaction_s
         force = self._repulsion.field_of(self._camera, Obstacles(*self._others.spheres_ahead(ahead_s)))
@@ -205,8 +205,8 @@ class QpFollower:
     def _room(self, q: Array) -> Array:
         """(n,) rates back from the limits, along -H of (11) [rad/s or m/s].
 
-        A joint at its limit is a wall behind who backs away. To turn round before it, and slip past the attacker
-        where the evasion leaves it open, takes more room than the weights of the evasion keep.
+        A joint at its limit blocks the retreat. To turn round before it, and slip past the attacker where the evasion
+        allows it, takes more margin than the weights of the evasion keep.
         """
         back = -self.gains.room * limit_gradient(q, self.limits.lower, self.limits.upper)
         return back * min(1.0, self.gains.room_rate / max(float(np.linalg.norm(back)), 1e-9))

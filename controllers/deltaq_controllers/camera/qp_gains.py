@@ -1,4 +1,4 @@
-"""What the quadratic programme weighs, and what it keeps."""
+"""Weights and margins of the quadratic programme."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ class QpGains(NamedTuple):
 
     Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come
     the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it
-    while there is another way. The tasks are least squares in one sum. Angle comes first, dearer than what others
-    need to brake in; two decades below it evasion, distance and room, of one weight: who gets out of the way neither
-    backs off along the view axis nor into a limit while there is a way aside. Then roll, and last of all that the
-    joints stand still.
+    while there is an alternative. The tasks are least squares in one sum. Angle comes first, at a higher price than
+    the braking distance of others; two decades below it evasion, distance and joint margin, of equal weight: the
+    follower backs off neither along the view axis nor into a limit while it can evade sideways. Then roll, and last
+    of all rest of the joints.
 
     Attributes:
         clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
-        clear_of_structure_m: the same from what stands still [m].
+        clear_of_structure_m: the same from the structure [m].
         clear_of_self_m: the same between the robot's own bodies, beyond the gate's for these [m].
         barrier_range_m: beyond its barrier, how far a pair of bodies is taken into account [m].
         others_range_m: the same for bodies of other robots [m].
         barrier_share: part of what is left of a distance that one cycle may take.
-        others_share: the same for other robots; smaller, so that getting out of the way begins early and gently.
-        reaction_s: time for which another robot is expected to come on as it does [s].
-        others_brake_m_s2: deceleration that is counted on in another robot [m/s^2].
+        others_share: the same for other robots; smaller, so that evading begins early and gently.
+        reaction_s: time for which another robot is expected to keep its speed [s].
+        others_brake_m_s2: deceleration that is expected of another robot [m/s^2].
         barrier_price: cost of slack per m, on the scale of the tasks' costs.
-        reserve_price: the same of what other robots need to brake in, beyond the least distance from them.
+        reserve_price: the same for the braking distance of other robots, beyond the least distance from them.
         evasion: eta of the repulsion (12) off other robots [m^3 rad/s].
         evasion_range_m: rho_0 of (12) [m].
         evasion_min_m: distance at which the repulsion stops growing [m].
         limit_scale: s_w of the weights (10) that keep the repulsion from pressing joints to their limits [rad].
-        room: k of the rates -k H, H of (11), at which joints leave their limits in the way of another robot
+        room: k of the rates -k H, H of (11), at which joints leave their limits while another robot is near
             [rad^2/s or m^2/s].
         room_rate: largest size of these rates [rad/s or m/s].
         angle_weight, evasion_weight, distance_weight, room_weight, roll_weight, rest_weight: of the squares: per mm

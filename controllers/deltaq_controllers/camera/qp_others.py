@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class OtherRobots:
-    """Estimates of the joints of every robot but one's own; vectors over the cell are in the cell's order.
+    """Estimates of the joints of every robot but the own one; vectors over the cell are in the cell's order.
 
     Args:
         scene: the cell and who is who in it.
@@ -28,7 +28,7 @@ class OtherRobots:
         self._bodies = {name: PlacedSpheres(self._robots[name]) for name in self._trackers}
 
     def update(self, views: Mapping[str, RobotView]) -> None:
-        """Take in what was measured."""
+        """Add what was measured."""
         for name, view in views.items():
             if name in self._trackers:
                 self._trackers[name].update(view.q, view.time_s)
@@ -39,7 +39,7 @@ class OtherRobots:
         return self._trackers[self._leader]
 
     def ahead(self, time_s: float) -> dict[str, Array]:
-        """(m,) joints of each robot that was heard of, a time after it was measured [rad or m]."""
+        """(m,) joints of each robot that was heard, a time after it was measured [rad or m]."""
         return {name: tracker.ahead(time_s) for name, tracker in self._trackers.items() if tracker.started}
 
     def spheres_ahead(self, time_s: float) -> tuple[Array, Array]:
@@ -49,7 +49,7 @@ class OtherRobots:
         return np.concatenate(centres), np.concatenate([self._bodies[name].radii for name in expected])
 
     def joined(self, q: Array, others: Mapping[str, Array]) -> Array:
-        """(m,) joints of all robots of the cell, the own at `q` (n,); at home who has not been heard of."""
+        """(m,) joints of all robots of the cell, the own at `q` (n,); a robot that was not heard counts at home."""
         return np.concatenate(
             [q if name == self._own else others.get(name, robot.home) for name, robot in self._robots.items()]
         )

@@ -4,9 +4,9 @@
     subject to  slowest <= dq <= fastest,  C dq + S s >= c,  s >= 0
 
 S picks the slack of each barrier's kind, so that what one kind needs does not loosen the others. The programme
-always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers ask for
+always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers demand
 beyond it. The solver is quadprog's dual active-set method (Goldfarb and Idnani, 1983): exact to rounding for
-programmes of this size, and with nothing carried from one cycle to the next, so that the same view gives the same
+programmes of this size, and with no state carried from one cycle to the next, so that the same view gives the same
 increment, bit for bit.
 """
 

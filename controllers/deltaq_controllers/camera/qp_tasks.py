@@ -1,4 +1,4 @@
-"""The tasks of the quadratic programme, compiled: rows, what they shall change in this cycle, and their weights."""
+"""The tasks of the quadratic programme, compiled: rows, what they should change in this cycle, and their weights."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Tasks(NamedTuple):
 
 
 class TaskGains(NamedTuple):
-    """Those of `QpGains` that the tasks make use of: each that is handed over costs time."""
+    """The fields of `QpGains` that the tasks use: each argument costs time."""
 
     angle_weight: float
     evasion_weight: float
@@ -78,8 +78,8 @@ def view_tasks(
         pose: of the camera.
         q: (n,) configuration [rad or m].
         aim: what to look at.
-        evasion: (n,) rates that get out of the others' way; zero for none [rad/s or m/s].
-        room: (n,) rates that leave joints room to their limits; zero for none [rad/s or m/s].
+        evasion: (n,) rates that evade the others; zero for none [rad/s or m/s].
+        room: (n,) rates that move joints away from their limits; zero for none [rad/s or m/s].
         gains: weights and shares.
         roll_joint: the joint that levels the picture.
         max_ddq: (n,) largest change of the increment between two cycles [rad or m].
@@ -129,7 +129,7 @@ def view_tasks(
 
 @compiled
 def step(error: float, share: float, deceleration: float, brake_share: float) -> float:
-    """A share of an error, but no more than can be braked within what is left of it."""
+    """A fraction of an error, but no more than can be braked within the rest of it."""
     return min(share * error, math.sqrt(2.0 * brake_share * deceleration * error))
 
 
@@ -137,7 +137,7 @@ def step(error: float, share: float, deceleration: float, brake_share: float) ->
 def available(rows: Array, max_ddq: Array, direction: Array) -> float:
     """Largest change of a task per cycle and cycle along a direction that the joints' acceleration allows.
 
-    It is what the joints give that share the work by their acceleration limits, least squares.
+    The joints share the work in proportion to their acceleration limits, least squares.
 
     Args:
         rows: (t, n) change of the task by the joints.

@@ -1,4 +1,4 @@
-"""What an experiment adds to a camera controller: where the robot begins, and view distances to turn to.
+"""What an experiment adds to a camera controller: a start configuration, and a sequence of view distances.
 
 Time is the stamp of the states, so that the same views give the same increments, live and in virtual time.
 """
@@ -17,7 +17,7 @@ from deltaq_controllers.limits import IncrementLimits
 Array = NDArray[np.float64]
 
 SPEED_SHARE, BRAKE_SHARE = 0.2, 0.3
-"""Parts of the joints' speeds and accelerations that going to the start makes use of."""
+"""Fractions of the joints' speeds and accelerations that the motion to the start uses."""
 
 ARRIVED = 1e-4
 """A start is reached when no joint is farther from it [rad or m]."""
@@ -30,7 +30,7 @@ class Rehearsal:
         camera: the controller.
         limits: of the robot's increments.
         start: (n,) where to begin; None for where the robot stands [rad or m].
-        distances_m: view distances that the operator turns to, one after the other; none leaves it alone [m].
+        distances_m: view distances that the operator selects, one after the other; none leaves it unchanged [m].
         hold_s: time that each is kept; the last is kept for ever [s].
 
     Attributes:

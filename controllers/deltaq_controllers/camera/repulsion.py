@@ -30,7 +30,7 @@ class Potential(NamedTuple):
 
     Attributes:
         gain: eta [m^3 rad/s].
-        range_m: rho_0, the clearance from which on nothing is pushed [m].
+        range_m: rho_0, the clearance beyond which there is no push [m].
         min_m: a smaller clearance counts as this one [m].
         as_printed: (12) to the letter.
     """
@@ -93,7 +93,7 @@ class Repulsion:
         self._near: Obstacles | None = None
 
     def approach(self, kinematics: Kinematics, obstacles: Array, radii: Array) -> float:
-        """Note what is near at the configuration of `kinematics`.
+        """Find what is near at the configuration of `kinematics`.
 
         Args:
             kinematics: placed at the start of the increment.

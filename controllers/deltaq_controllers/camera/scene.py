@@ -10,7 +10,7 @@ from deltaq_cell.robot import RobotModel
 
 @dataclass(frozen=True)
 class Scene:
-    """The cell of a camera controller, and its part in it.
+    """The cell of a camera controller, and the roles of its robots.
 
     Attributes:
         cell: the cell; a client builds it from the description that the HLI gives it.

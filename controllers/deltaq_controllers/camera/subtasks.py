@@ -81,7 +81,7 @@ def roll_effects(rotation: Array, axes: Array) -> Array:
 
 @compiled
 def turn_to_level(rotation: Array, axis: Array, q: float, lower: float, upper: float) -> float:
-    """How far the roll joint has to turn for a level picture, by the way that its limits leave open.
+    """How far the roll joint has to turn for a level picture, in the direction that its limits leave open.
 
     Args:
         rotation: (3, 3) camera axes in the world.
@@ -99,7 +99,7 @@ def turn_to_level(rotation: Array, axis: Array, q: float, lower: float, upper: f
         return 0.0
     shortest = -roll(rotation) / effect
     around = math.copysign(2.0 * math.pi / abs(effect), shortest)
-    # the next longer ways are the other way round, and once more about
+    # the next longer turns go in the opposite direction, and once more around
     for way in (shortest, shortest - around, shortest + around):
         if lower < q + way < upper:
             return way

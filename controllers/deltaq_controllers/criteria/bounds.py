@@ -1,7 +1,7 @@
-"""Bounds of the room between capsules, boxes and each other, to know which pairs need to be measured.
+"""Bounds of the distance between capsules, boxes and each other, to know which pairs need to be measured.
 
-A capsule is looked at by the middles of its two halves: its axis can be nearer than they are by a quarter of its
-length, and not farther. In single precision, as densely as the processor likes it.
+A capsule is represented by the middles of its two halves: its axis can be nearer than they are by a quarter of its
+length, and not farther. All in single precision, laid out for the processor's vector units.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 ROUNDING_M = 1e-3
-"""By how much single precision may miss a bound, among bodies that are some 10 m about [m]."""
+"""Largest error of a bound in single precision, for bodies within some 10 m [m]."""
 
 _TINY = np.float32(1e-12)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """What stands about.
+    """Bodies that stand still.
 
     Attributes:
         middles: (s, 3) middles of capsules in the world [m].
@@ -40,12 +40,13 @@ class Standing:
 
 
 class Bounds:
-    """Bounds of the room of every pair of one robot's capsules with each other and with what stands about.
+    """Bounds of the distance of every pair of one robot's capsules with each other and with standing bodies.
 
     Args:
         lengths: (c,) half lengths of the robot's capsules [m].
-        standing: what stands about.
-        least: (c, c + s + b) distance of axes at which the room is zero; -inf for a pair that is not looked at [m].
+        standing: bodies that stand still.
+        least: (c, c + s + b) distance of axes at which nothing is left of the stop distance; -inf for a pair that
+            is not measured [m].
     """
 
     def __init__(self, lengths: Array, standing: Standing, least: Array) -> None:
@@ -57,7 +58,7 @@ class Bounds:
         self._sizes = standing.sizes.T.reshape(-1, 1).astype(np.float32)
 
     def of(self, middles: Array, halves: Array) -> tuple[Single, Single]:
-        """Lower and upper bounds (N, c (c + s + b)), infinite for pairs that are not looked at.
+        """Lower and upper bounds (N, c (c + s + b)), infinite for pairs that are not measured.
 
         Args:
             middles: (N, c, 3) middles of the robot's capsules in the world [m].
@@ -65,7 +66,7 @@ class Bounds:
         """
         count, c = middles.shape[:2]
         s = len(self._standing.middles)
-        origin = middles.mean(axis=(0, 1))  # near to it single precision is best
+        origin = middles.mean(axis=(0, 1))  # single precision is best near the origin
         own, stand = middles - origin, self._standing.middles - origin
         points = np.concatenate([own - 0.5 * halves, own + 0.5 * halves], axis=1).astype(np.float32)
         upper = np.empty((count, c, self._least.shape[1]), dtype=np.float32)

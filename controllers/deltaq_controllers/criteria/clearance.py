@@ -1,8 +1,9 @@
-"""Room between bodies, for many configurations at once.
+"""Clearance beyond the stop distance, called room, for many configurations at once.
 
-Bodies are taken for capsules and what stands about for capsules and boxes: near enough to search with, and much quicker
-than exact shapes. What a search finds is measured exactly before anybody moves (`deltaq_controllers.advisor`). Of the
-pairs of a configuration only those are measured that bounds (`deltaq_controllers.criteria.bounds`) do not rule out.
+Bodies are taken for capsules, and standing bodies for capsules and boxes: accurate enough for a search, and much
+quicker than exact shapes. The results of a search are measured exactly before anything moves
+(`deltaq_controllers.advisor`). Of the pairs of a configuration only those are measured that bounds
+(`deltaq_controllers.criteria.bounds`) do not rule out.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ class Nearest:
     """The tightest pair of each of N configurations.
 
     Attributes:
-        room: (N,) distance beyond the stop distance [m]; infinite where there is nothing to be near to.
+        room: (N,) distance beyond the stop distance [m]; infinite where there is no other body.
         first: (N,) index of the robot's capsule.
-        second: (N,) index of the robot's other capsule; -1 where it is something that stands.
+        second: (N,) index of the robot's other capsule; -1 for a standing body.
         on_first: (N, 3) the nearest point on the first one's axis, in the world [m].
         on_second: (N, 3) the nearest point on the other's axis, or on the box [m].
         away: (N, 3) unit vector along which the first point gains room.
@@ -155,7 +156,7 @@ class ClearanceField:
         return Nearest(*(getattr(measured, name)[best] for name in _FIELDS))
 
     def _measured(self, middles: Array, halves: Array, rows: Indices, pairs: Indices) -> Nearest:
-        """The pairs asked for, each of one configuration, exactly."""
+        """The given pairs, each of one configuration, exactly."""
         standing, count = self._standing, len(pairs)
         first, other = np.divmod(pairs, self._least.shape[1])
         own, boxed = len(self.joints), len(self.joints) + len(standing.middles)

@@ -22,7 +22,7 @@ def _middle_half(postures: Postures) -> tuple[Array, Array]:
 
 
 def travel(postures: Postures) -> Array:
-    """Mean square share of half range."""
+    """Mean square of the joints' offsets from the middle, as fractions of half their range."""
     middle, half = _middle_half(postures)
     value: Array = np.square((postures.q - middle) / half).mean(axis=1)
     return value

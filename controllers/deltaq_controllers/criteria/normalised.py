@@ -18,7 +18,7 @@ SAMPLES = 50
 
 
 class CriterionError(DeltaqError):
-    """A criterion that there is none, or a weight that is none."""
+    """An unknown criterion, or an invalid weight."""
 
 
 class Normalised:

@@ -1,4 +1,4 @@
-"""Configurations of a robot with everything that criteria ask of them, computed once and only if asked."""
+"""Configurations of a robot with everything that criteria need of them, computed once and only on demand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROTOR_RAD, ROTOR_M = 0.05, 1.0
 
 
 class RobotData:
-    """What criteria know of a robot beyond its configuration.
+    """Data that criteria use of a robot beyond its configuration.
 
     Args:
         cell: model of the cell, for the bodies about.
@@ -55,7 +55,7 @@ class Postures:
     Args:
         data: of the robot.
         q: (N, n) configurations [rad or m].
-        frames: joints placed at `q`, where somebody has them already.
+        frames: joints placed at `q`, if they are known already.
     """
 
     def __init__(self, data: RobotData, q: Array, frames: Frames | None = None) -> None:

@@ -1,4 +1,4 @@
-"""All solutions of an inverse, and choosing among them."""
+"""All solutions of an inverse, and the choice among them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Flags = NDArray[np.bool_]
 TURN = 2.0 * np.pi
 
 FREE = 1e-13
-"""Below this share of the arm's reach, or of a unit vector, a direction is rounding: the joint is free."""
+"""Below this fraction of the arm's reach, or of a unit vector, a direction is rounding: the joint is free."""
 
 REACH_TOLERANCE = 1e-12
 """How far rounding may carry `|cos|` of an elbow beyond 1 with the pose still being reached to 1e-12."""
 
 
 class InverseError(DeltaqError):
-    """Poses that are no poses."""
+    """Invalid poses."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Branches:
     free: dict[str, Flags]
 
     def fitted(self, reference: Array, lower: Array, upper: Array) -> tuple[Array, Flags]:
-        """Solutions by whole turns as near to a reference as the limits let them be.
+        """Solutions moved by whole turns as near to a reference as the limits allow.
 
         Args:
             reference: (6,) or (N, 1, 6) configuration to be near to [rad].
@@ -52,7 +52,7 @@ class Branches:
             (N, 8, 6) configurations, and (N, 8) whether they exist inside the limits.
         """
         turns = np.rint((reference - self.q) / TURN)
-        # of the turns that the limits allow the one nearest to the reference
+        # of the turns that the limits allow, the one nearest to the reference
         turns = np.minimum(
             np.maximum(turns, np.ceil((lower - self.q) / TURN)), np.floor((upper - self.q) / TURN)
         )
@@ -95,7 +95,7 @@ def checked_poses(poses: Array) -> Array:
 
 
 def checked_hint(hint: Array | None) -> Array:
-    """(6,) configuration that tells free joints; zeros without one.
+    """(6,) configuration that gives free joints; zeros without one.
 
     Raises:
         InverseError: another shape, or not finite.

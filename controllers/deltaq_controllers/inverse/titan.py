@@ -1,8 +1,8 @@
 """Closed-form inverse of the Schilling Titan II.
 
-Hooper and Noakes, II. What differs from the print, see the errata: the pose is that of the tool, whose offset is
-taken off first (B1); all eight branches are found (B2), and none is singular where the print divides by a sine or
-cosine (B3); free joints follow a hint, and out of reach is told (B4).
+Hooper and Noakes, II. Differences from the print, see the errata: the pose is that of the tool, whose offset is
+removed first (B1); all eight branches are found (B2), and none is singular where the print divides by a sine or
+cosine (B3); free joints follow a hint, and out of reach is reported (B4).
 
 The forward kinematics that the closed form implies, in the arm's base frame with x along the azimuth axis:
 `R = Rx(-t1) Ry(Phi) Rx(t5) Rz(t6)`, `Phi = t2 + t3 + t4`, and for the point where t5 and t6 meet
@@ -123,7 +123,7 @@ class TitanInverse:
             R[:3, 3] += R[:3, 0] * offset[0] + R[:3, 1] * offset[1] + R[:3, 2] * offset[2]
         lengths = self.lengths
 
-        # t1 from the wrist's position, and everything turned back by it: only rows 1 and 2 change
+        # t1 from the wrist's position, and everything rotated back by it: only rows 1 and 2 change
         Px, Py, Pz = R[0, 3], R[1, 3], R[2, 3]
         rho = np.sqrt(Py * Py + Pz * Pz)
         azimuth_free: Flags = rho < FREE
@@ -136,7 +136,8 @@ class TitanInverse:
         row1 = c1 * R[1, :3] - s1 * R[2, :3]
         row2 = s1 * R[1, :3] + c1 * R[2, :3]
 
-        # Phi from the direction of the t6 axis, then t5 and t6 from what is left: well conditioned for any Phi
+        # Phi from the direction of the t6 axis, then t5 and t6 from the remaining rotation: well conditioned for
+        # any Phi
         a, b = R[0, 2], row2[2]
         across = np.sqrt(a * a + b * b)
         pitch_free: Flags = across < FREE
@@ -182,7 +183,7 @@ class TitanInverse:
 
 
 def _opposite(angle: Array) -> Array:
-    """Half a turn on, in (-pi, pi] for angles that are."""
+    """Angles plus half a turn, in (-pi, pi] if the angles are."""
     turned: Array = np.where(angle > 0.0, angle - np.pi, angle + np.pi)
     return turned
 

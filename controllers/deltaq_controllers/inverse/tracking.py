@@ -88,8 +88,8 @@ class ConstraintTracker:
 
         Args:
             base: (N, m) values of the base joints.
-            T_world_hands: (h, 4, 4) where the hands shall be.
-            hint: (n,) configuration that tells joints which the poses leave free.
+            T_world_hands: (h, 4, 4) where the hands should be.
+            hint: (n,) configuration whose values count for joints that the poses leave free.
 
         Returns:
             Of each arm its branches.
@@ -109,7 +109,7 @@ class ConstraintTracker:
 
         Args:
             base: (N, m) values of the base joints.
-            T_world_hands: (h, 4, 4) where the hands shall be.
+            T_world_hands: (h, 4, 4) where the hands should be.
             reference: (n,) or (N, n) configuration to be near to.
 
         Returns:
@@ -132,16 +132,16 @@ class ConstraintTracker:
         return q
 
     def walk(self, origin: Array, target: Array, T_world_hands: Array, pieces: int) -> Array:
-        """Ways that are straight in the base, the hands kept, each arm following without a change of branch.
+        """Paths that are straight in the base, the hands kept, each arm following without a change of branch.
 
-        All branches of all configurations are solved at once, and from each the nearest of the next one is gone on
-        with. Limits are not looked at.
+        All branches of all configurations are solved at once, and each is continued by the nearest branch of the next
+        configuration. Limits are not checked.
 
         Args:
-            origin: (N, n) configurations with the hands where they shall be.
-            target: (N, m) values of the base joints at the ways' ends.
-            T_world_hands: (h, 4, 4) where the hands shall be.
-            pieces: into how many equal pieces each way is divided.
+            origin: (N, n) configurations with the hands in place.
+            target: (N, m) values of the base joints at the paths' ends.
+            T_world_hands: (h, 4, 4) where the hands should be.
+            pieces: into how many equal pieces each path is divided.
 
         Returns:
             (N, pieces + 1, n) configurations from each origin on; NaN from where an arm cannot reach.
@@ -207,7 +207,7 @@ class ConstraintTracker:
         return candidates
 
     def _fits(self, arm: Arm) -> bool:
-        """Whether the closed form finds a configuration of the model itself again."""
+        """Whether the closed form reproduces a configuration of the model itself."""
         q = self.robot.lower + (self.robot.upper - self.robot.lower) * np.linspace(0.37, 0.61, self.robot.n)
         frames = self.kinematics.frames(q[None])
         mount = self.kinematics.mounts(frames, int(arm.joints[0]), 1)[0] @ arm.T_mount_base

@@ -1,7 +1,7 @@
 """A leader that tries to hit the follower: an operator with bad intentions, or with bad sight.
 
-It homes in on a point of the follower, however that moves, withdraws, and comes again from elsewhere. It asks for
-what it wants; that the gate lets it have it is not said.
+It homes in on a point of the follower, however that moves, withdraws, and comes again from elsewhere. Its requests
+need not be admitted by the gate.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ATTACK_S, WITHDRAW_S = 5.0, 3.0
 
 
 class HomingStick:
-    """Tool velocities towards a point that moves.
+    """Tool velocities towards a moving point.
 
     Args:
         speed_m_s: speed that the operator keeps [m/s].
@@ -47,7 +47,7 @@ class HomingStick:
         if self.point is not None:
             way = self.point - position
             far = float(np.linalg.norm(way))
-            # as fast as can still be stopped at the point
+            # the speed from which the tool can still stop at the point
             wanted = (min(self._speed, np.sqrt(2.0 * STICK_ACCELERATION_M_S2 * far)) / max(far, 1e-9)) * way
         change = wanted - self.velocity
         size, largest = float(np.linalg.norm(change)), STICK_ACCELERATION_M_S2 * self._cycle_s
@@ -55,7 +55,7 @@ class HomingStick:
         return self.velocity
 
     def give_up(self) -> None:
-        """An attacker does not give up, it pushes anew."""
+        """An attacker does not give up, it pushes again."""
         self.velocity = np.zeros(3)
 
 

@@ -44,7 +44,7 @@ class Workspace:
 
 
 class Stick(Protocol):
-    """What steers a tool.
+    """Steers a tool.
 
     Attributes:
         velocity: (3,) the last velocity [m/s].
@@ -57,7 +57,7 @@ class Stick(Protocol):
         ...
 
     def give_up(self) -> None:
-        """The robot does not move as it is told."""
+        """The robot does not move as commanded."""
         ...
 
 

@@ -29,7 +29,7 @@ ARRIVED = 1e-9
 """The robot stands at an option within this, in every joint [rad or m]."""
 
 _NEAR = 0.01
-"""How far an option for practice is from home, in every base joint [rad or m]."""
+"""Distance of an option for practice from home, in every base joint [rad or m]."""
 
 NOTHING_FOUND = (
     "no configuration keeps the hands here clear of limits and obstacles; move the hands and ask again"
@@ -54,7 +54,7 @@ def tracker_of(robot: RobotModel) -> ConstraintTracker:
 
 
 class Advisor(Protocol):
-    """What answers in the background of a control loop, as `AdvisorProcess` does.
+    """An advisor that answers in the background of a control loop, as `AdvisorProcess` does.
 
     Attributes:
         tracker: of the robot.
@@ -95,10 +95,10 @@ class Advisor(Protocol):
 
 
 class AdvisorMode(Mode):
-    """Intelligent assistance (Hooper & Noakes, section III): options are asked for as the mode begins.
+    """Intelligent assistance (Hooper & Noakes, section III): options are requested as the mode begins.
 
-    The robot goes to the option that is chosen along a self-motion, in the time that its joints need, and comes to
-    rest on that path when the choice is taken back. From there it can go on, or go to another option.
+    The robot goes to the chosen option along a self-motion, in the time that its joints need, and comes to
+    rest on that path when the choice is withdrawn. From there it can resume, or go to another option.
 
     Args:
         robot: the robot.
@@ -129,12 +129,12 @@ class AdvisorMode(Mode):
 
     @property
     def done(self) -> float:
-        """Share of the duration of the path to the chosen option that has been driven."""
+        """Fraction of the duration of the path to the chosen option that has been driven."""
         return self._route.done if self._route is not None and self._driven == self._wanted else 0.0
 
     @property
     def status(self) -> str:
-        """What the advisor is doing, or where the robot is on its way."""
+        """What the advisor is doing, or how far the robot is on its path."""
         if self.arrived_at is not None:
             return f"at option {self.arrived_at}"
         if self._wanted is not None and self._driven == self._wanted:
@@ -173,7 +173,7 @@ class AdvisorMode(Mode):
         self._advisor.give_up()
 
     def choose(self, option: int | None) -> None:
-        """Go to the option of a rank, from 1; None is rest."""
+        """Go to the option of a rank, counted from 1; None is rest."""
         self._wanted = option
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
@@ -190,7 +190,7 @@ class AdvisorMode(Mode):
         return motion.scaled(kept_while_braked(self._hands, q, rates, self._robot.max_acceleration))
 
     def step(self, q: Array, motion: Motion, time_s: float) -> Array:
-        """The displacement along the way."""
+        """The displacement along the path."""
         if self._route is None or motion.along == 0.0:
             return np.zeros_like(q)
         return self._route.step(q, motion.along * time_s / self._cycle_s)
@@ -202,7 +202,7 @@ class AdvisorMode(Mode):
         return Limitation(Limit.NO_WAY, f"option {self._wanted}", self._hindrance)
 
     def _take_up(self, q: Array) -> None:
-        """Take the path to the chosen option if it is known; otherwise have it searched for."""
+        """Take the path to the chosen option if it is known; otherwise start a search for it."""
         self._hindrance = self._advisor.trouble
         options = self.options
         if self._wanted is None or self._hindrance or (not options and self._advisor.is_busy):
@@ -218,7 +218,7 @@ class AdvisorMode(Mode):
         option = options[self._wanted - 1]
         is_start = bool(np.abs(option.start - q).max() < AT_START)
         if is_start and option.path is not None:
-            self._advisor.give_up()  # a control loop in motion wants the processor
+            self._advisor.give_up()  # a control loop in motion needs the processor
             setpoints = timed(option.path, self._advisor.tracker, self._cycle_s, option.hands_move)
             self._trail = np.concatenate([self._back(q)[::-1], option.path])
             self._route, self._driven, self._hands_move = Route(setpoints), self._wanted, option.hands_move
@@ -230,7 +230,7 @@ class AdvisorMode(Mode):
             self._advisor.seek(self._back(q), self._wanted)
 
     def _back(self, q: Array) -> Array:
-        """(P, n) the way from `q` (n,) on or near the trail to where it begins."""
+        """(P, n) the path from `q` (n,), on or near the trail, back to where the trail begins."""
         nearest = int(np.abs(self._trail - q).max(axis=1).argmin())
         return np.concatenate([q[None], self._trail[nearest::-1]])
 

@@ -14,10 +14,10 @@ WEIGHT_SCALE = 0.02
 
 
 LEAST_WEIGHT = 0.01
-"""What is left of the share of a joint at its limit: it must be able to leave."""
+"""Least weight of a joint, at its limit: it must be able to leave."""
 
 MARGIN = 2e-4
-"""Part of its range, at either end, that a redundant joint is not moved into."""
+"""Part of a joint's range, at either end, into which redundancy does not move it."""
 
 
 def limit_weights(q: Array, lower: Array, upper: Array) -> Array:

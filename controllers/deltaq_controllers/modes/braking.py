@@ -1,4 +1,4 @@
-"""Limit the speed of a self-motion so that the hands stay even if the gate brakes it at any moment."""
+"""Limit the speed of a self-motion so that the hands stay even if the gate brakes it at any time."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ BRAKED_M, BRAKED_RAD = 2.5e-5, 5e-5
 """How far a hand may be off at the end of a brake, which is straight in joint space [m, rad]."""
 
 GLIMPSE_S = 1e-3
-"""Time over which the rates of a motion are looked at [s]."""
+"""Time over which the rates of a motion are compared [s]."""
 
 
 def kept_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Array) -> float:
     """The share of its rates from which a self-motion can be braked without moving the hands.
 
-    What a straight brake takes the hands off by grows with the square of its length, and that with the square of the
-    speed.
+    The error of the hands after a straight brake grows with the square of the brake's length, and that length with the
+    square of the speed.
 
     Args:
         hands: of the robot.

@@ -22,13 +22,13 @@ from deltaq_controllers.modes.slowing import slowed
 Array = NDArray[np.float64]
 
 DRIFT_SHARE_S_M = 2.0
-"""Share of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""
+"""Fraction of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""
 
 FULL_DESCENT_S = 0.02
-"""Weighted descent of the criteria, over a joint's greatest speed, from which on it is cut to what it may ask [s]."""
+"""Weighted descent of the criteria, over a joint's greatest speed, above which it is clipped [s]."""
 
 REVOLUTE_SHARE = 0.25
-"""What a rad/s of a revolute joint counts for beside a m/s of a prismatic one, in W^-1."""
+"""Weight of a rad/s of a revolute joint relative to a m/s of a prismatic one, in W^-1."""
 
 _NO_WORSE_M = 1e-6
 """Joints are kept off their limits if that leaves the hands no farther off than this [m]."""
@@ -40,7 +40,7 @@ class Criterion:
 
     Attributes:
         gradient: (n,) gradient at a configuration (n,).
-        weight: what it counts for beside the others.
+        weight: its weight among the criteria.
     """
 
     gradient: Callable[[Array], Array]
@@ -146,7 +146,7 @@ class CoupledMode(Mode):
             self._descent = np.zeros_like(q)
             for criterion in self._criteria:
                 self._descent -= criterion.weight * criterion.gradient(q)
-        # weighed as the projection is: only then is what it leaves of the descent still a descent
+        # weighted as the projection is: only then does the projection of the descent still descend
         rates = self._weights(q) * self._descent
         fastest = float(np.max(np.abs(rates) / self._max_velocity))
         travel, turn = np.linalg.norm(motion.hands.reshape(-1, 2, 3), axis=2).max(axis=0)

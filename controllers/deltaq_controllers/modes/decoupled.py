@@ -51,7 +51,7 @@ class DecoupledMode(Mode):
         positions = hands.positions + wanted[:, :3]
         arms = inverse(wanted.ravel())
         hands.update(q + base + arms)
-        # what the damping leaves out comes back as an error, and is left out again
+        # the part that the damping omits comes back as an error, and is omitted again
         arms += inverse(hands.error(rotations, positions))
         return base + arms
 

@@ -58,7 +58,7 @@ class Hands:
         self.jacobian: Array = jacobian
 
     def error(self, rotations: Array, positions: Array) -> Array:
-        """(6 h,) the way from where the hands are to the poses given: offset [m] over rotation vector [rad]."""
+        """(6 h,) displacement from the present poses to the given ones: offset [m] over rotation vector [rad]."""
         turns = rotations @ self.rotations.transpose(0, 2, 1)
         angles = np.array([pin.log3(turn) for turn in turns])
         error: Array = np.hstack([positions - self.positions, angles]).ravel()

@@ -34,7 +34,7 @@ class Mode(Protocol):
 
     @property
     def status(self) -> str:
-        """What an operator may like to know beside what limits the mode."""
+        """Status for the operator, beside what limits the mode."""
         return ""
 
     @property
@@ -55,11 +55,11 @@ class Mode(Protocol):
         return
 
     def choose(self, option: int | None) -> None:
-        """The option that is wished in this cycle."""
+        """Set the option that is wished in this cycle."""
         del option
 
     def bounded(self, q: Array, motion: Motion, /) -> Motion:
-        """The motion, slowed as far as this mode's promise asks for at `q` (n,)."""
+        """The motion, slowed as far as this mode's guarantee requires at `q` (n,)."""
         del q
         return motion
 
@@ -68,5 +68,5 @@ class Mode(Protocol):
         ...
 
     def limitation(self, q: Array, motion: Motion, /) -> Limitation | None:
-        """What of the robot's geometry limits this motion at `q` (n,)."""
+        """The limit of the robot's geometry that this motion meets at `q` (n,)."""
         ...

@@ -53,7 +53,7 @@ _FROM_GATE = {
 
 
 def from_verdict(verdict: Verdict) -> Limitation | None:
-    """What the gate bound a request by; None if it was admitted."""
+    """What limited a request at the gate; None if it was admitted."""
     if verdict.outcome is Outcome.ADMITTED or not verdict.reasons:
         return None
     reason = verdict.reasons[0]
@@ -68,7 +68,7 @@ def from_verdict(verdict: Verdict) -> Limitation | None:
 
 
 def of_joint(name: str, position: float, revolute: bool) -> Limitation:
-    """A joint that stands at its limit, and could not be braked inside it otherwise."""
+    """A joint at its limit: with more motion it could not be braked inside the limit."""
     where = f"{np.rad2deg(position):.1f}°" if revolute else f"{position * 1000:.0f} mm"
     return Limitation(Limit.JOINT_LIMIT, name, f"{name} is at its limit, {where}")
 
@@ -82,8 +82,8 @@ def of_conditioning(hands: Hands, inverse: Inverse, wanted: Array, q: Array) -> 
     """A direction that the hands have lost, if the operator asks for it.
 
     The Jacobian's weakest direction is lost at an edge of the workspace and at singularities inside it. At an edge
-    the reach is greatest: the hands' second derivative along the weak joint direction points back inside. That is
-    looked at where the lost direction is one of travel; lost turns are singularities of the wrist.
+    the reach is greatest: the hands' second derivative along the weak joint direction points back inside. This is
+    checked where the lost direction is one of travel; lost rotations are singularities of the wrist.
 
     Args:
         hands: placed at `q`.
@@ -108,7 +108,7 @@ def of_conditioning(hands: Hands, inverse: Inverse, wanted: Array, q: Array) -> 
 
 
 _MOSTLY = 0.7
-"""Share of travel in a lost direction, a unit vector, that makes it a direction of travel."""
+"""Fraction of travel in a lost direction, a unit vector, that makes it a direction of travel."""
 
 _BENT = 0.05
 """Second derivative of the reach that counts as an edge [m/rad^2]."""

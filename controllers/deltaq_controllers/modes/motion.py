@@ -34,14 +34,14 @@ class Frame(StrEnum):
 
 @dataclass(frozen=True)
 class Wish:
-    """What the operator wishes in this cycle; an empty one is a stick let go.
+    """What the operator wishes in this cycle; an empty wish is a released stick.
 
     Attributes:
         rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several
             hands (`left.x`) [m/s, rad/s].
         mode: the mode wanted from here on; None leaves it as it is.
         frame: the axes wanted from here on; None leaves them as they are.
-        option: rank of the advisor's option to go to; None is rest, on the way too.
+        option: rank of the advisor's option to go to; None is rest, also on the path to it.
     """
 
     rates: Mapping[str, float] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Motion:
-    """Rates of all joints and all hands; a mode takes of them what it drives.
+    """Rates of all joints and all hands; a mode uses those that it drives.
 
     Attributes:
         joints: (n,) joint rates [rad/s or m/s].
@@ -82,7 +82,7 @@ class Motion:
         return Motion(share * self.joints, share * self.hands, share * self.along)
 
     def towards(self, other: Motion, share: float) -> Motion:
-        """The way from this motion to `other`, at `share` of it."""
+        """The motion between this one and `other`, at fraction `share`."""
         rest = 1.0 - share
         return Motion(
             rest * self.joints + share * other.joints,

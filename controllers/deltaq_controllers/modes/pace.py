@@ -1,8 +1,8 @@
 """How much of what an operator wishes fits into one cycle, on the path that the mode gives.
 
 Clipping joints one by one would take a hand off its line. Here the motion as a whole is slowed: the increment is
-that of a motion between the one just made and the one that is wished, as near to the wish as speed,
-acceleration and room to brake allow. Where not even the old motion can go on, it is slowed down.
+that of a motion between the last one and the one that is wished, as near to the wish as speed,
+acceleration and room to brake allow. Where even the last motion cannot continue, it is slowed down.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from deltaq_protocol.brake import brake_cycles, brake_increment
 Array = NDArray[np.float64]
 
 RAMP_SHARE = 0.5
-"""Share of each joint's acceleration that an operator's own changes of speed use."""
+"""Fraction of each joint's acceleration that an operator's own changes of speed use."""
 
 _HALVINGS = 8
 _SLACK = 1e-9
@@ -28,7 +28,7 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Fit:
-    """What fits.
+    """The motion that fits into a cycle.
 
     Attributes:
         dq: (n,) increment [rad or m].
@@ -85,7 +85,7 @@ def fit(
 def _exact(
     step: Callable[[Motion], Array], room: _Room, previous: Motion, wished: Motion, share: float
 ) -> tuple[Motion, Array] | None:
-    """The motion at `share` of the way and its increment; nearer to the old one where a line is no good guess."""
+    """The motion at fraction `share`, and its increment; nearer to the last one where a line is a poor guess."""
     for smaller in (1.0, 0.5, 0.25, 0.0):
         motion = previous.towards(wished, smaller * share)
         dq = step(motion)

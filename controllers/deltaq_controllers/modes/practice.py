@@ -1,7 +1,7 @@
 """Run every mode on the robot's model before the robot is driven, so that no first motion waits for compilation.
 
 To compile a function at the first motion, or to load it from numba's cache, takes 0.2 to 0.7 s: dozens of cycles, and
-on a busy machine the lease.
+on a busy machine long enough to lose the lease.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _RATE = 0.05
 def practise(teleoperator: Teleoperator) -> None:
     """Drive every mode made so far along each of its axes, on the robot's model alone, from its home.
 
-    The teleoperator itself stays as it is: each mode practises in one of its own.
+    The teleoperator itself is not changed: each mode practises in a separate one.
 
     Args:
         teleoperator: that is to drive a robot afterwards.

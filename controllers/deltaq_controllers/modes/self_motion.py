@@ -21,7 +21,7 @@ KEPT_M, KEPT_RAD = 1e-6, 1e-6
 """A step after which a hand is farther off than this is not made [m, rad]."""
 
 TAKEN_BACK_M_S, TAKEN_BACK_RAD_S = 2e-3, 2e-3
-"""How fast an older error is taken back, at most [m/s, rad/s]."""
+"""Greatest rate at which an older error is corrected [m/s, rad/s]."""
 
 _NEWTON_STEPS = 3
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
@@ -31,9 +31,8 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 class SelfMotionMode(Mode):
     """Moves within the null space of the hands (Hooper & Noakes, section II).
 
-    The hands are held where they were when the mode began: what a brake of the gate, which is straight in
-    joint space, moves them by is taken back with the next motion. A joint that cannot move without the hands does
-    not move.
+    The hands are held where they were when the mode began: a brake of the gate, which is straight in joint space, may
+    move them a little, and the next motion corrects that. A joint that cannot move without the hands does not move.
 
     Raises:
         ControllerError: the robot is not redundant.
@@ -63,7 +62,7 @@ class SelfMotionMode(Mode):
         self._kept = (self._hands.rotations.copy(), self._hands.positions.copy())
 
     def bounded(self, q: Array, motion: Motion) -> Motion:
-        """The motion, slowed to where the hands stay even if the gate brakes it at any moment."""
+        """The motion, slowed to where the hands stay even if the gate brakes it at any time."""
         rates = self.step(q, motion, GLIMPSE_S) / GLIMPSE_S
         return motion.scaled(kept_while_braked(self._hands, q, rates, self._max_acceleration))
 
@@ -118,7 +117,7 @@ class SelfMotionMode(Mode):
 
 
 def _cut(error: Array, time_s: float) -> Array:
-    """(h, 6) an error (6 h,) of the hands, cut to what is taken back in a time."""
+    """(h, 6) an error (6 h,) of the hands, clipped to what is corrected within a time."""
     hands = error.reshape(-1, 2, 3).copy()
     sizes = np.linalg.norm(hands, axis=2)
     hands *= np.minimum(

@@ -1,7 +1,7 @@
 """Stop before a hand would leave its line, at singularities and at the edge of the workspace.
 
-Damping keeps joint rates finite there by leaving out part of the motion, and what it leaves out turns the hand. So
-the whole motion is slowed with the share that is left out, to a stand, unless it leads out.
+Damping keeps joint rates finite there by omitting part of the motion, which takes the hand off its line. So
+the whole motion is slowed with the omitted fraction, down to rest, unless it leads out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from deltaq_controllers.modes.motion import Motion
 Array = NDArray[np.float64]
 
 STANDING_LOSS = 0.3
-"""Share of a motion that the damping leaves out when the robot has come to a stand."""
+"""Fraction of a motion that the damping leaves out when the robot has come to a stand."""
 
 _UNHEEDED_LOSS = 0.01
 _AHEAD_S = 1e-3

@@ -48,7 +48,7 @@ class Teleoperator:
         cycle_s: its cycle [s].
         mode: the mode to begin with.
         frame: the axes in which hands are moved.
-        modes: what makes each mode.
+        modes: makers of the modes.
 
     Attributes:
         robot, cycle_s: as given.
@@ -93,7 +93,7 @@ class Teleoperator:
 
     @property
     def status(self) -> str:
-        """What the mode has to say beside what limits it."""
+        """The mode's status, beside what limits it."""
         return self._mode.status
 
     @property
@@ -190,7 +190,7 @@ class Teleoperator:
         return found.dq
 
     def take_verdict(self, verdict: Verdict | None) -> None:
-        """Hear what became of the increment; the gate's reason goes before the mode's own."""
+        """Take the verdict on the increment; the gate's reason takes precedence over the mode's own."""
         found = from_verdict(verdict) if verdict is not None else None
         if found is not None:
             self.limitation = found
@@ -208,7 +208,7 @@ class Teleoperator:
         return lambda motion: self._mode.step(q_cmd, motion, self.cycle_s)
 
     def _wished(self, q: Array) -> Motion:
-        """The wish as a motion, of what the mode drives."""
+        """The wish as a motion of the axes that the mode drives."""
         rest = Motion.rest(self.robot.n, len(self.hand_names))
         if self.mode is ModeName.ADVISOR:
             return rest if self.wish.option is None else replace(rest, along=1.0)
@@ -231,7 +231,7 @@ class Teleoperator:
         return motion
 
     def _made(self, dq_last: Array) -> float:
-        """Share of the motion last asked for that the robot was commanded: the gate may have braked it."""
+        """Fraction of the motion last asked for that the robot was commanded: the gate may have braked it."""
         size = float(self._asked @ self._asked)
         return min(1.0, max(0.0, float(self._asked @ dq_last) / size)) if size > 0.0 else 0.0
 

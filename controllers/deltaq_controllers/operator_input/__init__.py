@@ -1,1 +1,1 @@
-"""What an operator wishes, cycle by cycle: from a keyboard, a gamepad, a script, or by going to an option."""
+"""An operator's wishes, cycle by cycle: from a keyboard, a gamepad, a script, or on the path to an option."""

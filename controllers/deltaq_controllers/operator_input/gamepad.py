@@ -1,7 +1,7 @@
 """A gamepad as an operator's stick, read from Linux' joystick device.
 
 The device gives 8 bytes an event: time, value, type, number (Linux, Documentation/input/joydev). The sticks count
-only while a shoulder button is held, and a device that is gone is the end.
+only while a shoulder button is held; an unplugged device ends the drive.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Gamepad:
 
     @property
     def status(self) -> str:
-        """What is chosen now."""
+        """The present choice."""
         joint = f"joint {self._teleoperator.robot.joint_names[self.joint]}"
         chosen = f"option {self.option}" if self._is_advised else joint
         return f"{chosen}, {'held' if self._is_held else 'hold a shoulder button to move'}"
@@ -126,7 +126,7 @@ class Gamepad:
         return rates
 
     def _take_events(self) -> list[int]:
-        """Take in all events that wait; returns the buttons pressed.
+        """Read all waiting events; returns the buttons pressed.
 
         Raises:
             OSError: the device is gone.
@@ -144,7 +144,7 @@ class Gamepad:
             if kind & _AXIS:
                 self._sticks[number] = _beyond_dead_zone(value / _FULL)
             elif kind & _BUTTON and value:
-                if not kind & _INITIAL:  # a button held since before the drive has not been pressed for it
+                if not kind & _INITIAL:  # a button held since before the drive was not pressed for it
                     self._held.add(number)
                     pressed.append(number)
             elif kind & _BUTTON:

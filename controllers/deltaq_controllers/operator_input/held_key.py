@@ -1,4 +1,4 @@
-"""Whether a key is tapped or held, from a terminal that tells presses and repeats alike and no release.
+"""Whether a key is tapped or held, from a terminal that reports presses and repeats alike and no release.
 
 A held key is repeated after a first delay of 0.25 to 0.66 s and then some 10 to 30 times a second, as the operator's
 desktop is set. So the first press moves slowly for as long as that delay may take, and the key counts as held from the
@@ -8,7 +8,7 @@ second repeat on: then it moves at full speed, and stops soon after the last rep
 from __future__ import annotations
 
 FIRST_REPEAT_S = 0.7
-"""Longest time from a press to its first repeat that is waited for."""
+"""Longest time from a press to its first repeat."""
 
 HOLD_S = 0.2
 """How long a repeat moves: the longest motion at full speed after a key was let go, before the robot brakes."""
@@ -17,7 +17,7 @@ TAP_S = 0.1
 """A tap moves as far as full speed does in this time."""
 
 TAP_SHARE = TAP_S / FIRST_REPEAT_S
-"""Share of the speed until a key counts as held."""
+"""Fraction of the speed until a key counts as held."""
 
 _HELD_FROM = 3
 """The press, its first repeat, and the next one: two taps are no hold."""
@@ -38,11 +38,11 @@ class HeldKey:
         self._key, self._until_s = key, time_s + (HOLD_S if is_repeat else FIRST_REPEAT_S)
 
     def release(self) -> None:
-        """Whatever is held is let go."""
+        """Release the key that is held."""
         self._key, self._presses = "", 0
 
     def share(self, time_s: float) -> float:
-        """Share of the full speed at a time [s]; 0 is rest."""
+        """Fraction of the full speed at a time [s]; 0 is rest."""
         if not self._presses or time_s >= self._until_s:
             return 0.0
         return 1.0 if self._presses >= _HELD_FROM else TAP_SHARE

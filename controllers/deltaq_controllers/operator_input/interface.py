@@ -9,7 +9,7 @@ from deltaq_controllers.modes.motion import Wish
 
 
 class OperatorInput(Protocol):
-    """Where an operator's wishes come from; a context manager, since some hold a device."""
+    """Source of an operator's wishes; a context manager, since some hold a device."""
 
     def read(self, time_s: float) -> Wish | None:
         """The wish at a time of the robot's clock [s]; empty while nobody touches anything, None when it is over."""

@@ -69,7 +69,7 @@ class Keyboard:
 
     @property
     def status(self) -> str:
-        """What is chosen now."""
+        """The present choice."""
         name = self._teleoperator.robot.joint_names[self.joint]
         return f"joint {name}, hand {self.hand or 'all'}, {self._speed_m_s:.3f} m/s"
 
@@ -142,7 +142,7 @@ class Keyboard:
         while self._text:
             if self._text.startswith("\x1b"):
                 if len(self._text) < 3 and "\x1b[".startswith(self._text):
-                    break  # the rest of the sequence is on its way
+                    break  # the rest of the sequence follows
                 keys.append(_ARROWS.get(self._text[:3], " "))
                 self._text = self._text[3:]
             else:
@@ -168,9 +168,9 @@ class Keyboard:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the terminal as it was, and drop what nobody has read: it is not for the shell."""
+        """Restore the terminal, and drop unread keys: they are not for the shell."""
         if self._saved is not None:
             with suppress(termios.error):  # the terminal was closed
-                # not TCSADRAIN: output that was stopped by Ctrl-S would be waited for
+                # not TCSADRAIN, which would wait for output that was stopped by Ctrl-S
                 termios.tcsetattr(self._file, termios.TCSANOW, self._saved)
                 termios.tcflush(self._file, termios.TCIFLUSH)

@@ -10,7 +10,7 @@ from deltaq_controllers.modes.motion import ModeName, Wish
 from deltaq_controllers.modes.switch import Teleoperator
 
 PATIENCE_S = 3.0
-"""Time without progress, on the robot's clock, after which the drive is given up."""
+"""Time without progress, on the robot's clock, after which the drive ends."""
 
 
 class GoToOption:

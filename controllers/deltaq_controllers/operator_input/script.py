@@ -1,4 +1,4 @@
-"""An operator whose wishes are written down: a YAML file of steps."""
+"""An operator whose wishes are a script: a YAML file of steps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ScriptStep(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     duration_s: FiniteFloat = Field(gt=0.0)
-    """How long; a step that goes to an option is over sooner if the robot is there sooner."""
+    """Duration; a step that goes to an option ends earlier if the robot arrives earlier."""
     move: dict[str, FiniteFloat] = {}
     """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
     mode: ModeName | None = None
@@ -39,7 +39,7 @@ class Script:
 
     Args:
         steps: the steps, their wishes in SI units, each with its duration [s].
-        arrived_at: tells the option that the robot stands at.
+        arrived_at: returns the option that the robot stands at.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Script:
 
     @property
     def duration_s(self) -> float:
-        """Length of the whole script, if no step is over sooner."""
+        """Length of the whole script, if no step ends earlier."""
         return sum(duration_s for duration_s, _ in self._steps)
 
     @classmethod
@@ -60,8 +60,8 @@ class Script:
         """Read a YAML file, a list of steps, and check that the robot can do each in its mode.
 
         Raises:
-            ControllerError: the file cannot be read, a step is not well formed, or it asks for what the robot or the
-                mode has not.
+            ControllerError: the file cannot be read, a step is not well formed, or it names something that the robot or
+                the mode does not have.
         """
         mode, timed = teleoperator.mode, []
         for where, step in _read(path):

@@ -11,13 +11,13 @@ from typing import NoReturn
 
 USAGE = 2
 INTERRUPTED = 130
-"""What a shell makes of a program that Ctrl-C ended."""
+"""Exit status that a shell gives to a program that Ctrl-C ended."""
 
 
 def main() -> None:
     """Run the command; neither a user's mistake nor Ctrl-C ends in a traceback.
 
-    Whatever has to be loaded is loaded in here, for a module that is missing and an interrupt are told here.
+    All imports happen in here, since a missing module and an interrupt are reported here.
     """
     try:
         _run()
@@ -42,16 +42,16 @@ def _run() -> None:
         report(error)
         sys.exit(exit_status(error))
     except BrokenPipeError:
-        # the reader of our output (`| head`) has left; nothing more can be said
+        # the reader of the output (`| head`) has gone; nothing more can be printed
         sys.stderr.close()
         sys.exit(0)
 
 
 def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:
-    """Say what to install, unless what is missing is ours.
+    """Say what to install, unless a module of deltaq itself is missing.
 
     Raises:
-        ModuleNotFoundError: a part of deltaq itself is missing: that is no matter of extras.
+        ModuleNotFoundError: a part of deltaq itself is missing, which no extra provides.
     """
     package = (error.name or "").partition(".")[0]
     if not package or package.startswith("deltaq"):
@@ -65,7 +65,7 @@ def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:
 
 
 def _is_of_interrupt(error: BaseException | None) -> bool:
-    """Whether it came of an interrupt: libraries that are being loaded make other errors of one."""
+    """Whether an interrupt caused it: libraries that are being loaded turn one into other errors."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True

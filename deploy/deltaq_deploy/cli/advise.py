@@ -133,7 +133,7 @@ def _bench(json: bool) -> None:
 
 
 class _Watched:
-    """Shows progress on standard error, and makes of the first Ctrl-C an end of the search."""
+    """Shows progress on standard error; the first Ctrl-C ends the search."""
 
     def __init__(self) -> None:
         self._told_to_end = False
@@ -166,7 +166,7 @@ class _Watched:
         self._told_to_end = True
 
     def go_on(self, progress: Any) -> bool:
-        """Show how far the advisor is; False once Ctrl-C was pressed."""
+        """Show the advisor's progress; False once Ctrl-C was pressed."""
         text = f"{progress.doing}, best energy {progress.energy:.4f}, {progress.trials} trials"
         self._bar.update(self._task, completed=progress.done, description=text)
         return not self._told_to_end

@@ -1,6 +1,6 @@
 """The command and its verbs.
 
-A verb's file imports what is heavy (pinocchio, zenoh, matplotlib) inside its function, so that help and
+A verb's file imports heavy packages (pinocchio, zenoh, matplotlib) inside its function, so that help and
 completion are quick.
 """
 

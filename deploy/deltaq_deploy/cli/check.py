@@ -14,7 +14,7 @@ def check(
     cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
     json: JsonOption = False,
 ) -> None:
-    """Check the description of a cell, and point at file, line, field, value and bound of what is wrong.
+    """Check the description of a cell; name file, line, field, value and bound of every error.
 
     It also lists which bodies of a robot are never checked against which, and why.
     """

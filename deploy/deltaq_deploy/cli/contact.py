@@ -16,7 +16,7 @@ def contact(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Let bodies touch that a contact of the cell names, at its own small speed, or list the contacts."""
+    """Allow a contact of the cell, at its own low speed, or list the contacts."""
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import print_json
     from deltaq_deploy.running import connect

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deltaq_protocol.messages import Status
 
 FOLLOWS = "paper"
-"""The camera controller that the follower's process takes by itself."""
+"""The follower's default camera controller."""
 TICK_S = 0.25
 TOLD_EVERY_S = 10.0
 
@@ -33,7 +33,7 @@ def demo(
     ] = 60.0,
     json: JsonOption = False,
 ) -> None:
-    """Start a cell emulated; a scripted leader moves one arm, the other follows it with its camera."""
+    """Start an emulated cell; a scripted leader moves one arm, and the other follows it with its camera."""
     from functools import partial
 
     from deltaq_cell.load import load_cell
@@ -75,7 +75,7 @@ def _follow(
         problems = _wait(launcher, duration_s, output)
         observer.close()
         status = running.status()
-    # each tells its figures as it ends
+    # each prints its figures as it ends
     launcher.stop_service("follower")
     launcher.stop_service("leader")
     summary = summarise(cell, observer.tracks, status, launcher.last_json("follower"))

@@ -9,7 +9,7 @@ from deltaq_deploy.cli.options import CellOption, JsonOption
 
 
 def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
-    """Say whether this machine is fit to run a cell, and what would make it fitter."""
+    """Report whether this machine is fit to run a cell, and what would improve it."""
     from dataclasses import asdict
 
     from deltaq_cell.load import load_cell

@@ -79,7 +79,7 @@ def drive(
 
 @dataclass(frozen=True)
 class _Choice:
-    """What was asked for."""
+    """Options of the drive."""
 
     cell: CellDescription
     robot: str
@@ -91,13 +91,13 @@ class _Choice:
     speed_m_s: float
 
     def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
-        """Drive, and return the summary and what ended the drive, if that was not wished.
+        """Drive, and return the summary and the error that ended the drive, if one did.
 
         Args:
             terminal: gives the operator's device back.
 
         Raises:
-            DeltaqError: what kept the drive from beginning.
+            DeltaqError: the drive could not begin.
         """
         import asyncio
 

@@ -1,4 +1,4 @@
-"""What `deltaq drive` tells on standard error while a robot is driven."""
+"""Messages of `deltaq drive` on standard error while a robot is driven."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH = 150
 
 
 class Display:
-    """Tells the mode, what limits it, and the advisor's options as they become known.
+    """Shows the mode, what limits it, and the advisor's options as they become known.
 
     On a terminal the state stays in one line; otherwise there is a line for each change.
 
@@ -36,7 +36,7 @@ class Display:
         self._options: dict[int, str] = {}
 
     def show(self) -> None:
-        """A cycle has been."""
+        """Update after a cycle."""
         self._cycles += 1
         if self._cycles % EVERY_CYCLES:
             return

@@ -1,4 +1,4 @@
-"""What `deltaq drive` reports when it has ended."""
+"""The report of `deltaq drive` at its end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REMEDIES = {
     "time: see `deltaq status` for its holder, end other programs, and drive again",
     ReasonCode.UNREACHABLE: "see `deltaq status` for the service that does not answer, and drive again",
 }
-"""What to do about an end that was not wished, where the error itself does not say enough."""
+"""Remedies for an unwanted end, where the error itself does not say enough."""
 
 
 def summary(robot: str, log: DriveLog, tally: Tally, error: DeltaqError | None) -> dict[str, Any]:

@@ -18,7 +18,7 @@ def dry_run(
     cell: CellOption = "lab",
     json: JsonOption = False,
 ) -> None:
-    """Ask the gate what it would say to an increment now; nothing moves. Exit status 1 if not admitted whole."""
+    """Ask for the gate's verdict on an increment; nothing moves. Exit status 1 unless it would be admitted whole."""
     import math
 
     from deltaq_cell.load import load_cell

@@ -14,7 +14,7 @@ def echo(
     cell: CellOption = "lab",
     url: UrlOption = None,
     robot: Annotated[str, typer.Option(help="Only this robot.")] = "",
-    count: Annotated[int, typer.Option(min=0, help="End after so many messages; 0: never.")] = 0,
+    count: Annotated[int, typer.Option(min=0, help="End after this many messages; 0: never.")] = 0,
 ) -> None:
     """Print messages as they come, one JSON object a line."""
     import zenoh

@@ -1,4 +1,4 @@
-"""Exit status of an error, and how it is told."""
+"""Exit status of an error, and its message."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def exit_status(error: DeltaqError) -> int:
 
 
 def report(error: DeltaqError) -> None:
-    """Tell an error on standard error."""
+    """Print an error on standard error."""
     print(f"deltaq: {error}", file=sys.stderr)

@@ -13,7 +13,7 @@ from deltaq_deploy.cli.options import CellOption, JsonOption
 
 
 class Experiment(StrEnum):
-    """The experiments that there are, each a module of `deltaq_experiments`."""
+    """The experiments, each a module of `deltaq_experiments`."""
 
     APPROACH = "approach"
     TRACKING = "tracking"
@@ -37,12 +37,14 @@ def experiment(
         float | None,
         typer.Option(min=1.0, help="Length of the run, in the cell's time; 40, and 5 for each approach."),
     ] = None,
-    settle_s: Annotated[float, typer.Option(min=0.0, help="Start-up that the figures leave out.")] = 5.0,
-    seed: Annotated[int, typer.Option(min=0, help="One seed is one run.")] = 0,
+    settle_s: Annotated[
+        float, typer.Option(min=0.0, help="Duration of the start-up, which the figures leave out.")
+    ] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the run; the same seed gives the same run.")] = 0,
     target: Annotated[
         str, typer.Option(help="What a collision aims at: lens, wrist, elbow or all.")
     ] = "lens",
-    live: Annotated[bool, typer.Option("--live", help="Over real processes, zenoh and UDP.")] = False,
+    live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
     figure: Annotated[Path | None, typer.Option(help="Picture to write, laid out as in the paper.")] = None,
     record: Annotated[
@@ -82,7 +84,7 @@ def experiment(
         record=record,
     )
     with shown_compiled_ahead([controller]):
-        # imported here, for what is imported looks for its machine code at once
+        # imported here, since these modules search for their machine code on import
         module = importlib.import_module(f"deltaq_experiments.{name.value}")
         length = f"{name.value}, {duration_s or module.DURATION_S:g} s"
         with progress_bar(f"{length} live" if live else length):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from deltaq_experiments.faults.catalogue import Fault
 
 fault = typer.Typer(
-    help="Let a moving robot suffer faults, and see what was kept.",
+    help="Inject faults into a moving robot, and report which limits were kept.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -24,7 +24,7 @@ fault.command()(impair)
 
 @fault.command("list")
 def list_faults(json: JsonOption = False) -> None:
-    """List the faults that there are."""
+    """List all faults."""
     from deltaq_deploy.cli.console import print_json, print_table
     from deltaq_experiments.faults.catalogue import CATALOGUE
 
@@ -47,16 +47,21 @@ def list_faults(json: JsonOption = False) -> None:
 
 @fault.command()
 def table(
-    names: Annotated[
-        list[str] | None, typer.Argument(help="Which faults; all of them if none is named.")
-    ] = None,
+    names: Annotated[list[str] | None, typer.Argument(help="Faults to inject; all if none is named.")] = None,
     cell: CellOption = "lab",
     robot: Annotated[str | None, typer.Option(help="The robot that moves; the cell's first.")] = None,
     live: Annotated[
         bool,
-        typer.Option("--live", help="Over real processes, zenoh and UDP; the cell must not be up already."),
+        typer.Option(
+            "--live", help="Run over real processes, zenoh and UDP; the cell must not be up already."
+        ),
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of the wires; one seed is one run in virtual time.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0, help="Seed of the links' faults; in virtual time the same seed gives the same run."
+        ),
+    ] = 0,
     json: JsonOption = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
 ) -> None:
@@ -84,11 +89,11 @@ def table(
 
 @fault.command()
 def inject(
-    name: Annotated[str, typer.Argument(help="One of those that `deltaq fault list` shows as injectable.")],
+    name: Annotated[str, typer.Argument(help="A fault that `deltaq fault list` shows as injectable.")],
     robot: RobotOption,
     cell: CellOption = "lab",
     for_s: Annotated[
-        float, typer.Option(min=0.0, help="How long it stands, where it does not end by itself.")
+        float, typer.Option(min=0.0, help="Duration of a fault that does not end by itself.")
     ] = 1.0,
     json: JsonOption = False,
 ) -> None:

@@ -19,7 +19,7 @@ def hz(
     duration_s: Annotated[float, typer.Option(min=0.1, help="How long to listen.")] = 5.0,
     json: JsonOption = False,
 ) -> None:
-    """Measure how often, and how regularly, each stream of a running cell comes."""
+    """Measure rate and regularity of each stream of a running cell."""
     from dataclasses import asdict
 
     from deltaq_deploy.cli.console import print_json, print_table

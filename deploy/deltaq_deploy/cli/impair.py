@@ -9,43 +9,48 @@ import typer
 
 def impair(
     listen: Annotated[
-        str, typer.Option(metavar="ENDPOINT", help="Where one of the two shall connect or send.")
+        str,
+        typer.Option(
+            metavar="ENDPOINT", help="Address at which the relay listens; one party connects or sends here."
+        ),
     ],
-    to: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the other one listens.")],
+    to: Annotated[str, typer.Option(metavar="ENDPOINT", help="Address at which the other party listens.")],
     unit: Annotated[
         str,
         typer.Option(
-            help="What is impaired as a whole: bytes, lines or messages over TCP, datagrams over UDP; "
+            help="Unit that the faults affect: bytes, lines or messages over TCP, datagrams over UDP; "
             "bytes or datagrams if not given."
         ),
     ] = "",
-    delay_s: Annotated[float, typer.Option(min=0.0, max=10.0, help="How long each takes.")] = 0.0,
+    delay_s: Annotated[float, typer.Option(min=0.0, max=10.0, help="Delay of each.")] = 0.0,
     jitter_s: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="How much longer each takes at most.")
+        float, typer.Option(min=0.0, max=10.0, help="Largest additional delay of each.")
     ] = 0.0,
-    loss_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that is lost.")] = 0.0,
-    duplicate_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that comes twice.")] = 0.0,
-    reorder_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that is overtaken.")] = 0.0,
-    corrupt_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that is garbled.")] = 0.0,
+    loss_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is lost.")] = 0.0,
+    duplicate_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Fraction that is duplicated.")
+    ] = 0.0,
+    reorder_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is overtaken.")] = 0.0,
+    corrupt_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is garbled.")] = 0.0,
     rate_bytes_s: Annotated[
-        float | None, typer.Option(min=1.0, help="Bytes that pass in a second; of a byte stream only.")
+        float | None, typer.Option(min=1.0, help="Bytes per second; of a byte stream only.")
     ] = None,
     stall: Annotated[
-        bool, typer.Option("--stall", help="Let nothing pass and lose nothing; a byte stream only.")
+        bool, typer.Option("--stall", help="Let nothing pass, and lose nothing; of a byte stream only.")
     ] = False,
     cut: Annotated[
-        bool, typer.Option("--cut", help="Break connections, refuse new ones; bytes only.")
+        bool, typer.Option("--cut", help="Break connections and refuse new ones; of a byte stream only.")
     ] = False,
-    after_s: Annotated[float, typer.Option(min=0.0, help="Until the faults begin.")] = 0.0,
+    after_s: Annotated[float, typer.Option(min=0.0, help="Time until the faults begin.")] = 0.0,
     for_s: Annotated[
-        float | None, typer.Option(min=0.0, help="How long they stand; to the end if not given.")
+        float | None, typer.Option(min=0.0, help="Duration of the faults; to the end if not given.")
     ] = None,
     duration_s: Annotated[
-        float | None, typer.Option(min=0.0, help="How long the relay works; until Ctrl-C if not given.")
+        float | None, typer.Option(min=0.0, help="Duration of the relay; until Ctrl-C if not given.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
 ) -> None:
-    """Carry a wire between two addresses through a relay that delays, loses, doubles, stalls or cuts it.
+    """Relay a link between two addresses, with delay, loss, duplicates, stalls or cuts.
 
     It ends with the program that started it.
     """

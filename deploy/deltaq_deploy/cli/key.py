@@ -9,7 +9,7 @@ import typer
 
 
 def key(file: Annotated[Path, typer.Argument(help="File to write; it must not exist.")]) -> None:
-    """Make a key for services that reach one another off the loopback, in a file that only you may read."""
+    """Make a key for services that reach one another off the loopback, in a file that only its owner may read."""
     from deltaq_services.guarded_key import KEY_FILE, write_new_key
 
     write_new_key(file)

@@ -25,14 +25,15 @@ def krc(
         str | None, typer.Option(help="The PC's address as the KRC sees it; the cell's driver.address.")
     ] = None,
     limit_deg: Annotated[
-        float | None, typer.Option(min=0.001, help="Correct no rotating axis by more; for the first motion.")
+        float | None,
+        typer.Option(min=0.001, help="Largest correction of a rotating axis; for the first motion."),
     ] = None,
     limit_mm: Annotated[float | None, typer.Option(min=0.001, help="The same for linear axes.")] = None,
     digital: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=NUMBER", help="The KRC's $IN or $OUT of a digital signal; repeatable."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite files that are there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Write the files for a real KRC from the cell: program, context and `*_ethernet.xml`."""

@@ -22,12 +22,13 @@ def lease(
         typer.Option("--take", help="Take it from its holder and keep it until Ctrl-C: nobody can move."),
     ] = False,
     release: Annotated[
-        bool, typer.Option("--release", help="Take it from its holder and give it up: anybody can have it.")
+        bool,
+        typer.Option("--release", help="Take it from its holder and release it: anybody can acquire it."),
     ] = False,
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show who may move a robot, or end that."""
+    """Show who holds the lease of a robot, or take it away."""
     import time
 
     from deltaq_deploy.running import Where, connect, known_robot
@@ -44,7 +45,7 @@ def lease(
             return
         with running.lease(robot, take=True):
             _show(robot, running.status().robots[robot].lease, json)
-            # the client renews it in a thread of its own
+            # the client renews it in a separate thread
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     time.sleep(60)

@@ -14,7 +14,7 @@ UrlOption = Annotated[
     typer.Option(
         "--url",
         metavar="tcp/HOST:PORT",
-        help="Where the cell's HLI listens, in place of --cell: then no cell file is needed.",
+        help="Address of the cell's HLI, in place of --cell: then no cell file is needed.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
@@ -25,10 +25,10 @@ CriterionOption = Annotated[
         "--criterion",
         "--weight",
         metavar="NAME=WEIGHT",
-        help="A criterion and its weight, as often as you like, e.g. clearance=1, in place of those by default.",
+        help="A criterion and its weight, e.g. clearance=1, in place of the default ones; repeatable.",
     ),
 ]
 TokenOption = Annotated[
     str | None,
-    typer.Option(envvar="DELTAQ_OPERATOR_TOKEN", help="The operator's token, where the HLI was given one."),
+    typer.Option(envvar="DELTAQ_OPERATOR_TOKEN", help="The operator's token, if the HLI was given one."),
 ]

@@ -11,7 +11,7 @@ from deltaq_deploy.cli.options import CellOption, JsonOption
 
 def peg_and_valve(
     cell: CellOption = "lab",
-    robot: Annotated[str, typer.Option(help="A robot with one hand and joints to spare.")] = "gr",
+    robot: Annotated[str, typer.Option(help="A redundant robot with one hand.")] = "gr",
     mode: Annotated[
         list[str] | None, typer.Option(help="Only this mode; may be given several times.")
     ] = None,

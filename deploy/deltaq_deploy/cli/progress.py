@@ -1,4 +1,4 @@
-"""Progress on standard error, where somebody watches."""
+"""Progress on standard error, if it is a terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
     """A bar that is moved by calling what it yields with the steps done and the steps in all.
 
-    Until the first call it shows that something is going on, and for how long; without a terminal, nothing.
+    Until the first call it shows activity and elapsed time; without a terminal, nothing.
     """
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 

@@ -14,11 +14,11 @@ def record(
     file: Annotated[Path, typer.Argument(help="MCAP file to write; it must not exist.")],
     cell: CellOption = "lab",
     duration_s: Annotated[
-        float | None, typer.Option(min=0.1, help="How long to record; until Ctrl-C if not given.")
+        float | None, typer.Option(min=0.1, help="Duration of the recording; until Ctrl-C if not given.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Record a running cell: what controllers see, and all that the gate takes in and gives out."""
+    """Record a running cell: what controllers see, and every input and output of the gate."""
     import contextlib
     import signal
 

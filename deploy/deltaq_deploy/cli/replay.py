@@ -65,10 +65,12 @@ def summarise(result: Replay) -> dict[str, Any]:
 
 
 def notices(result: Replay) -> list[str]:
-    """What somebody who reads the figures must know besides them."""
+    """Notices that a reader of the figures needs."""
     lines = [*result.notices, *result.gaps]
     if result.skipped:
-        lines.append(f"{result.skipped} messages of the gate lie before a memory of it and were not replayed")
+        lines.append(
+            f"{result.skipped} messages of the gate lie before a snapshot of it and were not replayed"
+        )
     code, _, configuration = result.fingerprint.partition("-")
     recorded_code, _, recorded_configuration = result.recorded_fingerprint.partition("-")
     if recorded_code and code != recorded_code:
@@ -78,5 +80,5 @@ def notices(result: Replay) -> list[str]:
             f"recorded with another configuration ({recorded_configuration}) than replayed ({configuration})"
         )
     if not result.messages:
-        lines.append("nothing could be replayed: the recording has no memory of the gate to begin from")
+        lines.append("nothing could be replayed: the recording has no snapshot of the gate to begin from")
     return lines

@@ -14,7 +14,7 @@ def reset(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Let a robot that is held move again; refused while the cause stands."""
+    """End the hold of a robot; refused while its cause persists."""
     from deltaq_deploy.cli.console import print_json
     from deltaq_deploy.running import Where, connect, known_robot
 

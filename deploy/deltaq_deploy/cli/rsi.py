@@ -20,7 +20,7 @@ AddressOption = Annotated[
 PortOption = Annotated[
     int | None, typer.Option(min=1, max=65535, help="Listen on this UDP port; the cell's driver.port.")
 ]
-DurationOption = Annotated[float, typer.Option(min=0.0, help="How long; 0 is until Ctrl-C.")]
+DurationOption = Annotated[float, typer.Option(min=0.0, help="Duration; 0: until Ctrl-C.")]
 
 rsi = typer.Typer(
     help="First contact with a KRC, before a Robot Server meets it.",
@@ -39,7 +39,7 @@ def sniff(
     duration_s: DurationOption = 10.0,
     json: JsonOption = False,
 ) -> None:
-    """Listen to a KRC without answering; it stops RSI when its late replies are used up."""
+    """Listen to a KRC without answering; it stops RSI after its permitted number of late replies."""
     from deltaq_deploy.rsi.listen import listen
     from deltaq_deploy.rsi.statistics import WireStatistics
 
@@ -58,14 +58,14 @@ def sniff(
 
 @rsi.command()
 def echo(
-    cell: Annotated[str, typer.Option(help="The cell; its file says how an answer looks.")],
+    cell: Annotated[str, typer.Option(help="The cell; its file gives the form of an answer.")],
     robot: RobotOption,
     address: AddressOption = None,
     port: PortOption = None,
     duration_s: DurationOption = 10.0,
     json: JsonOption = False,
 ) -> None:
-    """Answer a KRC with corrections of zero, and with nothing else; a robot away from its start is not answered."""
+    """Answer a KRC with corrections of zero only; a robot away from its start gets no answer."""
     from deltaq_cell.krc_files import station_of
     from deltaq_deploy.rsi.echo import ZeroEcho
     from deltaq_deploy.rsi.listen import listen

@@ -29,7 +29,7 @@ def status(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = F
 
 
 def shown(answer: Status, cell: Description) -> Group:
-    """A status as people read it."""
+    """A status for people."""
     from rich.console import Group
     from rich.text import Text
 

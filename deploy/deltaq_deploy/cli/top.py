@@ -14,11 +14,11 @@ from deltaq_deploy.cli.options import CellOption, JsonOption, UrlOption
 def top(
     cell: CellOption = "lab",
     url: UrlOption = None,
-    interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two looks.")] = 0.5,
-    count: Annotated[int, typer.Option(min=0, help="End after so many looks; 0: at Ctrl-C.")] = 0,
+    interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two updates.")] = 0.5,
+    count: Annotated[int, typer.Option(min=0, help="End after this many updates; 0: at Ctrl-C.")] = 0,
     json: JsonOption = False,
 ) -> None:
-    """Watch a running cell: what `status` shows, again and again until Ctrl-C; with --json one object a line."""
+    """Watch a running cell: repeat `status` until Ctrl-C; with --json one object a line."""
     import time
 
     from rich.live import Live

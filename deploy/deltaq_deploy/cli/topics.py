@@ -1,4 +1,4 @@
-"""Finding rows of the table of topics by the name that people type."""
+"""Finding rows of the table of topics by name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def by_name(name: str) -> Topic:
 
 
 def open_streams() -> tuple[Topic, ...]:
-    """What a client can watch."""
+    """The topics that a client can watch."""
     return tuple(topic for topic in TOPICS if topic.realm is Realm.OPEN and topic.kind is Kind.STREAM)
 
 

@@ -17,7 +17,7 @@ def up(
     cell: CellOption = "lab",
     only: Annotated[str, typer.Option(help="Only these services or kinds, e.g. hli,sim,robot-server.")] = "",
     real: Annotated[bool, typer.Option("--real", help="Real robots: start no emulator.")] = False,
-    record: Annotated[str, typer.Option(metavar="FILE", help="Record to this MCAP file as well.")] = "",
+    record: Annotated[str, typer.Option(metavar="FILE", help="Also record to this MCAP file.")] = "",
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from functools import partial

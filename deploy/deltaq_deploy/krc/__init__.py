@@ -1,4 +1,4 @@
-"""The files of a real KRC, written from the cell, so that both say the same of addresses, channels and limits."""
+"""The files of a real KRC, written from the cell, so that both agree on addresses, channels and limits."""
 
 from deltaq_deploy.krc.files import KrcFile, files_of, write_files
 from deltaq_deploy.krc.plan import KrcFilesError, KrcPlan, Start, plan_for

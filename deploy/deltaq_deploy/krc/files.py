@@ -23,9 +23,9 @@ class KrcFile:
 
     Attributes:
         name: of the file.
-        text: what is in it.
-        copy_to: folder on the controller; empty for what is read by people.
-        what: what it is for.
+        text: its contents.
+        copy_to: folder on the controller; empty for files that people read.
+        what: its purpose.
     """
 
     name: str
@@ -59,7 +59,7 @@ def files_of(plan: KrcPlan) -> tuple[KrcFile, ...]:
 
 
 def notes_on(plan: KrcPlan) -> tuple[str, ...]:
-    """What is left to do by hand."""
+    """Steps that remain to be done by hand."""
     notes = [
         "nothing here has been tried on a real controller of that version: read the files, and start in T1"
     ]
@@ -73,11 +73,11 @@ def notes_on(plan: KrcPlan) -> tuple[str, ...]:
     loose = [signal.name for signal in (*plan.inputs, *plan.outputs) if signal.digital is None]
     if plan.krc == "krc2" and (plan.inputs or plan.outputs):
         notes.append(
-            "digital signals are on the wire but linked to nothing on a KR C2: link them by the RSI manual"
+            "digital signals are in the telegrams but linked to nothing on a KR C2: link them by the RSI manual"
         )
     elif loose:
         notes.append(
-            f"{', '.join(loose)}: on the wire but linked to nothing; tell the KRC's $IN or $OUT with "
+            f"{', '.join(loose)}: in the telegrams but linked to nothing; give the KRC's $IN or $OUT with "
             "--digital NAME=NUMBER"
         )
     if plan.krc == "krc2":

@@ -1,4 +1,4 @@
-"""What every file for a KRC says of itself: what it was written from, and what nobody has tried."""
+"""Header of every file for a KRC: what it was written from, and what nobody has tried."""
 
 from __future__ import annotations
 

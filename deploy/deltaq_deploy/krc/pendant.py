@@ -1,4 +1,4 @@
-"""Messages of a KRC that RSI brings about: what each means, and what to do.
+"""Messages of a KRC that RSI causes: what each means, and what to do.
 
 Numbers and wordings are the maker's where they are known; the emulator shows the same ones.
 """

@@ -1,4 +1,4 @@
-"""What the files of one robot's KRC have to say, in the KRC's own terms: degrees, millimetres, axes and channels."""
+"""Contents of the files of one robot's KRC, in the KRC's own terms: degrees, millimetres, axes and channels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PRECISION = 4
 TIMEOUT_CYCLES = 100
 """Replies that may come late before RSI stops, as published contexts have it; the maker's default is 10."""
 MONITOR_MARGIN = 1.0
-"""By how much the monitor lies above the correction limit [deg or mm]: what is cut off must not stop RSI as well."""
+"""By how much the monitor lies above the correction limit [deg or mm]: what is clipped must not stop RSI as well."""
 LONGEST_NAME = 24
 """Characters of a name in KRL."""
 
@@ -86,7 +86,7 @@ class Signal:
         name: the cell's name of it.
         tag: its TAG.
         channel: its INDX.
-        digital: number of the KRC's own $IN or $OUT; None if it was not told.
+        digital: number of the KRC's own $IN or $OUT; None if it was not given.
     """
 
     name: str
@@ -156,11 +156,11 @@ def plan_for(
     limit_mm: float | None = None,
     digital: Mapping[str, int] | None = None,
 ) -> KrcPlan:
-    """Say what the files of a robot's KRC have to say.
+    """Plan the files of a robot's KRC.
 
-    Started at home, corrections are limited to what leads from there to the cell's own joint limits. Started where the
-    robot happens to stand, that is not known beforehand: then the limit is the joint's whole range, either way, and
-    the KRC's software limit switches are what keeps it.
+    Started at home, corrections are limited to the range from there to the cell's own joint limits. Started where
+    the robot happens to stand, that range is not known in advance: then the limit is the joint's whole range,
+    either way, and only the KRC's software limit switches bound the motion.
 
     Args:
         cell: the cell.
@@ -173,7 +173,7 @@ def plan_for(
         digital: per digital input or output of the robot the number of the KRC's $IN or $OUT.
 
     Raises:
-        KrcFilesError: the robot has no KRC, or something asked for cannot be.
+        KrcFilesError: the robot has no KRC, or a requested option is impossible.
         EthernetConfigError: a joint is no axis of a KRC.
     """
     description = cell.robots[robot]

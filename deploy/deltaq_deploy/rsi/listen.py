@@ -29,8 +29,8 @@ def listen(
         address: to listen on.
         port: UDP port to listen on.
         duration_s: how long; 0 is until Ctrl-C.
-        statistics: is told of every datagram.
-        answer: gives what to send back, if anything; None listens only.
+        statistics: gets every datagram.
+        answer: returns the reply, if any; None listens only.
         ready: called once when the socket listens.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Statistics of what a KRC sends, from times and datagrams alone."""
+"""Statistics of a KRC's telegrams, from times and datagrams alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ KEPT = 100_000
 """Intervals that are kept: more than six minutes at 4 ms."""
 MOST_PEERS = 16
 MOST_STEPS = 1000
-"""Different steps of the IPOC that are told apart; a sender of nonsense makes more."""
+"""Largest number of distinct IPOC steps that are counted; a sender of nonsense makes more."""
 _RING = 2**32
 _LATE = 1.5
 """An interval of more than this many cycles is a late telegram, or a lost one."""
@@ -30,7 +30,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Summary:
-    """What was seen of a KRC.
+    """Statistics of one KRC.
 
     Attributes:
         telegrams: datagrams that are telegrams.
@@ -47,8 +47,8 @@ class Summary:
         elements: what the last telegram held.
         peers: telegrams by sender, `HOST:PORT`.
         reply: time from a telegram to its answer; None if none was answered.
-        guess: what kind of KRC and cycle that looks like.
-        problems: what is wrong, for people.
+        guess: the likely kind of KRC and cycle.
+        problems: faults found, for people.
     """
 
     telegrams: int
@@ -125,7 +125,7 @@ class WireStatistics:
         self._replies.append(after_s)
 
     def summary(self) -> Summary:
-        """What was seen so far."""
+        """The statistics so far."""
         cycle = spread(self._intervals)
         step, usual = self._steps.most_common(1)[0] if self._steps else (None, 0)
         passed_s = self._last_s - self._first_s

@@ -1,1 +1,1 @@
-"""What a cell keeps when something fails: a catalogue of faults, injected in virtual time or live, and their table."""
+"""Which limits a cell keeps when something fails: a catalogue of faults, in virtual time or live, and their table."""

@@ -1,4 +1,4 @@
-"""What can befall a cell: its processes, its wires, its clocks, its controllers."""
+"""Faults of a cell: of its processes, its links, its clocks, its controllers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Freeze:
 
 @dataclass(frozen=True)
 class Slow:
-    """All that a process says comes later by this."""
+    """All messages of a process are delayed by this."""
 
     process: Process
     delay_s: float
@@ -63,7 +63,7 @@ class Slow:
 
 @dataclass(frozen=True)
 class Impair:
-    """A wire does to messages what is said of it."""
+    """Faults of the messages on a link."""
 
     link: Link
     faults: LinkFaults
@@ -71,7 +71,7 @@ class Impair:
 
 @dataclass(frozen=True)
 class ImpairStream:
-    """The TCP connection under a wire does to its bytes what is said of it."""
+    """Faults of the bytes of the TCP connection under a link."""
 
     link: Link
     faults: StreamFaults
@@ -96,7 +96,7 @@ class Misbehave:
 
 @dataclass(frozen=True)
 class StepClock:
-    """The monotonic clock that a process reads leaps, as forward it does when a machine stood still."""
+    """The monotonic clock that a process reads jumps, as forward it does when a machine stood still."""
 
     process: Process
     by_s: float

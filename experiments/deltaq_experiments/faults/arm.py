@@ -1,4 +1,4 @@
-"""One robot of the cell that is made to suffer: emulated KRC, the wire to it, and the Robot Server's process."""
+"""One robot under fault: its emulated KRC, the link to it, and the Robot Server's process."""
 
 from __future__ import annotations
 

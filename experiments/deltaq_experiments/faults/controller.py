@@ -70,7 +70,7 @@ class VirtualController:
 
     def _on_state(self, state: RobotState) -> None:
         if self.token is None:
-            # a Robot Server that starts anew counts its cycles from one
+            # a Robot Server that restarts counts its cycles from one
             if abs(state.cycle - self._asked_cycle) >= _RETRY_CYCLES:
                 self._asked_cycle = state.cycle
                 self._send(LeaseRequest(robot=self._robot, action=LeaseAction.ACQUIRE, client="mover"))

@@ -78,7 +78,7 @@ class Needs:
 
     @property
     def alone(self) -> bool:
-        """Whether a cell serves for one such fault: a recorder writes one file, and no clock leaps back again."""
+        """Whether a cell serves for one such fault: a recorder writes one file, and no clock jumps back again."""
         return self.recorder or self.clocks
 
 

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 CRUISE_CYCLES = 40
 """From the first full increment to the fault."""
 FAULT_S = 1.4
-"""How long a fault stands: longer than every time-out of the shipped cells, and a brake after it."""
+"""How long a fault stands: longer than every timeout of the shipped cells, and a brake after it."""
 BACK_S = 0.4
 """How long the robot may take to move again."""
 ANSWER_CYCLES = 10

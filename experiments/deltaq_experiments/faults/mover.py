@@ -85,7 +85,7 @@ def _move(port: int, robot: str, home: float) -> None:
             elif message["type"] == "verdict":
                 leased = leased and all(reason["code"] != "lease_not_held" for reason in message["reasons"])
             elif message["type"] == "state" and message["robot"] == robot:
-                # a Robot Server that starts anew counts its cycles from one
+                # a Robot Server that restarts counts its cycles from one
                 if not leased and abs(message["cycle"] - asked_cycle) > _RETRY_S / cycle_s:
                     asked_cycle = message["cycle"]
                     _say(sock, acquire)

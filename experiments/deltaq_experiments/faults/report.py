@@ -1,4 +1,4 @@
-"""What a fault did, read from the emulated controller's own record of setpoints."""
+"""The effect of a fault, from the emulated controller's own record of setpoints."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Motion(BaseModel):
 
 
 class Kept(BaseModel):
-    """What was kept over a whole run, start and recovery included.
+    """Limits and distances over a whole run, start and recovery included.
 
     Attributes:
         position_violations, velocity_violations: setpoints beyond a limit, counted by joint and cycle.
@@ -66,7 +66,7 @@ class Kept(BaseModel):
 
 
 class Row(BaseModel):
-    """One fault and what came of it.
+    """One fault and its effect.
 
     Attributes:
         phase, reason: of the robot while the fault stood, once it was at rest or at the end.

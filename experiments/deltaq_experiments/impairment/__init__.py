@@ -1,1 +1,1 @@
-"""Faults of a wire between two processes, put there by a relay between them: seeded, in user space."""
+"""Faults of a link between two processes, put there by a relay between them: seeded, in user space."""

@@ -1,4 +1,4 @@
-"""Faults of the lines in a byte stream: each line is lost, doubled or overtaken as a whole."""
+"""Faults of the lines in a byte stream: each line is lost, duplicated or overtaken as a whole."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class FaultyLines:
 
     @property
     def faults(self) -> LinkFaults:
-        """What happens to lines; may be set at any time."""
+        """Faults of the lines; may be set at any time."""
         return self._link.faults
 
     @faults.setter
@@ -28,11 +28,11 @@ class FaultyLines:
 
     @property
     def waiting_bytes(self) -> int:
-        """Of a line that has not ended; the link bounds the others."""
+        """Bytes of an unfinished line; the link bounds the others."""
         return len(self._begun)
 
     def put(self, now_s: float, chunk: bytes) -> None:
-        """Bytes enter; a line is put on its way when its end has come, or when it is too long to be one."""
+        """Bytes enter; a line is sent on when its end has come, or when it is too long to be one."""
         *whole, rest = (self._begun + chunk).split(b"\n")
         for line in whole:
             self._link.put(now_s, bytes(line) + b"\n")

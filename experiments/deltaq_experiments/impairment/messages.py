@@ -17,7 +17,7 @@ _WAITING = 1024
 
 
 class MessageRelay:
-    """Hands on what either side publishes, on any key; an async context manager. Queries do not pass.
+    """Relays the messages that either side publishes, on any key; an async context manager. Queries do not pass.
 
     Args:
         listen: where one side connects.
@@ -46,7 +46,7 @@ class MessageRelay:
             session.close()
 
     def impair(self, faults: LinkFaults) -> None:
-        """Do this from now on to what comes, in both directions."""
+        """Set the faults from now on, in both directions."""
         for way in self._ways:
             way.pump.impair(faults)
 
@@ -77,7 +77,7 @@ class _Way:
         try:
             wire_key = zenoh.KeyExpr(key.decode())
         except (UnicodeDecodeError, zenoh.ZError):
-            return  # garbled beyond knowing where it was going
+            return  # its key is garbled: the destination is unknown
         self._target.put(
             wire_key,
             payload,

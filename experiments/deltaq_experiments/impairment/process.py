@@ -1,4 +1,4 @@
-"""A relay in a process of its own, told over a pipe what to do to its wire."""
+"""A relay in a separate process, controlled over a pipe."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RelayProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._pipe.close()  # tells it to end
+        self._pipe.close()  # ends it
         self._process.join(_ANSWER_S)
         if self._process.is_alive():
             self._process.kill()
@@ -55,7 +55,7 @@ class RelayProcess:
         self._process.close()
 
     def impair(self, faults: StreamFaults | LinkFaults) -> None:
-        """Do this to the wire from now on; it is done when this returns."""
+        """Set the link's faults; they apply when this returns."""
         self._pipe.send(faults)
         self._await_answer()
 

@@ -1,4 +1,4 @@
-"""Carries what a faulty link lets through, when it does, in an event loop."""
+"""Delivers what a faulty link lets through, when it is due, in an event loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deltaq_emulator.faults import FaultyLink, LinkFaults
 
 
 class Pump:
-    """One direction of a wire that carries whole messages.
+    """One direction of a link that carries whole messages.
 
     Args:
         loop: that carries.
@@ -34,7 +34,7 @@ class Pump:
         self._carry()
 
     def close(self) -> None:
-        """Carry nothing any more."""
+        """Stop delivering."""
         if self._timer is not None:
             self._timer.cancel()
 

@@ -1,4 +1,4 @@
-"""The relay for a wire, chosen by what the wire carries."""
+"""The relay for a link, chosen by what the link carries."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from deltaq_protocol.errors import DeltaqError
 
 
 class Unit(StrEnum):
-    """What is impaired as a whole."""
+    """The unit that faults affect."""
 
     BYTES = "bytes"
     """The byte stream of a TCP connection, whatever it carries."""
@@ -49,7 +49,7 @@ _WORDS = {
 
 
 class InvalidFaultError(DeltaqError):
-    """A fault that the wire cannot suffer."""
+    """A fault that does not exist for this unit."""
 
 
 def unit_of(endpoint: Endpoint, name: str = "") -> Unit:
@@ -67,7 +67,7 @@ def unit_of(endpoint: Endpoint, name: str = "") -> Unit:
 
 
 def wire_faults(unit: Unit, asked: Mapping[str, Any]) -> StreamFaults | LinkFaults:
-    """What shall befall a wire, from the fields of `StreamFaults` or `LinkFaults`.
+    """The faults of a link, from the fields of `StreamFaults` or `LinkFaults`.
 
     Raises:
         InvalidFaultError: if it cannot befall this unit.
@@ -93,12 +93,12 @@ class Relay(Protocol):
 
 
 def relay(listen: Endpoint, to: Endpoint, unit: Unit, seed: int = 0) -> AbstractAsyncContextManager[Relay]:
-    """The relay between two endpoints, to be entered; it impairs nothing until it is told to.
+    """The relay between two endpoints, to be entered; it has no faults until they are set.
 
     Args:
-        listen: where one of the two parties is told to connect or to send.
-        to: where the other one listens.
-        unit: what is impaired as a whole.
+        listen: address to which one of the two parties connects or sends.
+        to: address at which the other one listens.
+        unit: the unit that faults affect.
         seed: of the random numbers.
 
     Raises:

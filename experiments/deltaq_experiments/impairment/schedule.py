@@ -1,4 +1,4 @@
-"""Impair a wire for a while, as `deltaq fault impair` does."""
+"""Impair a link for a while, as `deltaq fault impair` does."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ async def impair_for_a_while(
     duration_s: float | None = None,
     seed: int = 0,
 ) -> None:
-    """Carry a wire through a relay, and let faults befall it.
+    """Carry a link through a relay, with faults for a while.
 
     Args:
-        listen: where one of the two parties is told to connect or to send.
-        to: where the other one listens.
-        unit: what is impaired as a whole.
-        faults: what befalls the wire.
-        say: called with what happens.
-        after_s: until the faults begin.
-        for_s: how long they stand; None for as long as the relay works.
-        duration_s: how long the relay works; None for ever.
+        listen: address to which one of the two parties connects or sends.
+        to: address at which the other one listens.
+        unit: the unit that faults affect.
+        faults: of the link.
+        say: called with each event.
+        after_s: time until the faults begin.
+        for_s: duration of the faults; None for as long as the relay works.
+        duration_s: duration of the relay; None for ever.
         seed: of the random numbers.
 
     Raises:

@@ -1,7 +1,7 @@
-"""Faults of a byte stream, as a queue in time: nothing here knows a clock, and one seed is one run.
+"""Faults of a byte stream, as a queue in time: no clock is used here, and one seed is one run.
 
-A stream such as TCP keeps every byte and their order, so it can be late, slow or stand still, and nothing else. What
-loses, doubles and overtakes are messages: `deltaq_emulator.faults` does that to them.
+A stream such as TCP keeps every byte and their order, so it can be late, slow or stand still, and nothing else. Only
+messages can be lost, duplicated or overtaken: see `deltaq_emulator.faults`.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ MAX_WAITING_BYTES = 1024 * 1024
 
 
 class StreamFaults(BaseModel):
-    """What happens to the bytes of a connection in one direction; nothing by default."""
+    """Faults of the bytes of a connection in one direction; none by default."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     delay_s: Seconds = 0.0
-    """How long they take."""
+    """Their delay."""
     jitter_s: Seconds = 0.0
-    """How much longer they take at most, evenly distributed; none overtakes another."""
+    """Their largest additional delay, uniformly distributed; none overtakes another."""
     rate_bytes_s: Annotated[float, Field(gt=0)] | None = None
-    """How many pass in a second; None for as many as come."""
+    """Bytes per second; None for no limit."""
     stalled: bool = False
     """Nothing passes and nothing is lost, as when a cable is pulled: all of it arrives once this ends."""
     cut: bool = False
@@ -39,11 +39,11 @@ class FaultyStream:
     """One direction of a connection.
 
     Args:
-        seed: of the random numbers that decide how late what is.
+        seed: of the random delays.
 
     Attributes:
         faults: may be set at any time.
-        waiting_bytes: put in and not yet taken out.
+        waiting_bytes: bytes that have entered and not left.
     """
 
     def __init__(self, seed: int = 0) -> None:

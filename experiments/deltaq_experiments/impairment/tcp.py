@@ -15,13 +15,13 @@ _CHUNK_BYTES = 64 * 1024
 
 
 class Direction(Protocol):
-    """What happens to bytes on their way: `FaultyStream` or `FaultyLines`."""
+    """Faults of bytes in one direction: `FaultyStream` or `FaultyLines`."""
 
     faults: Any
 
     @property
     def waiting_bytes(self) -> int:
-        """Put in and not on their way out."""
+        """Bytes that have entered and not left."""
 
     @property
     def next_s(self) -> float | None:
@@ -31,15 +31,15 @@ class Direction(Protocol):
         """Bytes enter."""
 
     def take(self, now_s: float) -> list[bytes]:
-        """What leaves by now."""
+        """The chunks that leave by now."""
 
 
 class TcpRelay:
-    """Takes connections and carries them on to another address; an async context manager.
+    """Accepts connections and relays them to another address; an async context manager.
 
     Args:
-        listen: where it takes them.
-        to: where it carries them.
+        listen: address at which it accepts them.
+        to: address to which it relays them.
         new_direction: makes one direction of a connection from its seed.
         seed: of the first; each direction has its own.
 
@@ -73,7 +73,7 @@ class TcpRelay:
         await self._server.wait_closed()
 
     def impair(self, faults: Any) -> None:
-        """Do this from now on to what comes, in connections that stand and in new ones."""
+        """Set the faults from now on, in present and in new connections."""
         self._faults = faults
         for carrier in tuple(self._carriers):
             carrier.impair(faults)

@@ -14,17 +14,17 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import ServiceUnreachableError
 
 MAX_SENDERS = 16
-"""Senders that are told apart; one more takes the place of the one that came first."""
+"""Largest number of senders; a further one replaces the first."""
 _DATAGRAM_BYTES = 65_535
 _READ_A_TURN = 64
 
 
 class UdpRelay:
-    """Carries datagrams to another address, and answers back to who sent them; an async context manager.
+    """Relays datagrams to another address, and answers back to their senders; an async context manager.
 
     Args:
-        listen: where datagrams come in.
-        to: where they are carried.
+        listen: address at which datagrams arrive.
+        to: address to which they are relayed.
         seed: of the random numbers.
 
     Raises:
@@ -59,7 +59,7 @@ class UdpRelay:
             exchange.close()
 
     def impair(self, faults: LinkFaults) -> None:
-        """Do this from now on to what comes, in both directions."""
+        """Set the faults from now on, in both directions."""
         self._faults = faults
         for exchange in self._exchanges.values():
             exchange.impair(faults)
@@ -91,7 +91,7 @@ class UdpRelay:
 
 
 class _Exchange:
-    """One sender and what is answered to it."""
+    """One sender and its answers."""
 
     def __init__(
         self,

@@ -1,1 +1,1 @@
-"""An exhaustive explorer of Robot Server and SIM, their own code, over wires and crashes of every kind."""
+"""An exhaustive explorer of Robot Server and SIM, their own code, over faulty links and crashes of every kind."""

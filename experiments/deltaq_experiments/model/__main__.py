@@ -19,10 +19,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Explore; returns the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m deltaq_experiments.model",
-        description="Explore SIM and Robot Server, their own code, over wires and crashes.",
+        description="Explore SIM and Robot Server, their own code, over faulty links and crashes.",
     )
-    parser.add_argument("--faults", type=int, default=0, help="faults on one way, at most")
-    parser.add_argument("--cycles", type=int, default=40, help="cycles of the robot on one way, at most")
+    parser.add_argument("--faults", type=int, default=0, help="largest number of faults on one path")
+    parser.add_argument(
+        "--cycles", type=int, default=40, help="largest number of the robot's cycles on one path"
+    )
     broken = {one.system.__name__: one.system for one in BROKEN}
     parser.add_argument("--broken", choices=sorted(broken), help="explore a system that is broken on purpose")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")

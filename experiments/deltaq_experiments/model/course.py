@@ -1,4 +1,4 @@
-"""Whether the gate reckons with the course that a robot really takes.
+"""Whether the gate covers the course that a robot really takes.
 
 The gate certifies the motion of one robot against every course that it believes the other may take. That is sound
 only if the true course is among them, or lies within them, whatever was lost on the way.
@@ -25,7 +25,7 @@ def judge(gate: TrackerMemory, q_cmd: float, course: tuple[float, ...]) -> None:
         course: increments still to be sent [m].
 
     Raises:
-        Violation: if the robot is where the gate does not reckon with it, or will be.
+        Violation: if the robot is, or will be, outside the courses that the gate believes possible.
     """
     if gate.state is None:
         return

@@ -1,4 +1,4 @@
-"""Breadth-first search of everything that can happen, so that a violation is found by a shortest way."""
+"""Breadth-first search of everything that can happen, so that a violation is found by a shortest path."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deltaq_experiments.model.world import Turn, World
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
-    """The shortest way to a violation: what happens, one line a move, and what then does not hold."""
+    """The shortest path to a violation: one line a move, and the property that then does not hold."""
 
     moves: tuple[str, ...]
     violation: Violation
@@ -44,12 +44,12 @@ _Way = tuple[str, ...]
 def explore(
     system: System, faults: int, cycles: int, on_cycle: Callable[[int, int], None] | None = None
 ) -> Exploration:
-    """Follow every way of at most so many faults and cycles.
+    """Follow every path within these numbers of faults and cycles.
 
     Args:
         system: what can happen.
-        faults: faults on one way, at most.
-        cycles: cycles of the robot on one way, at most.
+        faults: largest number of faults on one path.
+        cycles: largest number of the robot's cycles on one path.
         on_cycle: called with the cycle reached and the number of states so far.
     """
     start = system.start(faults)

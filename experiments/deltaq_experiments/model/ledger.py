@@ -17,7 +17,7 @@ from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
 
 REST_WITHIN_CYCLES = 1 + FASTEST
-"""One admission may be under way when a stop is taken; its brake follows."""
+"""One admission may be in flight when a stop is taken; its brake follows."""
 
 _MOVING = (Phase.READY, Phase.ENGAGED, Phase.BRAKING)
 
@@ -48,8 +48,8 @@ class Telegram:
         before: the state before; None for a Robot Server that has just started.
         after: the state after.
         admission: what was handed to it.
-        order_of_stop: the sign of life handed to it was sent after a stop that no reset has followed.
-        gate_heard: a sign of life was handed to it.
+        order_of_stop: the heartbeat handed to it was sent after a stop that no reset has followed.
+        gate_heard: a heartbeat was handed to it.
         missed: the KRC did not get the last reply.
         begins: the telegram begins a session.
     """
@@ -74,7 +74,7 @@ class Ledger:
         gate_silent: telegrams since the gate was heard.
         missed: replies missed in a row.
         silence_told: the newest state that the gate took in repeats a cycle, as it does while the KRC is silent.
-        began_anew: the Robot Server crashed and has not been held since; an order under way was not for this process.
+        began_anew: the Robot Server crashed and has not been held since; an order in flight was not for this process.
     """
 
     course: tuple[float, ...] = ()
@@ -102,7 +102,7 @@ class Ledger:
         return replace(self, course=())
 
     def server_crashed(self, offline: bool) -> Ledger:
-        """The Robot Server started anew: the KRC stands where it was last sent, and that is as good as a stop.
+        """The Robot Server restarted: the KRC stands where it was last sent, and that is as good as a stop.
 
         One that the gate never reached had nothing to forget.
         """
@@ -110,7 +110,7 @@ class Ledger:
         return ledger if offline else replace(ledger, since_stop=self.since_stop or 0, began_anew=True)
 
     def gate_crashed(self, offline: bool) -> Ledger:
-        """The gate started anew; a robot that it never reached is not held by what it had ordered."""
+        """The gate restarted; a robot that it never reached is not held by what it had ordered."""
         return replace(self, since_stop=None if offline else self.since_stop, silence_told=False)
 
     def telegram(self, told: Telegram) -> Ledger:

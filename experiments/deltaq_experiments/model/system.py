@@ -2,7 +2,7 @@
 
 Robot Server and SIM are the services' own code. The KRC is a clock that may miss, fall silent, begin anew or be
 pushed off its path; the HLI is anybody who may send requests and commands; each wire may lose, keep back, double and
-reorder; both programs may crash and start anew.
+reorder; both programs may crash and restart.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _Kind = Literal["stop", "reset"]
 _KINDS: tuple[_Kind, ...] = ("stop", "reset")
 
 _KEPT = 2
-"""Messages of a kind that may be under way at once; older ones are lost for good."""
+"""Messages of a kind that may be in flight at once; older ones are lost for good."""
 
 _PUSHED = 32 * STEP
 """How far a robot is pushed off its path: more than it may be off [m]."""

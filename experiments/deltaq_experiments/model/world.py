@@ -1,4 +1,4 @@
-"""One moment of the composed system: both programs, what is under way between them, and what is owed."""
+"""One moment of the composed system: both programs, what is in flight between them, and what is owed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Turn(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SentState:
-    """A state under way, and whether it tells that the KRC is silent."""
+    """A state in flight, and whether it tells that the KRC is silent."""
 
     message: ServerState
     silent: bool
@@ -45,7 +45,7 @@ class SentState:
 
 @dataclass(frozen=True, slots=True)
 class SentSupervision:
-    """A sign of life under way, and whether the gate had taken a stop when it sent it."""
+    """A heartbeat in flight, and whether the gate had taken a stop when it sent it."""
 
     message: Supervision
     order_of_stop: bool
@@ -53,7 +53,7 @@ class SentSupervision:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A moment. What is under way stays for others to double, delay or put before what is newer.
+    """A moment. What is in flight stays for others to double, delay or put before what is newer.
 
     Attributes:
         server: the Robot Server; never changed, but copied.
@@ -63,7 +63,7 @@ class World:
         ticks: rises with every telegram or silence.
         q: where the KRC was last known to stand [m].
         displaced: the robot is off the path that was commanded.
-        states, admissions, supervisions: under way, newest last.
+        states, admissions, supervisions: in flight, newest last.
         new_admission, new_supervision: the newest was sent since the last telegram.
         ledger: what is owed.
     """

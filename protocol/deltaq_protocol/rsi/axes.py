@@ -34,7 +34,7 @@ class AxisMap:
     """The joints of a robot in our order, each named after its RSI axis: `a1` … `a6`, `e1` … `e6`.
 
     Attributes:
-        joints: names of the joints, in the order of every vector given to and got from a codec.
+        joints: names of the joints, in the order of every vector that a codec takes or returns.
         units: `rad` or `m` for each joint; arm axes are revolute.
         krc: the controller. A KR C2 reports a linear external axis as mm times 180/pi, though it is
             commanded in mm; a KR C4 uses mm both ways.

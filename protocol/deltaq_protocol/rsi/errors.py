@@ -1,4 +1,4 @@
-"""What can be wrong with an RSI configuration or telegram."""
+"""Errors of an RSI configuration or telegram."""
 
 from __future__ import annotations
 

@@ -32,10 +32,10 @@ SEND_INTERNAL: dict[str, tuple[str, ...]] = {
     "MECur": EXTERNAL_AXES,
     "Delay": ("D",),
 } | _TECH
-"""What the controller can send of itself, with the attributes of each."""
+"""Elements that the controller itself can send, with the attributes of each."""
 
 RECEIVE_INTERNAL: dict[str, tuple[str, ...]] = {"EStr": ()} | _TECH
-"""What the controller itself understands; `EStr` is text for the pendant."""
+"""Elements that the controller itself understands; `EStr` is text for the pendant."""
 
 _TAG = re.compile(r"(DEF_)?([A-Za-z_][A-Za-z0-9_-]*)(?:\.([A-Za-z_][A-Za-z0-9_-]*))?")
 

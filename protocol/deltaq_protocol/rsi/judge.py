@@ -1,6 +1,6 @@
-"""Whether the files that a KRC has loaded can be safe with what a cell says of its robot.
+"""Whether the files that a KRC has loaded can be safe with a cell's description of its robot.
 
-What is refused moves a robot where nobody sent it, or lets nobody stop it; what is warned of makes an outage worse.
+An error would move a robot where nobody sent it, or let nobody stop it; a warning would make an outage worse.
 Pure: texts and descriptions in, findings out.
 """
 
@@ -48,7 +48,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Station:
-    """What a cell says of the PC's end of one robot's RSI.
+    """The PC's end of one robot's RSI, as the cell describes it.
 
     Attributes:
         axes: the robot's joints.
@@ -85,17 +85,17 @@ def is_any(address: str) -> bool:
 
 
 def judge(config: EthernetConfig, station: Station) -> tuple[Finding, ...]:
-    """Judge a `*_ethernet.xml` by what the cell says.
+    """Check a `*_ethernet.xml` against the cell.
 
     Whether corrections are absolute, and how many decimals the KRC sends, is in its program and context: see
     `judge_program` and `judge_context`.
 
     Args:
-        config: what the KRC has loaded.
-        station: what the cell says.
+        config: the file that the KRC has loaded.
+        station: the cell's description.
 
     Returns:
-        What is wrong, errors and warnings, in no particular order; empty if nothing is.
+        Findings, errors and warnings, in no particular order; empty if there are none.
     """
     checks = (_direction, _address, _corrections, _measurements, _signals, _stop)
     return tuple(replace(found, source=config.source) for check in checks for found in check(config, station))
@@ -113,7 +113,7 @@ def _direction(config: EthernetConfig, _: Station) -> Iterator[Finding]:
 
 
 def _address(config: EthernetConfig, station: Station) -> Iterator[Finding]:
-    # an emulator on this machine sends where the cell says, whatever the file says
+    # an emulator on this machine sends to the cell's address, whatever the file says
     if station.emulated:
         return
     if config.port != station.port:
@@ -179,7 +179,7 @@ def _measurements(config: EthernetConfig, station: Station) -> Iterator[Finding]
             yield Finding(
                 "error",
                 f"SEND/DEF_{measured}",
-                "is missing: where the axes are is not told; add it with TYPE DOUBLE and INDX INTERNAL",
+                "is missing: the positions of the axes are unknown; add it with TYPE DOUBLE and INDX INTERNAL",
             )
         if programmed not in sent:
             yield Finding(
@@ -267,7 +267,7 @@ def _without_source(error: EthernetConfigError, config: EthernetConfig) -> str:
 
 
 def _reaches(ip_number: str, address: str) -> bool:
-    """Whether what is sent to `ip_number` by another machine can arrive where `address` is listened on."""
+    """Whether a datagram that another machine sends to `ip_number` can arrive at a listener on `address`."""
     if is_any(address):
         return not is_loopback(ip_number) and not is_any(ip_number)
     return ip_number == address or (_ip(ip_number) is not None and _ip(ip_number) == _ip(address))

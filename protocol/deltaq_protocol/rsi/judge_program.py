@@ -1,4 +1,4 @@
-"""Whether a KRC's context and KRL program do with corrections what the Robot Server relies on.
+"""Whether a KRC's context and KRL program treat corrections as the Robot Server assumes.
 
 The `*_ethernet.xml` says what is on the wire; the context says which axis a correction moves, and the program whether
 it is an offset from the start (absolute) or an increment in every cycle (relative).
@@ -25,15 +25,15 @@ RELATIVE_LATE = (
 
 
 def judge_context(context: RsiContext, config: EthernetConfig, station: Station) -> tuple[Finding, ...]:
-    """Judge a context by the `*_ethernet.xml` that it loads and what the cell says.
+    """Check a context against the `*_ethernet.xml` that it loads and against the cell.
 
     Args:
-        context: what the KRC has loaded.
+        context: the context that the KRC has loaded.
         config: the file that its ETHERNET object names.
-        station: what the cell says.
+        station: the cell's description.
 
     Returns:
-        What is wrong; empty if nothing is.
+        Findings; empty if there are none.
     """
     if (ethernet := context.ethernet(config.source)) is None:
         return ()
@@ -60,7 +60,7 @@ def _links(
     try:
         fields = correction_fields(config, station.axes)
     except EthernetConfigError:
-        return  # told of the file itself
+        return  # reported for the file itself
     for axis in station.axes.axes:
         kind = "AXISCORR" if axis[0] == "A" else "AXISCORREXT"
         first = 1 if axis[0] == "A" else context.first_external_input
@@ -99,7 +99,7 @@ def _links(
 
 
 def judge_program(text: str, source: str) -> tuple[Finding, ...]:
-    """Judge a KRL program by how it starts RSI; `source` is its name in messages.
+    """Check how a KRL program starts RSI; `source` is its name in messages.
 
     Returns:
         An error where corrections are relative, a warning where the program does not say; empty for a program that

@@ -28,17 +28,17 @@ from deltaq_protocol.rsi.layout import (
 MAX_TELEGRAM_BYTES = 4096
 MAX_PRECISION = 9
 
-# what C's strtod reads of it: a nought before the point may be missing
+# as C's strtod reads it: a zero before the point may be missing
 _NUMBER = re.compile(rf"{NUMBER}|[-+]?\.[0-9]{{1,16}}(?:[eE][-+]?[0-9]{{1,2}})?")
 _STOP = "driver.stop"
-"""Beside the names of outputs, and like none of them."""
+"""Key of the stop among the outputs; no output can have this name."""
 _POSE_SCALE = (MM_PER_M,) * 3 + (DEG_PER_RAD,) * 3
 # where the value of a field comes from, as rows of one table of lists
 _Q, _Q_PROGRAMMED, _POSE, _POSE_PROGRAMMED, _DELAY, _INPUTS, _ZERO, _ZERO_COUNT, _EMPTY = range(9)
 
 
 class KrcReport(NamedTuple):
-    """What a controller tells of itself in one cycle.
+    """The values that a controller sends in one cycle.
 
     Attributes:
         q: (n,) measured joints [rad or m].
@@ -58,7 +58,7 @@ class KrcReport(NamedTuple):
 
 
 class SensorTelegram(NamedTuple):
-    """What a PC replied.
+    """A PC's reply.
 
     Attributes:
         type: its `Type`, which may be the wrong one.
@@ -178,7 +178,7 @@ class KrcCodec:
         return b'<Rob Type="KUKA"><IPOC>%d</IPOC></Rob>' % ipoc
 
     def decode(self, datagram: bytes) -> SensorTelegram:
-        """Read a reply; elements may come in any order, unknown ones are passed over, and so is the end of a C string.
+        """Read a reply; elements may come in any order; unknown ones are skipped, and so is the end of a C string.
 
         Raises:
             TelegramError: if it is no reply of this configuration, with what is wrong.

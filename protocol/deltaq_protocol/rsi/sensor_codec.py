@@ -39,7 +39,7 @@ _STOP = "driver.stop"
 
 
 class KrcTelegram(NamedTuple):
-    """What the controller said.
+    """The contents of a controller's telegram.
 
     Attributes:
         ipoc: time stamp, to be echoed exactly.
@@ -96,7 +96,7 @@ class SensorCodec:
 
     @property
     def joints(self) -> int:
-        """Number of joints, the length of every vector given and got."""
+        """Number of joints, the length of every vector taken or returned."""
         return len(self.axes.joints)
 
     def _compile_decoder(self, inputs: Mapping[str, str]) -> None:
@@ -185,7 +185,7 @@ class SensorCodec:
         """Read a telegram of the controller.
 
         Raises:
-            TelegramError: if it is none; the message says which part is missing or damaged.
+            TelegramError: if it is not a telegram; the message says which part is missing or damaged.
         """
         match = self._pattern.fullmatch(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
         if match is None:
@@ -254,7 +254,7 @@ class SensorCodec:
             outputs: digital outputs by name; those not given are off.
             text: shown on the pendant, if the configuration has `DEF_EStr` (`has_text`); cut to
                 80 characters.
-            stop: end the motion on the controller's side, where it was told how.
+            stop: end the motion on the controller's side, if the codec has a TAG for it.
 
         Raises:
             TelegramError: if the correction has not n elements, or one that is not finite or too large to be

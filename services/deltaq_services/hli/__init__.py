@@ -1,1 +1,1 @@
-"""The high-level interface: what controllers talk to, and the only way from them to the gate."""
+"""The High-Level Interface: it serves controllers, and is the only path from them to the gate."""

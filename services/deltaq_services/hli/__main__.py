@@ -17,7 +17,7 @@ OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
 """Environment variable: where set, `take` and `reset` need this token."""
 
 _REAL_TIME_PRIORITY = 9
-"""Below the gate's: clients that keep the HLI busy shall not keep the gate from deciding."""
+"""Below the gate's: clients that keep the HLI busy must not keep the gate from deciding."""
 
 
 async def _run(model: CellModel, told: Description) -> None:

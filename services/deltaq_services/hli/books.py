@@ -22,7 +22,7 @@ _ROUNDING = 1e-9
 
 
 class Books:
-    """What the HLI knows, shared by the parts of its core.
+    """State of the HLI, shared by the parts of its core.
 
     Args:
         cell: description of the cell.
@@ -63,7 +63,7 @@ class Books:
         return outputs
 
     def refuse(self, robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
-        """Refuse an increment: count it, tell the sender and everybody who watches."""
+        """Refuse an increment: count it, and send the verdict to the sender and to every watcher."""
         self.counters["refused"] += 1
         self.counters[f"refused_{reason.code}"] += 1
         return refusal(robot, cycle, seq, reason, sender)
@@ -82,7 +82,7 @@ class Books:
         return self.refuse_asked(asked, Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"))
 
     def holder_lost(self, lease: Lease, time_s: float) -> list[Output]:
-        """The holder vanished without a word: stop its robot, if there is anything to stop."""
+        """The holder vanished without releasing: stop its robot, if it was used."""
         outputs = self.end_lease(lease)
         moving = self.links[lease.robot].phase(time_s) in (Phase.ENGAGED, Phase.BRAKING)
         if not (moving or lease.used):
@@ -114,6 +114,6 @@ class Books:
     def command(
         self, command: Command, sender: Sender | None, done: Done | IoReply | None, time_s: float
     ) -> list[Output]:
-        """Send a command to the gate and remember whom to tell `done`, or the reply's verdict, when it has answered."""
+        """Send a command to the gate; its sender gets `done`, or the reply's verdict, when the gate has answered."""
         self.commands.sent(command, sender, done, time_s)
         return [ToGuarded(topics.COMMAND, "", command)]

@@ -28,9 +28,9 @@ class _Awaited:
 
 
 class Commands:
-    """The commands that are under way.
+    """The commands that are in flight.
 
-    Of the gate's epoch and of the ids of an earlier process this one hears when the gate refuses a command for them.
+    It learns the gate's epoch, and the ids of an earlier process, when the gate refuses a command because of them.
 
     Args:
         first_id: greater than any id used before, as far as that can be known.
@@ -44,18 +44,18 @@ class Commands:
         self._awaited: dict[int, _Awaited] = {}
 
     def numbered(self, command: Command) -> Command:
-        """A command for the gate that is known, with an id that none has had."""
+        """A command for the known gate, with an unused id."""
         self._id += 1
         if command.kind == "stop":
             self._stop_id = self._id
         return command.model_copy(update={"id": self._id, "epoch": self._epoch})
 
     def sent(self, command: Command, sender: Sender | None, done: Message | None, time_s: float) -> None:
-        """Await the answer to a command; `done`, if any, is what the sender is told when it was carried out."""
+        """Await the answer to a command; `done`, if any, goes to the sender when it was carried out."""
         self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
 
     def answered(self, reply: CommandReply) -> list[Output]:
-        """Tell the sender of the command what became of it, or send it again as the gate wants it."""
+        """Answer the sender of the command, or send the command again as the gate requires."""
         asked = self._awaited.get(reply.id)
         if asked is not None and reply.epoch is not None and reply.newest_id is not None:
             self._learn(reply.epoch, reply.newest_id)
@@ -64,7 +64,7 @@ class Commands:
             if unknowing and asked.command.id > self._stop_id:
                 return self._sent_again(self._awaited.pop(reply.id))
             if not unknowing and reply.code is ReasonCode.REPLAYED_SEQUENCE:
-                return []  # a copy of it; the answer to the first is still to come
+                return []  # a duplicate; the answer to the first is still to come
         awaited = self._awaited.pop(reply.id, None)
         if awaited is None or awaited.sender is None:
             return []
@@ -93,7 +93,7 @@ class Commands:
         return [ToGuarded(topics.COMMAND, "", command)]
 
     def overdue(self, time_s: float) -> tuple[int, list[ToSender]]:
-        """How many commands the gate left unanswered just now, and what their senders are told."""
+        """How many commands the gate has just left unanswered, and the errors for their senders."""
         late = [awaited for awaited in self._awaited.values() if time_s >= awaited.deadline_s]
         for awaited in late:
             del self._awaited[awaited.command.id]

@@ -1,4 +1,4 @@
-"""The core of the HLI: plain decisions, told the time by its shell.
+"""The core of the HLI: plain decisions; its shell passes the time in.
 
 Between controllers and gate it keeps who may write (`leases`), hands on the newest increment of each
 cycle (`increments`), and answers everything that is asked (`requests`), refusals with their reason.
@@ -40,7 +40,7 @@ class HliCore:
 
     Args:
         cell: description of the cell.
-        told: what clients are told about the cell.
+        told: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
@@ -96,7 +96,7 @@ class HliCore:
         return outputs
 
     def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
-        """The gate has decided: tell the one who asked, and everybody who watches."""
+        """The gate has decided: send its verdict to the sender and to every watcher."""
         link = self._books.links.get(verdict.robot)
         if link is None:
             self.counters["verdicts_ignored"] += 1
@@ -116,7 +116,7 @@ class HliCore:
         return self._books.commands.answered(reply)
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
-        """A service is alive; the gate's sign of life brings its counters and the nearest pair."""
+        """A service is alive; the gate's heartbeat brings its counters and the nearest pair."""
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s
@@ -125,7 +125,7 @@ class HliCore:
         return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
 
     def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
-        """Welcome a client, or tell it that it speaks another version."""
+        """Welcome a client, or refuse one that speaks another version."""
         if hello.protocol != PROTOCOL_VERSION:
             self.counters["version_mismatches"] += 1
             text = f"client speaks protocol {hello.protocol}, this server {PROTOCOL_VERSION}"

@@ -47,7 +47,7 @@ class Increments:
     def on_bad_increment(
         self, error: InvalidMessageError, sender: Sender | None, time_s: float
     ) -> list[Output]:
-        """An increment that could not be decoded: refused like any other where it says whose it was."""
+        """An increment that could not be decoded: refused like any other if it names its robot and sender."""
         outputs = self._books.tick(time_s)
         self._books.counters["increments"] += 1
         data: dict[str, Any] = error.data
@@ -65,7 +65,7 @@ class Increments:
         return outputs + self._books.refuse(verdict.robot, verdict.cycle, verdict.seq, reason, sender)
 
     def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
-        """A message that is none: counted and told, nothing else."""
+        """A malformed message: counted and answered, nothing else."""
         self._books.counters["malformed"] += 1
         if sender is None:
             return []
@@ -74,7 +74,7 @@ class Increments:
         return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
-        """A state has come: ask the gate for the increment that waited, or send a sign of life."""
+        """A state has come: ask the gate for the increment that waited, or send a heartbeat."""
         outputs: list[Output] = []
         waited = link.drop()
         if waited is not None:
@@ -107,9 +107,9 @@ class Increments:
         )
 
     def _sequence_fault(self, robot: str, lease: Lease | None, seq: int, time_s: float) -> Reason | None:
-        """Lease and sequence; a number that was seen is used up, whatever else is wrong with it.
+        """Lease and sequence; a number counts as used once it was seen, even if the increment is refused.
 
-        A number that was not seen before shows that the holder lives, and keeps the lease; a copy shows nothing.
+        A new number shows that the holder lives, and renews the lease; a duplicate shows nothing.
         """
         if robot not in self._books.links:
             return unknown_robot(robot)

@@ -1,7 +1,7 @@
 """Leases: one writer a robot. Who writes is decided here and nowhere else.
 
-Every grant has an epoch of its own, greater than any before, and a token that only its holder is told. Epochs begin
-with the time of day; should that have been set back, the gate still knows the epochs of an earlier process.
+Every grant has a new epoch, greater than any before, and a token that only its holder gets. Epochs begin
+with the time of day; if that has been set back, the gate still knows the epochs of an earlier process.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Leases:
         robots: names of the robots.
         lease_s: how long a lease lasts without a renewal.
         new_token: makes a secret, different each time.
-        first_epoch: greater than any epoch granted before; `count_on_from` mends it if it is not.
+        first_epoch: greater than any epoch granted before; `count_on_from` corrects it if it is not.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Leases:
         return lease
 
     def count_on_from(self, epoch: int) -> list[Lease]:
-        """An earlier process granted `epoch`: grant greater ones; returns the leases that the gate takes for old."""
+        """An earlier process granted `epoch`: grant greater ones; returns the leases that are outdated by it."""
         if epoch <= self._epoch:
             return []
         self._epoch = epoch

@@ -1,4 +1,4 @@
-"""What the core asks its shell to do: messages, and where they go."""
+"""Outputs of the core for its shell: messages, and their destinations."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from deltaq_protocol.topics import Topic
 
 
 class Sender(ABC):
-    """Where an answer goes; the fronts derive from it, the core only hands it back.
+    """Destination of an answer; the fronts derive from it, the core only hands it back.
 
     Attributes:
-        lasting: True for a connection, which can be told something later too; a query takes one answer.
+        lasting: True for a connection, which can get later messages too; a query takes one answer.
     """
 
     lasting = False

@@ -1,4 +1,4 @@
-"""Refusals: what an increment that is no valid request is answered with."""
+"""Refusals: the answers to increments that are no valid requests."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _LONGEST_NAME = 64
 
 
 def refusal(robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
-    """Tell the sender, and everybody who watches, that an increment was refused.
+    """Send the verdict `refused` on an increment to the sender and to every watcher.
 
-    A sender over zenoh is told by the open verdict: a zenoh sample does not say where it came from.
+    A sender over zenoh reads the open verdict: a zenoh sample does not say where it came from.
     """
     verdict = Verdict(robot=robot, cycle=cycle, seq=seq, outcome=Outcome.REFUSED, reasons=(reason,))
     outputs: list[Output] = [ToOpen(topics.VERDICT, robot, verdict)]
@@ -46,7 +46,7 @@ def at_fault(dq: object, robot: RobotDescription, code: ReasonCode) -> Reason:
     """What is wrong with a `dq` that could not be decoded.
 
     Args:
-        dq: what came in its place.
+        dq: the value received.
         robot: the robot it was meant for.
         code: what the codec found.
 

@@ -30,7 +30,7 @@ class Requests:
     """Answers requests; those that the gate must carry out are answered when it has.
 
     Args:
-        books: what the HLI knows.
+        books: state of the HLI.
         operator_token: where given, `take` and `reset` need it.
     """
 
@@ -93,7 +93,7 @@ class Requests:
         return self._books.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
 
     def on_dry_run(self, request: DryRunRequest, sender: Sender, time_s: float) -> list[Output]:
-        """Ask the gate what it would say to an increment."""
+        """Ask the gate for its verdict on an increment if it came now."""
         link = self._books.links.get(request.robot)
         if link is None:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))

@@ -29,7 +29,7 @@ class Hli:
 
     Args:
         cell: description of the cell.
-        told: what clients are told about the cell.
+        told: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         operator_token: where given, `take` and `reset` need it.
 
@@ -45,7 +45,7 @@ class Hli:
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         operator_token: str | None = None,
     ) -> None:
-        # milliseconds since 1970: greater than whatever an earlier process has come to
+        # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
         self.core = HliCore(cell, told, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token)
         self.loop: asyncio.AbstractEventLoop

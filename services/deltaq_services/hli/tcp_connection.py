@@ -34,11 +34,11 @@ MAX_UNREAD_BYTES = 1024 * 1024
 """Answers that a client has asked for and not read; beyond, the connection ends."""
 HELLO_DEADLINE_S = 10.0
 CLOSE_DEADLINE_S = 2.0
-"""How long a client that is sent away may take to read why."""
+"""Time for a dismissed client to read the reason."""
 _LINES_A_TURN = 16
 """Lines served before the loop turns to others, so that one flood does not starve the rest."""
 _SEND_BUFFER_BYTES = 64 * 1024
-"""The kernel holds no more than about this: what it holds can no longer be replaced by newer states."""
+"""The kernel buffers no more than about this: buffered states can no longer be replaced by newer ones."""
 
 _TYPES: dict[str, type[Message]] = {
     "hello": Hello,
@@ -68,7 +68,7 @@ class Front(Protocol):
 class TcpConnection(asyncio.Protocol, Sender):
     """A client over TCP. It holds its leases by being connected and sending something valid now and then.
 
-    A client that reads slowly loses old states, never the newest; one that asks and does not read is
+    A client that reads slowly loses old states, never the newest; one that does not read its answers is
     disconnected.
 
     Attributes:
@@ -243,7 +243,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         return []
 
     def _increment(self, data: dict[str, Any], now: float) -> list[Output]:
-        """The connection is the holder: whatever lease the line names is not looked at."""
+        """The connection is the holder: a lease that the line names is ignored."""
         increments = self._port.core.increments
         robot = data.get("robot")
         data["lease"] = self.leases.get(robot) if isinstance(robot, str) else None

@@ -64,7 +64,7 @@ class TcpFront:
         """Stop serving and close every connection."""
         if self._server is not None:
             self._server.close()
-            # cleared first: a connection that we close is no controller that was lost
+            # cleared first: a connection that the server closes is no lost controller
             connections, self.connections = self.connections, set()
             for connection in connections:
                 connection.close()

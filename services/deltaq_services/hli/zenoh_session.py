@@ -59,17 +59,17 @@ class LoopSession:
         publisher.put(pack(message))
 
     def publish_once(self, key: str, message: Message) -> None:
-        """Publish a message on a key that is not one of ours, without keeping anything for the next time."""
+        """Publish a message on a key outside the table of topics, without keeping a publisher."""
         self._session.put(key, pack(message))
 
     def counters(self) -> Counter[str]:
-        """What was dropped because it came faster than it could be served, and what could not be served."""
+        """Counts of messages that were dropped because they came too fast, and of those that could not be served."""
         counters = Counter({f"{name}_dropped": inbox.dropped for name, inbox in self._inboxes.items()})
         counters["failed"] = sum(inbox.failed for inbox in self._inboxes.values())
         return counters
 
     def close(self) -> None:
-        """Stop listening, then close: a session that closes with callbacks under way can panic."""
+        """Stop listening, then close: a session that closes with callbacks still running can panic."""
         for declared in self._declared:
             declared.undeclare()
         for inbox in self._inboxes.values():

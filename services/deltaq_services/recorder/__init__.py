@@ -1,1 +1,1 @@
-"""The recorder: keeps what a cell does in an MCAP file, in a process of its own."""
+"""The recorder: writes the messages of a cell to an MCAP file, in a separate process."""

@@ -11,8 +11,10 @@ from deltaq_services.recorder.shell import Recorder
 
 
 def main() -> None:
-    """Record a running cell until the process is told to end."""
-    parser = argparse.ArgumentParser(description="Recorder: keeps what a running cell does in an MCAP file")
+    """Record a running cell until a signal ends the process."""
+    parser = argparse.ArgumentParser(
+        description="Recorder: writes the messages of a running cell to an MCAP file"
+    )
     parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
     parser.add_argument("--file", required=True, type=Path, help="file to write; it must not exist")
     options = parser.parse_args()

@@ -22,10 +22,10 @@ WORLD = "world"
 
 
 class Frames:
-    """Where the links of a cell's robots are.
+    """Poses of the links of a cell's robots.
 
     Args:
-        description: as the HLI tells it.
+        description: from the HLI.
     """
 
     def __init__(self, description: Description) -> None:

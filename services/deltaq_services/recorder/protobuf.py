@@ -1,8 +1,8 @@
 """The messages as protobuf: descriptors made at run time from the pydantic models, and values both ways.
 
 The models stay the one source. Every schema is fully qualified (`deltaq.RobotState`), fields have the models'
-names and are numbered in their order. Enumerations keep their names (`PHASE_HELD`), after a zero that says that
-nothing was given; what may be None has presence; an empty list stands for None where a list may be None.
+names and are numbered in their order. Enumerations keep their names (`PHASE_HELD`), after a zero that means "not
+given"; optional fields have presence; an empty list stands for None where a list may be None.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deltaq_protocol.topics import TOPICS
 PACKAGE = "deltaq"
 _FILE = "deltaq.proto"
 _ROW = "Row"
-"""A list of numbers within a list, which protobuf has no word for."""
+"""A list of numbers within a list, for which protobuf has no type."""
 
 M = TypeVar("M", bound=Message)
 _Proto = descriptor_pb2.FieldDescriptorProto
@@ -91,7 +91,7 @@ class ProtobufSchema:
 def to_message(message_type: type[M], source: Any) -> M:
     """The message that a protobuf message holds, field by field by name.
 
-    Its descriptor may be that of another version, e.g. the one that a recording brings along.
+    Its descriptor may be that of another version, e.g. the one in a recording.
 
     Raises:
         InvalidMessageError: if its fields do not make a message of that type.

@@ -1,7 +1,7 @@
 """Reads a recording in the order in which it was written, as far as it goes.
 
-A recorder that is killed leaves a file without its end, and a disk may damage any part of it. What can be
-read is read: a damaged chunk is left out, and the file ends where the next record makes no sense; both are told.
+A recorder that is killed leaves a file without its end, and a disk may damage any part of it. As much as possible is
+read: a damaged chunk is left out, and the file ends where the next record is invalid; both are reported.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from deltaq_services.recorder.writer import CELL_FILE, HULLS_FILE, METADATA
 _HULLS: TypeAdapter[dict[str, dict[str, Corners]]] = TypeAdapter(dict[str, dict[str, Corners]])
 _LONGEST_RECORD = 64 * 1024 * 1024
 _UNREADABLE = (McapError, ZstdError, struct.error, ValueError, OverflowError, MemoryError)
-"""What the MCAP reader raises on bytes that are none of its own."""
+"""Errors that the MCAP reader raises on damaged bytes."""
 
 
 class UnreadableRecordingError(DeltaqError):
-    """A file that is no recording of deltaq at all."""
+    """A file that is not a recording of deltaq."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class Recorded:
 
     Attributes:
         topic: its row of the table.
-        message: itself.
+        message: the message.
         time_ns: when it was seen [ns].
-        number: of the message of the gate that it belongs to, modulo 2**32; 0 for what does not pass the gate.
-        position: how far into the file it is [bytes].
+        number: of the gate's message that it belongs to, modulo 2**32; 0 for messages that do not pass the gate.
+        position: offset in the file [bytes].
     """
 
     topic: Topic
@@ -65,15 +65,15 @@ class Recorded:
 
 @dataclass
 class Recording:
-    """What a recording is of, and its messages.
+    """The subject of a recording, and its messages.
 
     Attributes:
         path: the file.
         about: cell, cycle_s, protocol, robots and source.
         yaml: the cell's description.
         urdf: URDF text by robot.
-        hulls: what its meshes were taken for, by robot and body; empty in recordings of versions that kept none.
-        notices: what could not be read; complete once `messages` has been read to the end.
+        hulls: the hulls of its meshes, by robot and body; empty in recordings of versions that kept none.
+        notices: the parts that could not be read; complete once `messages` has been read to the end.
     """
 
     path: Path
@@ -85,7 +85,7 @@ class Recording:
 
     @classmethod
     def open(cls, path: Path) -> Recording:
-        """Read what a recording begins with.
+        """Read the beginning of a recording.
 
         Raises:
             UnreadableRecordingError: the file is not there, or it is no recording of deltaq.
@@ -150,7 +150,7 @@ class Recording:
                     DecodeError,
                     *_UNREADABLE,
                     TypeError,
-                ) as error:  # what protobuf makes of a damaged schema
+                ) as error:  # protobuf's errors on a damaged schema
                     self.notices.append(f"the schema of {record.topic} is damaged: {error}")
                     continue
                 if decode is not None:

@@ -1,7 +1,7 @@
-"""The recorder's session: what HLI and SIM publish, as it comes, into a file.
+"""The recorder's session: writes the messages of HLI and SIM, as they come, to a file.
 
-It is a process of its own that only listens. Whatever becomes of it, the cell goes on: senders drop what it is too
-slow to take.
+It is a separate process that only listens. Whatever happens to it, the cell goes on: senders drop the messages that it
+is too slow to take.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 class OtherCellRunsError(DeltaqError):
-    """Another cell answers at the address of the one that was meant."""
+    """Another cell than the expected one answers at the address."""
 
 
 class Recorder:
     """Records a running cell; a context manager that completes the file.
 
     Args:
-        cell: says where HLI and SIM are.
+        cell: description with the addresses of HLI and SIM.
         path: file to write; it must not exist.
 
     Attributes:
-        writer: what was written so far.
+        writer: of the file.
         lost: messages that came faster than they could be written.
         invalid: messages that could not be understood.
 
@@ -66,7 +66,7 @@ class Recorder:
         for topic in TOPICS:
             if topic.realm is Realm.OPEN and topic.kind is Kind.STREAM and topic.recorded:
                 self._session.declare_subscriber(topic.key(cell.cell), lambda s, t=topic: self._put(t, s))
-        # one subscriber for both, so that a memory keeps its place among the entries
+        # one subscriber for both, so that a snapshot keeps its place among the entries
         self._session.declare_subscriber(topics.GATE_KEYS.format(cell=cell.cell), self._put_gate)
 
     def __enter__(self) -> Recorder:
@@ -77,7 +77,7 @@ class Recorder:
         self.writer.close()
 
     def run(self, duration_s: float | None = None, on_progress: Callable[[], None] | None = None) -> None:
-        """Write what comes, for ever or for `duration_s`.
+        """Write the messages that come, for ever or for `duration_s`.
 
         Raises:
             RecordingError: the file cannot be written to any more.

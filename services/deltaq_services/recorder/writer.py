@@ -1,7 +1,7 @@
 """Writes a recording: an MCAP file of protobuf messages, one channel a topic and robot.
 
-What the gate took in and gave out stands in the gate's own order: each message taken in, then what answered it,
-all with its number as the MCAP sequence number. `deltaq replay` depends on that order; viewers sort by time.
+The gate's inputs and outputs are written in the gate's own order: each input, then the outputs that answered it,
+all with the input's number as the MCAP sequence number. `deltaq replay` depends on that order; viewers sort by time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ HULLS_FILE = "hulls.json"
 TRANSFORMS = "/tf"
 
 _CHUNK_BYTES = 256 * 1024
-"""What is lost at most when the recorder is killed, uncompressed."""
+"""Largest loss when the recorder is killed, uncompressed."""
 
 _TRANSFORMS_PERIOD_NS = 33_000_000
 
@@ -42,12 +42,12 @@ class RecordingWriter:
 
     Args:
         path: file to write; it must not exist.
-        description: of the cell, as the HLI tells it.
+        description: of the cell, from the HLI.
         source: `live` or `virtual time`.
 
     Attributes:
         messages: written so far.
-        gate_messages: of which the gate took in.
+        gate_messages: those of them that the gate took.
 
     Raises:
         RecordingError: if the file exists or cannot be written.
@@ -110,14 +110,14 @@ class RecordingWriter:
         number: int,
         time_ns: int,
     ) -> None:
-        """Write a message that the gate took in, and what it gave out; raises as `publish` does."""
+        """Write a message that the gate took, and its outputs; raises as `publish` does."""
         self.gate_messages += 1
         self._carefully(self._put, topic, message, time_ns, number)
         for output_topic, output in outputs:
             self._carefully(self._put, output_topic, output, time_ns, number)
 
     def gate_remembers(self, memory: GateMemory, time_ns: int) -> None:
-        """Write the gate's memory, from which a replay can begin; raises as `publish` does."""
+        """Write a snapshot of the gate, from which a replay can begin; raises as `publish` does."""
         if self._fingerprint != memory.fingerprint:
             self._fingerprint = memory.fingerprint
             self._carefully(self._writer.add_metadata, "gate", {"fingerprint": memory.fingerprint})
@@ -133,7 +133,7 @@ class RecordingWriter:
 
     def _begin(self, about: dict[str, str], description: Description) -> None:
         self._writer.add_metadata(METADATA, about)
-        # the hulls before the URDFs: who reads has enough with the last of those
+        # the hulls before the URDFs: a reader is done after the last of those
         texts = [
             (CELL_FILE, "application/yaml", description.yaml),
             (HULLS_FILE, "application/json", json.dumps(description.hulls)),

@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def refuse_unsafe(cell_file: Path, robot: RobotDescription) -> None:
-    """Say what is wrong with the files of a robot's KRC.
+    """Report the faults of the files of a robot's KRC.
 
     Raises:
         EthernetConfigError: they cannot be safe.

@@ -51,12 +51,12 @@ class RobotServer:
     Args:
         cell: the cell.
         robot: the robot's name.
-        process: a number that no other process of this Robot Server has.
+        process: the instance id of this process.
 
     Attributes:
         outputs: digital outputs to be set, by name.
-        motion_stop: the KRC shall end the motion itself, since this robot moves on though its setpoint rests.
-        counters: how often what happened.
+        motion_stop: the KRC has to end the motion itself, since this robot moves on although its setpoint rests.
+        counters: events by name.
     """
 
     def __init__(self, cell: CellDescription, robot: str, process: int) -> None:
@@ -91,7 +91,7 @@ class RobotServer:
 
     @property
     def state(self) -> ServerState | None:
-        """What is published after each cycle; None before the first. Made when it is asked for: after the reply."""
+        """The state published after each cycle; None before the first. Made on demand: after the reply."""
         self._make_state()
         return self._state
 
@@ -113,14 +113,14 @@ class RobotServer:
             measured: what the KRC reported.
             time_s: time of arrival, for the published state only.
             admission: the newest admission since the last cycle, if any.
-            supervision: the newest sign of life of the gate since the last cycle, if any.
+            supervision: the newest heartbeat of the gate since the last cycle, if any.
 
         Returns:
             (n,) setpoint to send now [rad or m].
         """
         if measured.q_start is not None:
             self._begin_session(measured.q_start)
-        self._make_state()  # the one that this cycle's admission follows
+        self._make_state()  # the state that this cycle's admission follows
         self._cycle += 1
         self._q = measured.q
         self._watch(measured.q)
@@ -139,14 +139,14 @@ class RobotServer:
         return self._held_at
 
     def krc_silent(self, time_s: float) -> None:
-        """The KRC sent nothing for longer than it may: hold, until it is back and someone resets."""
+        """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""
         self.counters["krc_silent"] += 1
         state = self.state
         if state is not None:
             self._stop(ReasonCode.KRC_LOST)
             if self._phase is Phase.HELD:
-                self._reason = ReasonCode.KRC_LOST  # of several causes this one stands
-            # the KRC has held its last correction by now: what is left of a brake would set the robot in motion
+                self._reason = ReasonCode.KRC_LOST  # of several causes this one is kept
+            # the KRC holds its last correction by now: the rest of a brake would set the robot in motion
             self._dq = np.zeros_like(self._q_cmd)
             self._rest()
             self._state = state.model_copy(
@@ -160,7 +160,7 @@ class RobotServer:
             )
 
     def reply_refused(self, q_sent: Array) -> None:
-        """The last reply was not sent as it was decided: hold where the KRC was sent instead.
+        """The last reply was not sent as decided: hold at the setpoint that was sent instead.
 
         Args:
             q_sent: (n,) setpoint that the KRC has [rad or m].
@@ -173,12 +173,12 @@ class RobotServer:
         self._state = None
 
     def end(self) -> None:
-        """Come to rest along the brake, and stay there: this process was told to end."""
+        """Come to rest along the brake, and stay there: a signal ends this process."""
         self._stop(ReasonCode.SERVER_ENDED)
 
     @property
     def _held_at(self) -> Array:
-        """(n,) setpoint that the KRC has: its own in a new session, until a reset takes it for ours."""
+        """(n,) setpoint that the KRC has: its own in a new session, until a reset adopts it."""
         return self._q_cmd if self._q_reset is None else self._q_reset
 
     def _begin_session(self, q_start: Array) -> None:
@@ -223,7 +223,7 @@ class RobotServer:
         self._cycles_without_gate = 0
         if self._phase is Phase.OFFLINE:
             self._epoch = supervision.epoch
-            self._resets = supervision.resets  # those were given to an earlier process
+            self._resets = supervision.resets  # these were given to an earlier process
             self._enter(Event.LINKED)
         at_rest = self._plan.step >= self._plan.brake_cycles and self._is_near(self._q, self._held_at)
         if self._phase is Phase.HELD and supervision.resets > self._resets and at_rest:

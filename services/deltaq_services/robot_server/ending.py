@@ -1,4 +1,4 @@
-"""The end of a Robot Server's process: the robot comes to rest first, and its KRC is told to end the motion."""
+"""The end of a Robot Server's process: the robot comes to rest first, and its KRC gets the signal to end the motion."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class Ending:
     """Takes SIGTERM and Ctrl-C: the first asks for an end, the second ends at once.
 
     Args:
-        server: what brings the robot to rest.
+        server: brings the robot to rest.
 
     Attributes:
-        stop: the KRC shall end the motion: nobody will answer it any more.
+        stop: the KRC has to end the motion: nobody will answer it any more.
         over: the process may end.
     """
 

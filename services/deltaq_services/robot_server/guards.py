@@ -1,8 +1,7 @@
 """Guards of the Robot Server's own, behind the gate: it is the last program before the drives.
 
-They know nothing of bodies. They hold that an admission follows what the robot is doing, that no joint is
-asked to move or to change speed faster than it may, and that its brake can be driven and ends inside the
-limits.
+They know nothing of bodies. They check that an admission follows the robot's present plan, that no joint
+exceeds its velocity or acceleration limit, and that its brake can be driven and ends inside the limits.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from deltaq_protocol.guarded import Admission, ServerState
 Array = NDArray[np.float64]
 
 _SLACK = 1.0 + 1e-6
-"""Rounding that a bound forgives."""
+"""Rounding that a bound tolerates."""
 
 
 class Refusal(StrEnum):

@@ -19,7 +19,7 @@ MOST_WAITING = 1024
 """Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
 
 MOST_READ = 8
-"""Of those that the KRC seems to have sent, so many of the newest are read in search of one that is a telegram."""
+"""Of the datagrams from the KRC's address, this many of the newest are read in search of a valid telegram."""
 
 
 class KrcSocket:
@@ -58,7 +58,7 @@ class KrcSocket:
 
     @property
     def detail(self) -> str:
-        """What there is to tell people of the KRC."""
+        """Details of the KRC, for people."""
         step = self._rsi.session.step
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
         return "; ".join(filter(None, (self._rsi.detail, self.peer.stranger, ipoc)))

@@ -25,7 +25,7 @@ class Link:
     Args:
         cell: the cell.
         robot: the robot's name.
-        counters: where messages that are none are counted.
+        counters: where malformed messages are counted.
 
     Raises:
         GuardedKeyError: if the realm leaves the loopback, and there is no key.
@@ -48,11 +48,11 @@ class Link:
         return self._newest(self._admissions, Admission)
 
     def supervision(self) -> Supervision | None:
-        """The newest sign of life of the gate since the last call, if any."""
+        """The newest heartbeat of the gate since the last call, if any."""
         return self._newest(self._supervisions, Supervision)
 
     def publish(self, state: ServerState | None, time_s: float, detail: str = "") -> None:
-        """Publish the state, and twice a second a sign of life."""
+        """Publish the state, and twice a second a heartbeat."""
         if state is not None:
             self._state.put(pack(state))
         if time_s >= self._next_health_s:

@@ -1,4 +1,4 @@
-"""Whom a Robot Server listens to: the one KRC whose telegrams it has believed, and nobody beside it."""
+"""The peer of a Robot Server: the one KRC whose telegrams it has believed, and no other sender."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ Address = tuple[str, int]
 
 
 class Sender(StrEnum):
-    """Who a datagram is from; all but the KRC's are dropped, and counted under these names."""
+    """Sender of a datagram; all but the KRC's are dropped, and counted under these names."""
 
     KRC = "telegrams_from_krc"
     FOREIGN = "telegrams_foreign"
@@ -29,7 +29,7 @@ class Peer:
 
     Attributes:
         address: of the KRC; None while it is not known.
-        stranger: who was dropped last, for people; empty if nobody was.
+        stranger: the sender dropped last, for people; empty if none was.
     """
 
     def __init__(self, krc_address: str | None, silence_s: float) -> None:
@@ -40,7 +40,7 @@ class Peer:
         self._heard_s = 0.0
 
     def judge(self, sender: Address, now_s: float) -> Sender:
-        """Who a datagram is from, before a byte of it is read.
+        """The sender of a datagram, before a byte of it is read.
 
         Args:
             sender: its address and port.

@@ -1,6 +1,6 @@
-"""What can be true of a position that a telegram reports: no digit is believed because it could be read.
+"""Which positions in a telegram can be true: that a digit can be read is no reason to believe it.
 
-A KRC's telegram carries no check of its own beyond UDP's, and whoever reaches the wire can write one. A position is
+A KRC's telegram has no checksum beyond UDP's, and anybody on the network can write one. A position is
 believed if it lies where the robot can be, and no further from the last one than the joints can have moved since.
 """
 
@@ -21,7 +21,7 @@ VELOCITY_MARGIN = 1.5
 
 RESOLUTION_RAD = 0.0035
 RESOLUTION_M = 0.0002
-"""What the decimals of two telegrams may add: a controller with one decimal rounds to 0.1 deg or mm."""
+"""Rounding of two telegrams: a controller with one decimal rounds to 0.1 deg or mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +39,14 @@ class PositionFault:
 
 @dataclass(frozen=True, slots=True)
 class Plausibility:
-    """What can be true of one robot's joints, each (n,) [rad or m].
+    """Bounds of what can be true of one robot's joints, each (n,) [rad or m].
 
     Attributes:
         joints: names, for messages.
         lower: least position that is believed.
         upper: greatest position that is believed.
-        reach: what a joint moves in one cycle at most.
-        resolution: what the telegram's decimals may add to a distance.
+        reach: largest motion of a joint in one cycle.
+        resolution: rounding of a distance by the telegram's decimals.
     """
 
     joints: tuple[str, ...]

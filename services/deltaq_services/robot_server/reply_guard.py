@@ -1,4 +1,4 @@
-"""The last look at a reply before it goes to the drives: it depends on nothing that was decided before.
+"""The last check of a reply before it goes to the drives: it depends on no earlier decision.
 
 Whatever else fails, the correction that a KRC is sent is a number, no further from the last one than a joint may
 travel in one cycle, and inside the limits of all corrections.
@@ -13,7 +13,7 @@ from typing import Literal
 
 _SLACK = 1.0 + 1e-6
 _ROUNDING = 1e-9
-"""What bounds forgive: a setpoint is a sum of increments, and a correction a difference of sums [rad or m]."""
+"""Tolerance of the bounds: a setpoint is a sum of increments, and a correction a difference of sums [rad or m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def reply_fault(
 ) -> ReplyFault | None:
     """What is wrong with a correction, or None.
 
-    A correction that lies outside its limits and comes nearer to them, or stays, is let pass: what was sent last can
+    A correction that lies outside its limits and comes nearer to them, or stays, is accepted: the last one can
     always be sent again.
 
     Args:

@@ -1,10 +1,10 @@
 """RSI as the Robot Server speaks it: telegrams to measurements, setpoints to absolute corrections.
 
 An absolute correction is an offset from where the programmed path stands, so rounding to the telegram's decimals
-never accumulates. With `DEF_ASPos` in the telegram that place is known even if this process joins a session
-that is under way; without it, the first measured position is taken for it. It is fixed for a session.
+never accumulates. With `DEF_ASPos` in the telegram that position is known even if this process joins a running
+session; without it, the first measured position is taken for it. It is fixed for a session.
 
-Nothing here moves the robot but the setpoint: any other answer is the correction that the KRC has already.
+Only the setpoint moves the robot: any other answer repeats the correction that the KRC has already.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class RsiDriver:
     Attributes:
         unmoved: answer to a telegram that was read as None: the correction that the KRC has; None: do not answer.
         fault: why the guard refused the last setpoint; None if it did not.
-        session: what is believed of the telegrams.
-        detail: what is amiss, for people; empty if nothing is.
+        session: beliefs about the telegrams.
+        detail: faults, for people; empty if there are none.
     """
 
     def __init__(self, codec: SensorCodec, cell: CellDescription, robot: str, counters: Counter[str]) -> None:

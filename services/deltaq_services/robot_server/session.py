@@ -19,12 +19,12 @@ from deltaq_services.robot_server.plausibility import Plausibility
 Array = NDArray[np.float64]
 
 CONFIRMATIONS = 4
-"""Telegrams in a row that agree before a session is believed. Two agree when one is doubled, three give the IPOC's step
-twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late replies, as it does
-unless told otherwise, waits for four."""
+"""Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the
+IPOC's step twice; the fourth is for one that was made up or garbled among them. A KRC that permits ten late
+replies, as it does unless told otherwise, waits for four."""
 
 PACE = 0.5
-"""Share of their own time in which such telegrams may come: a real KRC cannot hurry, a burst of forged ones does."""
+"""Fraction of their own time in which such telegrams may come: forged ones may come in a burst, a KRC's cannot."""
 
 STILL = 1e-5
 """Change of a joint between telegrams that counts as standing still [rad or m]."""
@@ -32,10 +32,10 @@ STILL = 1e-5
 IPOC_WRAP = 2**32
 _LARGEST_STEP = 1000
 _OVERTAKEN_CYCLES = 100
-"""A telegram this far behind may have been overtaken on the wire; one further behind has another clock."""
+"""A telegram this far behind may have been overtaken on the link; one further behind has another clock."""
 
 _JITTER_CYCLES = 3
-"""How far the IPOC may run ahead of the time that has passed: less than it takes to believe in another session, so that
+"""How far the IPOC may run ahead of the elapsed time: less than it takes to believe in another session, so that
 one garbled stamp does not end the session whose telegrams then seem overtaken."""
 
 
@@ -51,35 +51,36 @@ class Belief(StrEnum):
 
 
 class Kind(StrEnum):
-    """What a telegram is to the session that is believed."""
+    """Kind of a telegram with respect to the believed session."""
 
     NEXT = "next"
     """It follows the last one soon enough, and its programmed position is the same."""
     REPEATED = "repeated"
-    """It came twice, or was overtaken on the wire."""
+    """It is a duplicate, or was overtaken on the link."""
     GARBLED = "garbled"
     """It follows the last one, and a position in it cannot be true."""
     FOREIGN = "foreign"
     """It belongs to another session, or to none."""
     CONFIRMED = "confirmed"
-    """It is the last of so many that agree and stand still, while the session is silent, that another is believed."""
+    """It completes the number of telegrams that agree and stand still, while the session is silent: another is
+    believed."""
 
 
 class Answer(StrEnum):
-    """What a telegram is answered with."""
+    """The answer to a telegram."""
 
     SETPOINT = "setpoint"
     """The correction of this cycle."""
     LAST = "last"
     """The correction that was sent last, again."""
     UNMOVED = "unmoved"
-    """The correction that the KRC has by all that the telegram says; none where that might move the robot."""
+    """The correction that the KRC has according to the telegram; none where that might move the robot."""
     NOTHING = "nothing"
-    """It is not answered."""
+    """No answer."""
 
 
 class Judgement(NamedTuple):
-    """What a telegram is, what it is answered with, and of a garbled one why."""
+    """Kind of a telegram, its answer, and why a garbled one is garbled."""
 
     kind: Kind
     answer: Answer
@@ -110,7 +111,7 @@ AUTOMATON: tuple[Row, ...] = (
     Row(Belief.DOUBTED, Kind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
     Row(Belief.DOUBTED, Kind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
 )
-"""The automaton of a session: whatever a telegram says, one of these rows is what comes of it."""
+"""The automaton of a session: one of these rows applies to every telegram."""
 
 _ROWS = {(row.belief, row.kind): row for row in AUTOMATON}
 
@@ -158,7 +159,7 @@ class Session:
         self._run: _Run | None = None
 
     def judge(self, telegram: KrcTelegram, time_s: float) -> Judgement:
-        """What a telegram is, and what it is answered with.
+        """Kind of a telegram, and its answer.
 
         Args:
             telegram: it has a position where the robot can be.
@@ -187,7 +188,7 @@ class Session:
         self._goes_on(telegram, time_s)
 
     def interrupted(self) -> None:
-        """A telegram says that RSI begins anew."""
+        """A telegram says that RSI restarts."""
         self._run = None
         if self.belief is Belief.BELIEVED:
             self.belief = Belief.DOUBTED

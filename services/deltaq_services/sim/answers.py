@@ -1,4 +1,4 @@
-"""What the gate says, as messages."""
+"""The gate's answers, as messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Output:
 
 
 def reply(id_: int, code: ReasonCode | None = None, message: str = "") -> Output:
-    """That a command was taken, or with a code, why not."""
+    """The reply to a command: taken or, with a code, why not."""
     answer = CommandReply(id=id_, accepted=code is None, code=code, message=message)
     return Output(topics.COMMAND_REPLY, "", answer)
 

@@ -1,10 +1,10 @@
 """I2: proof that no body of a tube comes nearer to another than the stop distance.
 
 A box around windows of a tube is certified at its middle, with every body inflated by how far it can travel
-within the box (`deltaq_cell.proximity`). Where that is too coarse the windows are halved, for those groups
-of bodies only that failed. Halving ends at single windows, where the inflation is what the drives' lag makes
-uncertain, or, where a window is a straight line, at a length that no drive resolves. A budget bounds the work,
-and running out of it means no.
+within the box (`deltaq_cell.proximity`). Where that is too coarse the windows are halved, only for those groups
+of bodies that failed. Halving ends at single windows, where the inflation is the uncertainty of the drives' lag,
+or, where a window is a straight line, at a length that no drive resolves. A budget bounds the work;
+when it is used up, the answer is no.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BUDGET = 24
 
 @dataclass(frozen=True)
 class Binding:
-    """The pair of bodies with the least room left, where a tube was first looked at or where it failed."""
+    """The pair of bodies with the least room left, where a tube was first measured or where it failed."""
 
     nearest: Nearest
     stop_distance_m: float
@@ -117,11 +117,11 @@ class Certifier:
         return self._proximity.place(robot, strip.middle, strip.half, strip.direction, among_themselves)
 
     def _hopeless(self, look: Look) -> bool:
-        """The budget is spent, or bodies are too near even at the middle of the strip, which no halving mends."""
+        """The budget is spent, or bodies are too near even at the middle of the strip, where halving does not help."""
         return self._left < 0 or look.too_near
 
     def _measure(self, groups: Sequence[Group]) -> tuple[Look, Binding | None]:
-        """What the groups, at least one, show at the present placement, and the pair with the least room."""
+        """Result of the groups, at least one, at the present placement, and the pair with the least room."""
         self._left -= 1
         look = self._proximity.look(groups, NUMERICAL_TOLERANCE_M)
         return look, None if look.tightest is None else Binding(look.tightest, look.stop_distance_m)

@@ -1,4 +1,4 @@
-"""The order of commands from the HLI: each is taken once, in its turn and in its time."""
+"""The order of commands from the HLI: each is taken once, in order, and only while it is fresh."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from deltaq_services.sim.gated_robot import GatedRobot
 
 
 class CommandOrder:
-    """Which commands have been, so that none that was doubled, overtaken or kept back on its way is taken.
+    """The commands so far, so that none that was duplicated, overtaken or delayed is taken.
 
     Attributes:
         newest_id: the greatest id of a command so far.
@@ -42,7 +42,7 @@ class CommandOrder:
         return None
 
     def passed(self, command: Command) -> None:
-        """A command has been taken, or is out of date: nothing that was sent before it counts any more."""
+        """A command was taken, or is out of date: nothing that was sent before it counts any more."""
         self.newest_id = max(self.newest_id, command.id)
 
     def _refused(self, command: Command, epoch: int, code: ReasonCode, message: str) -> CommandReply:

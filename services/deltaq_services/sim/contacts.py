@@ -42,7 +42,7 @@ class Contacts:
         self.allow({*self.allowed, name} if allowed else {*self.allowed} - {name})
 
     def speed(self, robot: str) -> tuple[float, str]:
-        """Share of its velocity limits that a robot may use now, and the contact that says so, "" if none does."""
+        """Fraction of its velocity limits that a robot may use now, and the contact that sets it, "" if none does."""
         shares = [
             (self._contacts[name].speed, name)
             for name in self.allowed

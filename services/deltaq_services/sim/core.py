@@ -1,6 +1,6 @@
 """The SIM's decisions: states, requests and commands in; admissions, supervision, verdicts and replies out.
 
-Pure: no clock, no wire. Time is counted in cycles of the robots. Each robot is decided at most once for
+Pure: no clock, no I/O. Time is counted in cycles of the robots. Each robot is decided at most once for
 each of its states, one request after the other, so that a decision always sees what the last one admitted.
 """
 
@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 
 class Decider(Protocol):
-    """What decides a request: the gate, or a stopwatch around it."""
+    """Decides a request: the gate, or a stopwatch around it."""
 
     def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
         """Decide one request."""
@@ -52,15 +52,15 @@ class Decider(Protocol):
 
 
 class Sim:
-    """The gate's process without its process.
+    """The SIM without its process.
 
     Attributes:
-        gate: what decides.
-        robots: what it keeps of each.
+        gate: makes the decisions.
+        robots: its state of each robot.
         counters: outcomes and reasons so far.
-        fingerprint: tells the gate's code and configuration.
+        fingerprint: of the gate's code and configuration.
         contacts: which bodies may touch now.
-        violations: which bodies are too near now, and what they have to keep.
+        violations: which bodies are too near now, and the distances that they have to keep.
         taken: messages taken so far.
     """
 
@@ -90,7 +90,7 @@ class Sim:
         self._command_order = CommandOrder()
 
     def take(self, message: Message) -> list[Output]:
-        """Take in a state, a request or a command; their order determines everything that is decided."""
+        """Take a state, a request or a command; their order determines every decision."""
         if isinstance(message, ServerState):
             return self.on_state(message)
         if isinstance(message, Request):
@@ -113,13 +113,13 @@ class Sim:
         robot.orders.cycle_passed()
         if robot.tracker.restarted:
             robot.orders.server_restarted(state)
-            robot.inbox.decided_cycle = -1  # its cycles begin anew
+            robot.inbox.decided_cycle = -1  # its cycles restart
         if robot.tracker.restarted or robot.tracker.displaced:
-            self.violations.only(robot.name, ())  # they were of where it stood before
+            self.violations.only(robot.name, ())  # they were measured where it stood before
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 
     def on_request(self, request: Request) -> list[Output]:
-        """The HLI sent an increment, or a sign of life."""
+        """The HLI sent an increment, or a heartbeat."""
         self.taken += 1
         robot = self.robots.get(request.robot)
         if robot is None:
@@ -195,7 +195,7 @@ class Sim:
         return Output(topics.COMMAND_REPLY, "", answer)
 
     def memory(self) -> GateMemory:
-        """All that decisions depend on, for `recall`."""
+        """Snapshot of all that decisions depend on, for `recall`."""
         return GateMemory(
             epoch=self.epoch,
             number=self.taken,
@@ -209,7 +209,7 @@ class Sim:
         )
 
     def recall(self, memory: GateMemory) -> None:
-        """Go on from where another gate of this cell was, counters excepted."""
+        """Restore a snapshot of another gate of this cell, except counters."""
         self.epoch, self.taken = memory.epoch, memory.number
         self._sequence, self._receipt = memory.sequence, memory.receipt
         self._command_order.newest_id = memory.command_id
@@ -254,7 +254,7 @@ class Sim:
         reason = reason or self._unready(state)
         request = inbox.take()
         assert request is not None  # it is due
-        assert request.dq is not None  # signs of life are not put there
+        assert request.dq is not None  # heartbeats are not put there
         if reason is not None:
             return [self._refuse(request, reason)]
         inbox.decided_cycle = state.cycle
@@ -269,9 +269,9 @@ class Sim:
         return self.gate.decide(robot.tracker, others, np.array(dq))
 
     def _unready(self, state: ServerState) -> Reason | None:
-        """Why nothing can be decided on a state, whatever is asked."""
+        """Why nothing can be decided on a state, whatever the request."""
         unheard = [name for name, other in self.robots.items() if other.tracker.state is None]
-        if unheard:  # nobody knows where it is, so nothing can be kept clear of it
+        if unheard:  # its position is unknown, so nothing can be kept clear of it
             return Reason(code=ReasonCode.NOT_READY, what=unheard[0])
         if state.epoch != self.epoch:
             return Reason(code=ReasonCode.NOT_READY, what="gate epoch")

@@ -2,7 +2,7 @@
 
 A request is blended with the brake, `dq(s) = (1 - s) * brake + s * request`, with the largest s found for which
 the tube of `dq(s)` and the brake after it keeps I1 (position limits), I2 (clearance) and I3 (velocity and
-acceleration). The brake itself was certified with the last admission, so s = 0 is always there (I4).
+acceleration). The brake itself was certified with the last admission, so s = 0 is always available (I4).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Decision:
         scale: s of the blend.
         dq: (n,) increment admitted; the brake's if held.
         brake_cycles: length of the brake after it.
-        reasons: what bound the request, tightest first.
+        reasons: what limited the request, tightest first.
         binding: the pair of bodies with the least room.
     """
 
@@ -57,7 +57,7 @@ class Decision:
 
 
 class Gate:
-    """Decides requests; knows the bodies and the limits, and nothing of clocks or wires."""
+    """Decides requests; knows the bodies and the limits, and nothing of clocks or links."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class Gate:
         """Decide one request.
 
         Args:
-            robot: the robot that shall move, with a known state.
+            robot: the robot that is to move, with a known state.
             others: the other robots with known states.
             request: (n,) finite increment [rad or m].
         """
@@ -121,7 +121,7 @@ class Gate:
 def _largest(certify: Callable[[float], Certificate], least: float, refused: float) -> float:
     """Largest scale found from `least` to one that is refused; 0 if even `least` is refused.
 
-    Where a robot stands before something the least is refused, and with it nearly always all others.
+    Where a robot stands right before an obstacle the least is refused, and with it nearly always all others.
     """
     if not certify(least).holds:
         return 0.0
@@ -148,7 +148,7 @@ def _decision(
 
 def _clearance_reason(certificate: Certificate) -> Reason:
     binding = certificate.binding
-    assert binding is not None  # what is not certified names its pair
+    assert binding is not None  # a failed certificate names its pair
     return Reason(
         code=ReasonCode.CLEARANCE,
         what=" ".join(binding.nearest.pair),

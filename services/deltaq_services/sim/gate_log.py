@@ -1,8 +1,8 @@
-"""The gate's own account of what it took in and gave out, in its order, for a recorder to keep.
+"""The gate's own log of its inputs and outputs, in its order, for a recorder.
 
-Who merely listens beside the gate hears the same messages, but not in the order in which the gate took them, and
-that order decides. Nothing is put together while nobody listens; a listener that is too slow loses entries,
-which their numbers show, and never holds the gate up.
+A second listener hears the same messages, but not in the order in which the gate took them, and
+that order decides. No entry is written while nobody listens; a listener that is too slow loses entries,
+which their numbers show, and never delays the gate.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from deltaq_protocol.topics import Topic
 from deltaq_services.sim.core import Sim
 
 MEMORY_PERIOD = 500
-"""Messages from one memory to the next: where a replay can begin, or go on after a gap."""
+"""Messages between two snapshots, at which a replay can begin, or continue after a gap."""
 
 
 class GateLog:
-    """Publishes the account on the SIM's session."""
+    """Publishes the log on the SIM's session."""
 
     def __init__(self, session: Any, cell: str, sim: Sim) -> None:
         self._sim = sim
@@ -32,7 +32,7 @@ class GateLog:
         self._memories = _publisher(session, topics.GATE_MEMORY.key(cell))
 
     def took(self, topic: Topic, payload: bytes, outputs: Sequence[tuple[str, bytes]]) -> None:
-        """The gate took in a message and published what it gave out, all as msgpack."""
+        """The gate took a message and published its outputs, all as msgpack."""
         began = not self._listened_to
         self._listened_to = self._entries.matching_status.matching
         if not self._listened_to:

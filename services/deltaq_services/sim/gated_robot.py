@@ -1,4 +1,4 @@
-"""All that the gate keeps of one robot: how it moves, what it is ordered to do, what is asked of it."""
+"""The gate's state of one robot: its motion, its orders, and the requests for it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class GatedRobot:
         self.dry_run_cycle = -1
 
     def memory(self) -> RobotMemory:
-        """What `recall` needs to go on from here."""
+        """Snapshot for `recall`."""
         return RobotMemory(
             tracker=self.tracker.memory(),
             orders=self.orders.memory(),
@@ -48,7 +48,7 @@ class GatedRobot:
         )
 
     def recall(self, memory: RobotMemory) -> None:
-        """Go on from where another gate was with this robot."""
+        """Restore another gate's snapshot of this robot."""
         self.tracker.recall(memory.tracker)
         self.orders.recall(memory.orders)
         self.inbox.waiting, self.inbox.decided_cycle = memory.waiting, memory.decided_cycle

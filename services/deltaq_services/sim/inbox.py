@@ -1,4 +1,4 @@
-"""The requests of one robot: which is the newest, which are none, and what has been decided already."""
+"""The requests of one robot: which is the newest, which are invalid, and what has been decided already."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Inbox:
         self._max_age_cycles = max_age_cycles
 
     def fault(self, request: Request) -> Reason | None:
-        """Why a request with an increment is no valid one, as far as that can be told before it is decided."""
+        """Why a request with an increment is invalid, as far as that is known before it is decided."""
         count = 0 if request.dq is None else len(request.dq)
         if count != self._joints:
             return Reason(code=ReasonCode.BAD_SHAPE, what="dq", value=count, bound=self._joints)
@@ -54,7 +54,7 @@ class Inbox:
         return replaced
 
     def take(self) -> Request | None:
-        """Take the waiting request out."""
+        """Remove and return the waiting request."""
         request, self.waiting = self.waiting, None
         return request
 

@@ -22,7 +22,7 @@ _SCALES = np.linspace(0.0, 1.0, 129)
 """Scales tried where the length of the brake, a whole number of cycles, makes the bound no formula."""
 
 _SLACK = 1e-9
-"""Share of a bound that rounding may exceed."""
+"""Fraction of a bound by which rounding may exceed it."""
 
 
 def shares_within(start: Array, end: Array, low: Array, high: Array) -> Array:
@@ -97,7 +97,7 @@ class Limits:
         return max(0.0, float(scales[joint])), [reason]
 
     def slow_scale(self, brake: Array, request: Array, share: float) -> float:
-        """Largest s that leaves every joint within a share of its velocity limit; 0 while the brake is faster."""
+        """Largest s that leaves every joint within a fraction of its velocity limit; 0 while the brake is faster."""
         allowed = share * self.max_dq
         if np.any(np.abs(brake) > allowed):
             return 0.0
@@ -108,7 +108,7 @@ class Limits:
     ) -> tuple[float, list[Reason]]:
         """Largest s <= `at_most` whose brake ends inside the position limits (I1).
 
-        The path is a straight line, so the end of the brake tells for all of it. A joint that stands outside
+        The path is a straight line, so it is enough to check the end of the brake. A joint that stands outside
         its limits may come back and may not go further out.
 
         Returns:

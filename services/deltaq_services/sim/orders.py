@@ -13,7 +13,7 @@ from deltaq_services.sim.tracker import Tracker
 
 
 class Orders:
-    """What one robot is ordered to do, and when such orders are given or refused.
+    """The orders to one robot, and when they are given or refused.
 
     Attributes:
         standing_stop: reason of a stop that the robot has not shown yet.
@@ -32,7 +32,7 @@ class Orders:
         self._awaited_resets: list[int] = []
 
     def memory(self) -> OrdersMemory:
-        """What `recall` needs to go on from here."""
+        """Snapshot for `recall`."""
         return OrdersMemory(
             standing_stop=self.standing_stop,
             resets=self.resets,
@@ -43,14 +43,14 @@ class Orders:
         )
 
     def recall(self, memory: OrdersMemory) -> None:
-        """Go on from where other orders to this robot were."""
+        """Restore a snapshot of other orders to this robot."""
         self.standing_stop, self.resets = memory.standing_stop, memory.resets
         self.outputs = dict(memory.outputs)
         self._cycles_without_hli, self._krc_silent = memory.cycles_without_hli, memory.krc_silent
         self._awaited_resets = list(memory.awaited_resets)
 
     def hli_heard(self) -> None:
-        """The HLI gave a sign of life."""
+        """The HLI gave a heartbeat."""
         self._cycles_without_hli = 0
 
     def cycle_passed(self) -> None:
@@ -61,7 +61,7 @@ class Orders:
 
     def repeated(self, state: ServerState) -> None:
         """The Robot Server spoke though no cycle has passed: its KRC is silent."""
-        if state is self._robot.state:  # one that was overtaken says nothing
+        if state is self._robot.state:  # a state that was overtaken is not used
             self._krc_silent = state.reason is ReasonCode.KRC_LOST
 
     def judge(self) -> None:
@@ -82,7 +82,7 @@ class Orders:
     def server_restarted(self, state: ServerState) -> None:
         """Another Robot Server process took the place of the one that knew of holds and resets: hold it."""
         self.resets = state.resets
-        self._awaited_resets = []  # they were of a hold that nobody remembers
+        self._awaited_resets = []  # they belonged to a hold that is forgotten
         self.stop(ReasonCode.SERVER_LOST)
 
     def stop(self, reason: ReasonCode) -> None:

@@ -1,9 +1,10 @@
 """Retreat: the only motion that is admitted while bodies are nearer than the stop distance.
 
-Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and a gate
-that knew nothing else would never let go. Retreat admits slow motion that is certified like any other, only that a
-violated pair has to keep what it had when its violation began (`deltaq_services.sim.violations`) instead of the stop
-distance. That is known only of robots that stood still then: a robot that moves is never retreated into.
+Someone may put a body into the robot's way, or a robot may start too near. Then no tube is certified, and without
+an exception the robot could never move again. Retreat admits slow motion that is certified like any other, except
+that a violated pair has to keep the distance that it had when its violation began
+(`deltaq_services.sim.violations`) instead of the stop distance. That distance is known only of robots that stood
+still then: no robot retreats into one that moves.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Retreat:
     Args:
         proximity: the bodies.
         margins: of the gate.
-        violations: what pairs have to keep; brought up to date by every look.
+        violations: distances that pairs have to keep; updated by every check.
     """
 
     def __init__(self, proximity: Proximity, margins: GateDescription, violations: Violations) -> None:
@@ -92,7 +93,7 @@ class Retreat:
         return (scale if leads_out else 0.0), reasons
 
     def _violated(self, robot: Tracker, others: Sequence[Tracker]) -> tuple[list[_Near], list[Reason]]:
-        """Pairs whose violation has been measured, and what is to be said of them."""
+        """Pairs whose violation has been measured, and the reasons for them."""
         near = self._near(robot, others)
         self._violations.only(robot.name, {item.pair for item in near})
         violated, reasons = [], []
@@ -149,8 +150,8 @@ class Retreat:
     def _keep(self, robot: Tracker, branch: Branch, violated: Sequence[_Near]) -> bool:
         """Whether each violated pair keeps what it has to.
 
-        That was measured at setpoints, so what is measured of the robots has no part in it here either: drives that
-        stand a little off their setpoints would be a violation of their own, for ever.
+        That distance was measured at setpoints, so measured joints do not count here either: drives that
+        stand a little off their setpoints would be a separate violation, for ever.
         """
         certifier = Certifier(self._proximity)
         tube = robot.tube_of_setpoints(branch)

@@ -29,7 +29,7 @@ still answers every request, if only to say that it is stale."""
 _HEALTH_PERIOD_S = 0.1
 
 _TAKEN = {"state": topics.SERVER_STATE, "request": topics.REQUEST, "command": topics.COMMAND}
-"""What the gate takes in, by the end of the key."""
+"""The gate's inputs, by the end of the key."""
 
 
 class Shell:
@@ -56,7 +56,7 @@ class Shell:
                 self._publisher(topic, robot)
 
     def run(self) -> None:
-        """Serve until the process is told to end."""
+        """Serve until the process is ended by a signal."""
         try:
             while True:
                 sample = self._incoming.recv()
@@ -68,7 +68,7 @@ class Shell:
     def _handle(self, key: str, payload: bytes) -> None:
         topic = _TAKEN.get(key.rpartition("/")[2])
         if topic is None:
-            return  # a sign of life of the others
+            return  # a heartbeat of the others
         try:
             payload = self._seal.open(key, payload)
             message = unpack(topic.message, payload)

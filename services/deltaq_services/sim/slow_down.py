@@ -43,7 +43,7 @@ class SlowDown:
         """Largest s <= `at_most` with which no pair in the band approaches too fast, and the reason if it is less.
 
         Args:
-            robot: the robot that shall move, judged at its setpoint.
+            robot: the robot that is to move, judged at its setpoint.
             others: the other robots, at theirs.
             brake: (n,) next increment of the brake [rad or m].
             request: (n,) increment asked for.

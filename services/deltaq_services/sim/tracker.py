@@ -1,4 +1,4 @@
-"""What the gate knows of one robot: its newest state, the setpoints behind it, and what it may do next.
+"""The gate's knowledge of one robot: its newest state, the setpoints before it, and its possible courses.
 
 Until a state shows which admission the Robot Server follows, the old brake and the admission in flight are
 both courses that the robot may take.
@@ -22,10 +22,10 @@ _ENDED_PROCESSES = 16
 """Processes of one Robot Server that are remembered: their states may be overtaken by those of their successor."""
 
 _SUMS = 1e-9
-"""What adding increments up in another order may make of a setpoint [rad or m]."""
+"""Rounding of a setpoint when increments are added in another order [rad or m]."""
 
 _ROUNDING = 2e-5
-"""What a telegram's decimals may make of a measured joint that is on its path [rad or m]."""
+"""Rounding of a measured joint by a telegram's decimals [rad or m]."""
 
 
 class Tracker:
@@ -54,7 +54,7 @@ class Tracker:
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
 
     def observe(self, state: ServerState) -> bool:
-        """Take a state in; returns False if no cycle of the robot has passed since the last."""
+        """Take a state; returns False if no cycle of the robot has passed since the last."""
         self.restarted = self.displaced = False
         if state.process in self._ended:
             return False
@@ -74,7 +74,7 @@ class Tracker:
             if (state.epoch, state.sequence) != (self.in_flight.epoch, self.in_flight.sequence):
                 self.missed += 1
             self.in_flight = None
-        # in a new session the drives are held where the KRC says, and that is where a reset will go on from
+        # in a new session the drives are held where the KRC says, and a reset continues from there
         self._history.append(np.array(state.q_cmd if state.q_reset is None else state.q_reset))
         return True
 
@@ -86,7 +86,7 @@ class Tracker:
         return bool(travel.any() and np.any(unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS))
 
     def memory(self) -> TrackerMemory:
-        """What `recall` needs to go on from here."""
+        """Snapshot for `recall`."""
         history = tuple(tuple(setpoint.tolist()) for setpoint in self._history)
         return TrackerMemory(
             state=self.state,
@@ -97,7 +97,7 @@ class Tracker:
         )
 
     def recall(self, memory: TrackerMemory) -> None:
-        """Go on from where another tracker of this robot was."""
+        """Restore a snapshot of another tracker of this robot."""
         self.state, self.in_flight, self.missed = memory.state, memory.in_flight, memory.missed
         self._history.clear()
         self._history.extend(np.array(setpoint) for setpoint in memory.history)
@@ -110,7 +110,7 @@ class Tracker:
         return self._history[-1]
 
     def brake(self) -> Array:
-        """(n,) next increment of the brake that the Robot Server will send unless told otherwise."""
+        """(n,) next increment of the brake that the Robot Server sends without a new admission."""
         branch = self._planned()
         return brake_increment(branch.dq, branch.brake_cycles, branch.step + 1)
 
@@ -149,12 +149,12 @@ class Tracker:
         return self.tube(Branch(np.zeros_like(self.q_cmd), 1, 0))
 
     def at_rest(self) -> bool:
-        """Nothing is left to send and the drives have caught up."""
+        """Whether nothing is left to send and the drives have caught up."""
         settled = all((setpoint == self.q_cmd).all() for setpoint in self._history)
         return settled and len(self._history) == self._lag and not self._planned().setpoints(self.q_cmd).size
 
     def stands_still(self) -> bool:
-        """At rest, and nothing is on its way that could set it in motion."""
+        """Whether it is at rest, and nothing is in flight that could set it in motion."""
         return self.in_flight is None and self.at_rest()
 
     def off_path(self) -> tuple[int, float, float] | None:

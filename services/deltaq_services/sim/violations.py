@@ -1,8 +1,8 @@
 """Violations: pairs of bodies that are nearer than the stop distance, and how near each of them may stay.
 
-A violation begins where somebody else put the bodies: no admission leads into one. What it had then, measured while
-the robots that it concerns stood still, is kept until it has ended. Nothing else would do: a gate that compared with
-the cycle before and forgave rounding would let a robot creep into contact, a micrometre at a time.
+A violation has a cause outside the gate: no admission leads into one. The distance at its beginning, measured while
+the robots concerned stood still, is kept until it has ended. A weaker rule would not do: a gate that compared with
+the cycle before, with a tolerance for rounding, would let a robot creep into contact, a micrometre at a time.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ Pair = frozenset[str]
 """Names of two bodies."""
 
 ALLOWANCE_M = 5e-6
-"""How much nearer a pair may come in all while its violation lasts: what rounding needs, and no more."""
+"""How much nearer a pair may come in all while its violation lasts: only as much as rounding needs."""
 
 _MEASURED_M = 2e-6
-"""What the same distance may differ by when it is measured again."""
+"""Largest difference of the same distance when it is measured again."""
 
 
 class Violations:
@@ -28,11 +28,11 @@ class Violations:
         self._kept: dict[Pair, float] = {}
 
     def kept_m(self, pair: Pair) -> float | None:
-        """What a pair has to keep; None if it is not known to be violated."""
+        """The distance that a pair has to keep; None if it is not known to be violated."""
         return self._kept.get(pair)
 
     def stands(self, pair: Pair, distance_m: float, stop_distance_m: float) -> None:
-        """A pair without the room that it should have was measured while its robots stood still.
+        """A pair nearer than its stop distance was measured while its robots stood still.
 
         Args:
             pair: names of the bodies.
@@ -52,14 +52,14 @@ class Violations:
             del self._kept[pair]
 
     def memory(self) -> tuple[KeptDistance, ...]:
-        """What `recall` needs to go on from here."""
+        """Snapshot for `recall`."""
         return tuple(
             KeptDistance(pair=(one, other), distance_m=distance)
             for (one, other), distance in sorted((sorted(pair), item) for pair, item in self._kept.items())
         )
 
     def recall(self, memory: Iterable[KeptDistance]) -> None:
-        """Go on from where another gate was."""
+        """Restore a snapshot of another gate."""
         self._kept = {frozenset(item.pair): item.distance_m for item in memory}
 
 

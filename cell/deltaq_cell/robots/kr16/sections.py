@@ -1,4 +1,4 @@
-"""Sections of the KR 16's links: the room that each link takes up, slab by slab, in its link frame [m].
+"""Sections of the KR 16's links: the space that each link takes up, slab by slab, in its link frame [m].
 
 A slab is a box given by its range along x, y and z. The collision hull of a link is the convex hull of its
 slabs, so it contains the link; it is larger where the link is hollow or waisted, never smaller.
@@ -65,7 +65,7 @@ def corners(link: str) -> list[tuple[float, float, float]]:
     """Points whose convex hull contains every section of a link, in its frame [m]."""
     points = [(x, y, z) for xs, ys, zs in SLABS[link] for x in xs for y in ys for z in zs]
     if link == "link_4":  # a polygon about the tube, so that the tube lies inside it
-        radius = (LINK_4_RADIUS_M + 1e-4) / math.cos(math.pi / _SIDES)  # room for rounding in the file
+        radius = (LINK_4_RADIUS_M + 1e-4) / math.cos(math.pi / _SIDES)  # margin for rounding in the file
         angles = [2 * math.pi * side / _SIDES for side in range(_SIDES)]
         points += [(x, radius * math.cos(a), radius * math.sin(a)) for x in (-0.268, -0.202) for a in angles]
     return points
