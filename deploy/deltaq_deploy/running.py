@@ -14,7 +14,7 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Description
 from deltaq_protocol.session import open_session
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Topic
 
 
 class UnknownRobotError(DeltaqError):

@@ -336,7 +336,11 @@ class RobotStatus(Message):
 
 
 class Status(Message):
-    """The running cell as `deltaq status` shows it; `contacts` are those that are allowed now."""
+    """The running cell as `deltaq status` shows it.
+
+    `contacts` are those that are allowed now; `lagging` says which streams are silent, or slower than the table of
+    topics wants them.
+    """
 
     type: Literal["status"] = "status"
     cell: str
@@ -348,3 +352,4 @@ class Status(Message):
     contacts: tuple[str, ...] = ()
     hli: dict[str, int]
     nearest: NearestPair | None = None
+    lagging: tuple[str, ...] = ()

@@ -47,6 +47,7 @@ def shown(answer: Status, cell: Description) -> Group:
     lines += [f"{name}: {counts(robot.counters)}" for name, robot in answer.robots.items()]
     if answer.contacts:
         lines.append(f"contacts allowed: {', '.join(answer.contacts)}")
+    lines += [f"lagging: {fault}" for fault in answer.lagging]
     if answer.nearest is not None:
         pair = " and ".join(answer.nearest.pair)
         lines.append(f"nearest: {pair}, {answer.nearest.distance_m * 1000:.0f} mm")

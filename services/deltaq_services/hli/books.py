@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -18,8 +17,6 @@ from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
 
-_ROUNDING = 1e-9
-
 
 class Books:
     """What the HLI knows, shared by the parts of its core.
@@ -31,13 +28,17 @@ class Books:
     """
 
     def __init__(self, cell: CellDescription, new_token: Callable[[], str], first_epoch: int) -> None:
-        age = cell.gate.max_request_age_s
+        age_s = cell.gate.max_request_age_s
         self.cell = cell
         self.counters: Counter[str] = Counter()
         self.leases = Leases(cell.robots, cell.lease_s, new_token, first_epoch)
         self.commands = Commands(first_epoch)
         self.links = {
-            name: RobotLink(len(robot.joints), math.floor(age / cell.cycle_s + _ROUNDING), age)
+            name: RobotLink(
+                len(robot.joints),
+                topics.INCREMENT.age_cycles(cell.cycle_s, age_s),
+                topics.SERVER_STATE.age_s(cell.cycle_s, age_s),
+            )
             for name, robot in cell.robots.items()
         }
 

@@ -33,6 +33,8 @@ from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
+from deltaq_services.lagging import Heard
+from deltaq_services.pace import Pace
 
 
 class HliCore:
@@ -65,6 +67,11 @@ class HliCore:
         self._tool_pose = tool_pose
         self._gate: Health | None = None
         self._gate_heard_s = -math.inf
+        bound_s = cell.gate.max_request_age_s
+        self._states = {name: Heard(name, topics.SERVER_STATE, cell.cycle_s, bound_s) for name in cell.robots}
+        services = ("sim", *(f"robot-server-{name}" for name in cell.robots))
+        self._services = {name: Heard(name, topics.HEALTH, cell.cycle_s) for name in services}
+        self._proximity = Pace(topics.PROXIMITY.period_s(cell.cycle_s))
         self.told = told
         self.counters = self._books.counters
         self.increments = Increments(self._books)
@@ -77,6 +84,7 @@ class HliCore:
             self.counters["states_ignored"] += 1
             return []
         self.counters["states"] += 1
+        self._states[state.robot].at(time_s)
         outputs = self._books.tick(time_s)
         link.take_state(state, time_s)
         outputs += self.increments.on_cycle(state.robot, link, time_s)
@@ -117,10 +125,12 @@ class HliCore:
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
         """A service is alive; the gate's sign of life brings its counters and the nearest pair."""
+        if health.service in self._services:
+            self._services[health.service].at(time_s)
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s
-        if health.nearest is None:
+        if health.nearest is None or not self._proximity.due(time_s):
             return []
         return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
 
@@ -153,13 +163,14 @@ class HliCore:
             contacts=gate.contacts if gate else (),
             hli=dict(self.counters + front_counters),
             nearest=gate.nearest if gate else None,
+            lagging=self.lagging(time_s),
         )
 
-    def unheard(self, time_s: float, timeout_s: float) -> list[str]:
-        """The gate and the robots that have not been heard for a while."""
-        heard = {f"robot {name}": link.received_s for name, link in self._books.links.items()}
-        heard["gate"] = self._gate_heard_s
-        return [name for name, at_s in heard.items() if time_s - at_s > timeout_s]
+    def lagging(self, time_s: float) -> tuple[str, ...]:
+        """What is silent, or comes more slowly than the table of topics says; for people."""
+        streams = (*self._states.values(), *self._services.values())
+        faults = (stream.fault(time_s) for stream in streams)
+        return tuple(fault for fault in faults if fault is not None)
 
     def _robot_status(self, robot: str, link: RobotLink, time_s: float) -> RobotStatus:
         state, lease = link.state, self._books.leases.of(robot)
