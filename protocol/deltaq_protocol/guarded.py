@@ -30,7 +30,8 @@ class ServerState(Message):
     `process` is a number that no other process of this Robot Server has: each begins with cycle 1, and knows nothing of
     the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment; `q_reset`, of a held
     robot, is the setpoint that the KRC has instead in a session that began since, and that a reset takes. `sequence`
-    is the admission it follows in gate epoch `epoch` (0 and 0: none yet). All joints are those of the robot, n
+    is the admission it follows in gate epoch `epoch` (0 and 0: none yet). `cell` is the identity of the cell that its
+    Robot Server has read; the gate holds a robot whose server has read another. All joints are those of the robot, n
     everywhere.
     """
 
@@ -52,6 +53,7 @@ class ServerState(Message):
     inputs: dict[str, bool] = {}
     outputs: dict[str, bool] = {}
     counters: dict[str, int] = {}
+    cell: str = ""
 
     @model_validator(mode="after")
     def _has_n_joints_everywhere(self) -> Self:
@@ -96,7 +98,8 @@ class Supervision(Message):
     """SIM to Robot Server, once a cycle: a sign of life, and standing orders.
 
     Orders are levels, not edges, so that a lost message costs nothing: `stop` stands until the state
-    shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's.
+    shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's. A Robot
+    Server that has read another `cell` holds its robot.
     """
 
     robot: Name
@@ -105,6 +108,7 @@ class Supervision(Message):
     stop: ReasonCode | None = None
     resets: Count = 0
     outputs: dict[str, bool] = {}
+    cell: str = ""
 
 
 class Command(Message):
@@ -148,7 +152,7 @@ class Health(Message):
     """A service's sign of life for `deltaq up`, container health checks and `deltaq status`.
 
     `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
-    that are allowed now.
+    that are allowed now. `cell` is the identity of the cell that the service has read.
     """
 
     service: Name
@@ -159,6 +163,7 @@ class Health(Message):
     nearest: NearestPair | None = None
     fingerprint: str = ""
     contacts: tuple[Name, ...] = ()
+    cell: str = ""
 
 
 class GateEntry(Message):
@@ -231,3 +236,4 @@ class GateMemory(Message):
     contacts: tuple[Name, ...] = ()
     violations: tuple[KeptDistance, ...] = ()
     robots: dict[str, RobotMemory]
+    cell: str = ""

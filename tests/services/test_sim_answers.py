@@ -69,7 +69,9 @@ def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
 def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
     rig.sim.on_command(bound(rig.sim, id=3, kind="io", robot="gr", outputs={"gripper": True}))
     state = next_state(rig, robot="gr", resets=4)
-    expected = Supervision(robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True})
+    expected = Supervision(
+        robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True}, cell=state.cell
+    )
     for _ in range(2):
         assert rig.sim.on_state(state) == [Output(topics.SUPERVISION, "gr", expected)]
     assert rig.mail["fr"][1].outputs == {}

@@ -212,7 +212,8 @@ def _pairs_published(core: HliCore) -> int:
     outputs = []
     for k in range(100):
         at_s = NOW_S + k * 0.1
-        outputs += core.on_health(Health(service="sim", healthy=True, time_s=at_s, nearest=pair), at_s)
+        health = Health(service="sim", healthy=True, time_s=at_s, nearest=pair, cell=core.told.identity)
+        outputs += core.on_health(health, at_s)
     return sum(isinstance(output, ToOpen) for output in outputs)
 
 

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
+from deltaq_protocol.identity import CellIdentity
 from deltaq_protocol.messages import (
-    PROTOCOL_VERSION,
+    LINE_VERSIONS,
     Description,
     Error,
     Hello,
@@ -63,7 +64,7 @@ class HliCore:
         first_epoch: int,
         operator_token: str | None = None,
     ) -> None:
-        self._books = Books(cell, new_token, first_epoch)
+        self._books = Books(cell, CellIdentity.parse(told.identity), new_token, first_epoch)
         self._tool_pose = tool_pose
         self._gate: Health | None = None
         self._gate_heard_s = -math.inf
@@ -127,6 +128,7 @@ class HliCore:
         """A service is alive; the gate's sign of life brings its counters and the nearest pair."""
         if health.service in self._services:
             self._services[health.service].at(time_s)
+            self._books.compare(health)
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s
@@ -136,14 +138,22 @@ class HliCore:
 
     def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
         """Welcome a client, or tell it that it speaks another version."""
-        if hello.protocol != PROTOCOL_VERSION:
+        if hello.protocol not in LINE_VERSIONS:
             self.counters["version_mismatches"] += 1
-            text = f"client speaks protocol {hello.protocol}, this server {PROTOCOL_VERSION}"
+            ours = " and ".join(map(str, LINE_VERSIONS))
+            text = f"client speaks protocol {hello.protocol}, this server {ours}"
             hint = "install the deltaq version that the server runs"
             error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
             return [ToSender(sender, error)]
         told = self.told
-        return [ToSender(sender, Welcome(cell=told.cell, cycle_s=told.cycle_s, robots=told.robots))]
+        welcome = Welcome(
+            protocol=hello.protocol,
+            cell=told.cell,
+            cycle_s=told.cycle_s,
+            robots=told.robots,
+            identity=told.identity,
+        )
+        return [ToSender(sender, welcome)]
 
     def on_tick(self, time_s: float) -> list[Output]:
         """Let leases and commands run out."""
@@ -164,7 +174,14 @@ class HliCore:
             hli=dict(self.counters + front_counters),
             nearest=gate.nearest if gate else None,
             lagging=self.lagging(time_s),
+            identity=self.told.identity,
+            mismatches=self.mismatches,
         )
+
+    @property
+    def mismatches(self) -> tuple[str, ...]:
+        """Services that have read another cell than this one has, for people."""
+        return tuple(self._books.mismatches.values())
 
     def lagging(self, time_s: float) -> tuple[str, ...]:
         """What is silent, or comes more slowly than the table of topics says; for people."""

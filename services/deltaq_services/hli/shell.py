@@ -103,10 +103,12 @@ class Hli:
     def _publish_health(self, now: float) -> None:
         lagging = self.core.lagging(now)
         counters = self.core.counters + self._front_counters()
+        details = (*self.core.mismatches, *((f"lagging: {'; '.join(lagging)}",) if lagging else ()))
         health = Health(
             service="hli",
-            healthy=True,
-            detail=f"lagging: {'; '.join(lagging)}" if lagging else "",
+            healthy=not self.core.mismatches,
+            detail="; ".join(details),
+            cell=self.core.told.identity,
             time_s=now,
             counters=dict(counters),
         )

@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateEntry, GateMemory
+from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Kind, Party, Realm, Topic
 from deltaq_services.recorder.writer import RecordingWriter
@@ -54,6 +56,11 @@ class Recorder:
             description = running.description
         if description.cell != cell.cell:
             raise OtherCellRunsError(f"{cell.hli} serves cell {description.cell}, not {cell.cell}")
+        running_identity = CellIdentity.parse(description.identity)
+        if not content_identity(cell).is_same(running_identity):
+            raise OtherCellRunsError(
+                mismatch(f"the HLI at {cell.hli}", running_identity, content_identity(cell))
+            )
         self.lost = 0
         self.invalid = 0
         self._came: queue.SimpleQueue[tuple[Topic, bytes, int]] = queue.SimpleQueue()

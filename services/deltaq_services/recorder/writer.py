@@ -79,6 +79,7 @@ class RecordingWriter:
             "protocol": str(description.protocol),
             "source": source,
             "robots": " ".join(description.robots),
+            "identity": description.identity,
         }
         self._carefully(self._begin, about, description)
 

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any, TypeVar
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
@@ -35,6 +36,7 @@ class Link:
 
     def __init__(self, cell: CellDescription, robot: str, counters: Counter[str]) -> None:
         self._counters = counters
+        self._identity = str(content_identity(cell))
         self._service = f"robot-server-{robot}"
         self._seal = guarded_seal(cell)
         rules = access(Party.ROBOT_SERVER, Realm.GUARDED, cell.cell, robot)
@@ -64,6 +66,7 @@ class Link:
                 detail=detail,
                 time_s=time_s,
                 counters=dict(self._counters),
+                cell=self._identity,
             )
             self._health.put(pack(health))
 

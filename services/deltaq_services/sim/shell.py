@@ -43,6 +43,7 @@ class Shell:
     def __init__(self, cell: CellModel) -> None:
         description = cell.description
         self._name = description.cell
+        self._identity = cell.identity
         self.sim = Sim(cell, epoch=secrets.randbits(62))
         self._seal = guarded_seal(description)
         self._session: Any = open_session(
@@ -112,5 +113,6 @@ class Shell:
             nearest=self.sim.nearest(),
             fingerprint=self.sim.fingerprint,
             contacts=self.sim.contacts.allowed,
+            cell=str(self._identity),
         )
         self._publisher(topics.HEALTH, service="sim").put(pack(health))
