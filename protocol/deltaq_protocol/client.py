@@ -142,9 +142,10 @@ class Cell:
             self._verdict_listeners.discard(listen)
 
     async def stop(self) -> Done:
-        """Bring every robot of the cell to rest; each is then held until it is reset.
+        """Bring every robot of the cell to rest; each is held until it is reset, and has shown so when this returns.
 
         Raises:
+            RefusedError: `unreachable`, if not all of them have shown it in time; they were told all the same.
             ServiceUnreachableError: no answer in time.
         """
         request = StopRequest(client=self._client)
@@ -154,7 +155,8 @@ class Cell:
         """Leave `held`.
 
         Raises:
-            RefusedError: `cause_stands`, `not_at_rest`, or `not_permitted` without the operator's token.
+            RefusedError: `cause_stands`, `not_at_rest`, `not_permitted` without the operator's token, or `unreachable`
+                if the robot has not shown it in time.
             ServiceUnreachableError: no answer in time.
         """
         request = ResetRequest(robot=self._known(robot), client=self._client, token=self._token)

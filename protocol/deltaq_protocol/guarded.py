@@ -136,6 +136,9 @@ class Command(Message):
 class CommandReply(Message):
     """SIM to HLI: whether the command was taken, and if not, why; of a dry run the verdict.
 
+    A stop is acted upon at once, and answered when the newest state of every robot that it concerns shows that it is
+    held; a reset when the state shows that the robot is not. What no state shows is not answered.
+
     `epoch` and `newest_id` are what the next command has to go by, told to who did not know.
     """
 
@@ -152,7 +155,8 @@ class Health(Message):
     """A service's sign of life for `deltaq up`, container health checks and `deltaq status`.
 
     `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
-    that are allowed now. `cell` is the identity of the cell that the service has read.
+    that are allowed now, and the `epoch` and `newest_id` that the next command has to go by. `cell` is the identity of
+    the cell that the service has read.
     """
 
     service: Name
@@ -164,6 +168,8 @@ class Health(Message):
     fingerprint: str = ""
     contacts: tuple[Name, ...] = ()
     cell: str = ""
+    epoch: Count | None = None
+    newest_id: Count | None = None
 
 
 class GateEntry(Message):
@@ -199,6 +205,7 @@ class OrdersMemory(Message):
     cycles_without_hli: int | None = None
     krc_silent: bool = False
     awaited_resets: tuple[Count, ...] = ()
+    awaited_stops: tuple[Count, ...] = ()
 
 
 class RobotMemory(Message):

@@ -88,6 +88,7 @@ class HliCore:
         self._states[state.robot].at(time_s)
         outputs = self._books.tick(time_s)
         link.take_state(state, time_s)
+        self._books.commands.suppose(state.epoch)
         outputs += self.increments.on_cycle(state.robot, link, time_s)
         told = RobotState(
             robot=state.robot,
@@ -132,6 +133,8 @@ class HliCore:
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s
+        if health.epoch is not None:
+            self._books.commands.learn(health.epoch, health.newest_id or 0)
         if health.nearest is None or not self._proximity.due(time_s):
             return []
         return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]

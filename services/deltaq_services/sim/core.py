@@ -159,15 +159,23 @@ class Sim:
         if command.kind == "reset":
             refused = [self._other_cell(robot) or robot.orders.reset(command.id) for robot in robots]
             return [reply(command.id, *item) for item in refused if item is not None]
-        outputs = [reply(command.id)]
+        if command.kind == "stop":
+            return self._stop(command, robots)
         for robot in robots:
-            if command.kind == "stop":
-                robot.orders.stop(command.reason)
-                waiting = robot.inbox.take()
-                if waiting is not None:
-                    outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
-            else:
-                robot.orders.outputs.update(command.outputs)
+            robot.orders.outputs.update(command.outputs)
+        return [reply(command.id)]
+
+    def _stop(self, command: Command, robots: Sequence[GatedRobot]) -> list[Output]:
+        """Order a stop at once, and answer when the last robot shows it."""
+        outputs = []
+        for robot in robots:
+            robot.orders.answer_when_stopped(command.id)
+            robot.orders.stop(command.reason)
+            waiting = robot.inbox.take()
+            if waiting is not None:
+                outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
+        if not any(robot.orders.awaits_stop(command.id) for robot in robots):
+            outputs.insert(0, reply(command.id))
         return outputs
 
     def _switch_contact(self, command: Command) -> Output:
@@ -197,6 +205,11 @@ class Sim:
         verdict = verdict_of(robot.name, state.cycle, 0, decision, self._cycle_s)
         answer = CommandReply(id=command.id, accepted=True, verdict=verdict)
         return Output(topics.COMMAND_REPLY, "", answer)
+
+    @property
+    def newest_id(self) -> int:
+        """The greatest id of a command so far."""
+        return self._command_order.newest_id
 
     def memory(self) -> GateMemory:
         """All that decisions depend on, for `recall`."""
@@ -253,7 +266,12 @@ class Sim:
         return [Output(topics.SUPERVISION, robot.name, message)]
 
     def _answered(self, robot: GatedRobot) -> list[Output]:
-        return [reply(id_) for id_ in robot.orders.fulfilled()]
+        stops = [
+            id_
+            for id_ in robot.orders.latched()
+            if not any(other.orders.awaits_stop(id_) for other in self.robots.values())
+        ]
+        return [reply(id_) for id_ in (*robot.orders.fulfilled(), *stops)]
 
     def _decide(self, robot: GatedRobot) -> list[Output]:
         inbox, state = robot.inbox, robot.tracker.state

@@ -114,5 +114,7 @@ class Shell:
             fingerprint=self.sim.fingerprint,
             contacts=self.sim.contacts.allowed,
             cell=str(self._identity),
+            epoch=self.sim.epoch,
+            newest_id=self.sim.newest_id,
         )
         self._publisher(topics.HEALTH, service="sim").put(pack(health))
