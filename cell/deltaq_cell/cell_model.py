@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pinocchio as pin
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.hull import Corners
-from deltaq_cell.load import cell_text, load_cell
+from deltaq_cell.identity import cell_identity
+from deltaq_cell.load import load_with_text
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.structure import structure_geometry
 from deltaq_cell.summary import robot_summary
 from deltaq_protocol import messages
 from deltaq_protocol.codec import pack, to_line
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.identity import CellIdentity
 from deltaq_protocol.session import MAX_ZENOH_MESSAGE_BYTES
 
 MOST_TOLD_BYTES = MAX_ZENOH_MESSAGE_BYTES - 64 * 1024
@@ -70,14 +73,22 @@ class CellModel:
             CellError: the cell is not found or its file has errors.
             RobotModelError: a robot's model is not found or does not fit.
         """
-        description = load_cell(name_or_path)
+        description, text = load_with_text(name_or_path)
         robots = {name: RobotModel(robot, name) for name, robot in description.robots.items()}
-        return cls.of(description, robots, cell_text(name_or_path))
+        return cls.of(description, robots, text)
 
     @classmethod
     def of(cls, description: CellDescription, robots: dict[str, RobotModel], yaml: str = "") -> CellModel:
         """Put a cell together from its description and the models of its robots."""
         return cls(description, robots, tuple(structure_geometry(description)), yaml)
+
+    @cached_property
+    def identity(self) -> CellIdentity:
+        """Its name and hash, by which those who meet know that they mean the same cell."""
+        urdf = {name: robot.urdf for name, robot in self.robots.items()}
+        return cell_identity(
+            self.description, urdf, {name: robot.hulls for name, robot in self.robots.items()}
+        )
 
     def description_message(self) -> messages.Description:
         """Everything a client needs to model the cell, as the HLI answers it.
@@ -95,6 +106,7 @@ class CellModel:
             yaml=self.yaml,
             urdf={name: robot.urdf for name, robot in self.robots.items()},
             hulls={name: robot.hulls for name, robot in self.robots.items()},
+            identity=str(self.identity),
         )
         length = max(len(pack(message)), len(to_line(message)))
         if length > MOST_TOLD_BYTES:

@@ -396,7 +396,7 @@ class GateDescription(Description):
     retreat_speed: Annotated[float, Field(gt=0, le=1)] = 0.1
     """Fraction of the velocity limits that is allowed while leaving a violation."""
     max_request_age_s: Positive = 0.12
-    """An increment that answers an older state is stale."""
+    """An increment that answers an older state is stale, and one older than the table of topics allows."""
     gate_timeout_s: Positive = 0.5
     """Silence after which a Robot Server takes the gate for lost."""
     hli_timeout_s: Positive = 0.5

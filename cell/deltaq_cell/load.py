@@ -17,7 +17,7 @@ from deltaq_cell.located import Located, Scalar, merge, parse, read, shown
 from deltaq_cell.models import SHIPPED, nearest_name
 from deltaq_cell.problems import CellError, Problem
 
-__all__ = ["cell_text", "find_cell", "load_cell", "load_located", "parse_cell", "resolve_near"]
+__all__ = ["find_cell", "load_cell", "load_located", "load_with_text", "parse_cell", "resolve_near"]
 
 EXTENDS = "extends"
 """Key at the top of a cell file: another cell (by path beside it, or by name) that this one changes."""
@@ -53,15 +53,19 @@ def parse_cell(text: str, source: str = "cell") -> CellDescription:
     return _validated(parse(text, source))
 
 
-def cell_text(name_or_path: str | Path) -> str:
-    """The YAML text of a cell. One that extends another is returned merged, so that it stands alone.
+def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
+    """The description of a cell and its YAML text, both of one reading of its file.
+
+    The text of one that extends another is merged, so that it stands alone.
 
     Raises:
-        CellError: no such cell, or its file is no YAML.
+        CellError: no such cell, or its file has errors.
     """
     text, tree, extended = _read_with_bases(find_cell(name_or_path))
-    if not extended:
-        return text
+    return _validated(tree), _merged(tree) if extended else text
+
+
+def _merged(tree: Located) -> str:
     stream = io.StringIO()
     YAML(typ="rt").dump(tree.plain(), stream)  # keeps the order of the keys, and so that of the joints
     return stream.getvalue()

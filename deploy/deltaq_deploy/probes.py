@@ -87,9 +87,10 @@ def _ask_hli(cell: CellDescription) -> Answer:
 
     with connect(cell, "deltaq health") as running:
         status = running.status()
-    if status.gate_age_s is None or status.gate_age_s > 2.0:
+    if status.gate_age_s is None or status.gate_age_s > topics.HEALTH.age_s(cell.cycle_s):
         return Answer(False, "the SIM is silent")
-    return Answer(True, f"{len(status.robots)} robots")
+    lagging = f", lagging: {'; '.join(status.lagging)}" if status.lagging else ""
+    return Answer(True, f"{len(status.robots)} robots{lagging}")
 
 
 def _ask_panel(name: str, endpoint: str) -> Answer:

@@ -26,10 +26,9 @@ from deltaq_deploy.services import cell_services, demo_controllers, recorder
 from deltaq_emulator import states as krc_states
 from deltaq_emulator.catalogue import TEXTS
 from deltaq_emulator.settings import KrcSettings
-from deltaq_protocol import guarded, messages
+from deltaq_protocol import guarded, messages, topics
 from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.reasons import EXPLANATIONS
-from deltaq_protocol.topics import TOPICS
 from deltaq_services.counters import COUNTERS
 from deltaq_services.phases import MAY_MOVE, TRANSITIONS, Event
 from deltaq_services.robot_server import session
@@ -65,16 +64,25 @@ def _topics() -> str:
             topic.kind,
             f"`{topic.template}`",
             _message_link(topic.message) + (f" → {_message_link(topic.reply)}" if topic.reply else ""),
-            topic.rate,
+            ", ".join(topic.publishers),
+            ", ".join(topic.readers),
+            topic.rate_text,
             topic.max_age_cycles,
+            topic.max_age_s,
+            topic.priority,
             topic.recorded,
         )
-        for topic in TOPICS
+        for topic in topics.TOPICS
     )
-    columns = ("topic", "realm", "kind", "key", "message", "rate", "greatest age [cycles]", "recorded")
+    columns = (
+        *("topic", "realm", "kind", "key", "message", "published or asked by", "read or answered by"),
+        *("rate", "greatest age [cycles]", "greatest age [s]", "priority", "recorded"),
+    )
     return (
         "# Topics\n\nzenoh carries msgpack maps with the fields of the message named. Clients reach the open realm;"
-        " only HLI, SIM and Robot Servers speak in the guarded realm.\n\n" + _table(columns, rows)
+        " HLI, SIM and Robot Servers alone speak in the guarded realm. What is older than its greatest age is not"
+        " acted upon; where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of"
+        " the two decides. See [the loop](../explanation/the-loop.md).\n\n" + _table(columns, rows)
     )
 
 

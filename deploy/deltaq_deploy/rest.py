@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 from deltaq_cell.description import CellDescription
-from deltaq_deploy.running import connect
-from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_deploy.running import Where, connect
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus
 from deltaq_protocol.reasons import ReasonCode
 
@@ -27,8 +28,12 @@ def bring_to_rest(cell: CellDescription, client: str) -> None:
         ServiceUnreachableError: if the HLI does not answer, or a robot is not at rest within `TIMEOUT_S`.
     """
     deadline = time.monotonic() + TIMEOUT_S
-    with connect(cell, client) as running:
-        running.stop()
+    # whatever description it has read: a stop is for everybody
+    with connect(Where(cell.hli, cell.cell), client) as running:
+        with suppress(
+            RefusedError
+        ):  # not confirmed: what is asked for stands, and what comes of it is seen below
+            running.stop()
         before: dict[str, RobotStatus] = {}
         while True:
             robots = running.status().robots

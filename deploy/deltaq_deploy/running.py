@@ -12,9 +12,10 @@ from deltaq_protocol import blocking
 from deltaq_protocol.blocking import BlockingCell
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Description
 from deltaq_protocol.session import open_session
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Topic
 
 
 class UnknownRobotError(DeltaqError):
@@ -75,20 +76,33 @@ def connect(cell: CellDescription | Where, client: str, token: str | None = None
     """A client of the HLI of a running cell.
 
     Args:
-        cell: where it is.
+        cell: where it is; a whole description is compared with that of the running cell.
         client: a name for others to see.
         token: the operator's token, where the HLI was given one.
 
     Raises:
         ServiceUnreachableError: if no HLI is there.
-        OtherCellError: if it serves another cell.
+        OtherCellError: if it serves another cell, or has read another description of it.
     """
     with blocking.connect(cell.hli, client, token) as running:
         if cell.cell is not None and running.description.cell != cell.cell:
             raise OtherCellError(
                 f"{cell.hli} serves cell {running.description.cell}, not {cell.cell}; name the right one with --cell"
             )
+        if isinstance(cell, CellDescription):
+            _compare(cell, running.description)
         yield running
+
+
+def _compare(cell: CellDescription, running: Description) -> None:
+    from deltaq_cell.identity import content_identity
+
+    ours, theirs = content_identity(cell), CellIdentity.parse(running.identity)
+    if not ours.is_same(theirs):
+        said = mismatch(f"the HLI at {cell.hli}", theirs, ours)
+        raise OtherCellError(
+            f"{said}; start the cell anew if its file has changed, or name the right one with --cell"
+        )
 
 
 class Listener:

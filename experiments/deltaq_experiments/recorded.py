@@ -15,13 +15,13 @@ from deltaq_experiments.lockstep import Lockstep
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command, Request, ServerState
 from deltaq_protocol.messages import Message
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Topic
 from deltaq_services.hli.outputs import Output as HliOutput
 from deltaq_services.hli.outputs import ToOpen
 from deltaq_services.recorder.writer import RecordingWriter
 from deltaq_services.sim.answers import Output
 from deltaq_services.sim.core import Sim
-from deltaq_services.sim.gate_log import MEMORY_PERIOD
+from deltaq_services.sim.gate_log import memory_is_due
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class RecordedLockstep(Lockstep):
     def _gate_took(self, topic: Topic, message: Message, outputs: list[Output]) -> None:
         answered = [(output.topic, output.message) for output in outputs]
         self.writer.gate_took(topic, message, answered, self.sim.taken, self.time_ns)
-        if self.sim.taken % MEMORY_PERIOD == 0:
+        if memory_is_due(self.sim.taken):
             self.writer.gate_remembers(self.sim.memory(), self.time_ns)
 
     def _from_hli(self, outputs: list[HliOutput]) -> None:

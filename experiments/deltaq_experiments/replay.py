@@ -19,7 +19,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission, GateMemory
 from deltaq_protocol.messages import Message, Verdict
 from deltaq_protocol.receipts import receipt_of
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Topic
 from deltaq_services.recorder.reader import Recorded, Recording
 from deltaq_services.sim.answers import Output
 from deltaq_services.sim.core import Sim

@@ -142,23 +142,25 @@ class Cell:
             self._verdict_listeners.discard(listen)
 
     async def stop(self) -> Done:
-        """Bring every robot of the cell to rest; each is then held until it is reset.
+        """Bring every robot of the cell to rest; each is held until it is reset, and has shown so when this returns.
 
         Raises:
+            RefusedError: `unreachable`, if not all of them have shown it in time; they were told all the same.
             ServiceUnreachableError: no answer in time.
         """
         request = StopRequest(client=self._client)
-        return unpack(Done, await self._wire.ask(topics.STOP.key(self.description.cell), request))
+        return unpack(Done, await self._wire.ask(topics.STOP, self.description.cell, request))
 
     async def reset(self, robot: str) -> Done:
         """Leave `held`.
 
         Raises:
-            RefusedError: `cause_stands`, `not_at_rest`, or `not_permitted` without the operator's token.
+            RefusedError: `cause_stands`, `not_at_rest`, `not_permitted` without the operator's token, or `unreachable`
+                if the robot has not shown it in time.
             ServiceUnreachableError: no answer in time.
         """
         request = ResetRequest(robot=self._known(robot), client=self._client, token=self._token)
-        return unpack(Done, await self._wire.ask(topics.RESET.key(self.description.cell), request))
+        return unpack(Done, await self._wire.ask(topics.RESET, self.description.cell, request))
 
     async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
         """The gate's verdict on an increment if it came now; nothing moves.
@@ -171,9 +173,9 @@ class Cell:
             RefusedError: `bad_shape`, `not_ready`, or `superseded` for a second one in a cycle.
             ServiceUnreachableError: no answer in time.
         """
-        key = topics.DRY_RUN.key(self.description.cell, robot=self._known(robot))
-        request = DryRunRequest(robot=robot, dq=tuple(np.asarray(dq, dtype=float).tolist()))
-        return unpack(DryRunReply, await self._wire.ask(key, request)).verdict
+        request = DryRunRequest(robot=self._known(robot), dq=tuple(np.asarray(dq, dtype=float).tolist()))
+        payload = await self._wire.ask(topics.DRY_RUN, self.description.cell, request, robot)
+        return unpack(DryRunReply, payload).verdict
 
     async def allow_contact(self, contact: str, allowed: bool = True) -> Done:
         """Let bodies touch that a contact of the cell names, or forbid it again.
@@ -183,7 +185,7 @@ class Cell:
             ServiceUnreachableError: no answer in time.
         """
         request = ContactRequest(contact=contact, allowed=allowed, client=self._client, token=self._token)
-        return unpack(Done, await self._wire.ask(topics.CONTACT.key(self.description.cell), request))
+        return unpack(Done, await self._wire.ask(topics.CONTACT, self.description.cell, request))
 
     async def status(self) -> Status:
         """The running cell: phases, leases, ages, counters.
@@ -191,8 +193,8 @@ class Cell:
         Raises:
             ServiceUnreachableError: no answer in time.
         """
-        key = topics.STATUS.key(self.description.cell)
-        return unpack(Status, await self._wire.ask(key, DescribeRequest()))
+        payload = await self._wire.ask(topics.STATUS, self.description.cell, DescribeRequest())
+        return unpack(Status, payload)
 
     def lease(self, robot: str, client: str | None = None, take: bool = False) -> Opening[LeasedRobot]:
         """Hold the lease of a robot for the length of a block, or from `open` to `close`; it is renewed automatically.
@@ -214,8 +216,8 @@ class Cell:
         request = LeaseRequest(
             robot=self._known(robot), action=action, client=client or self._client, token=self._token
         )
-        key = topics.LEASE.key(self.description.cell, robot=robot)
-        reply = unpack(LeaseReply, await self._wire.ask(key, request))
+        payload = await self._wire.ask(topics.LEASE, self.description.cell, request, robot)
+        reply = unpack(LeaseReply, payload)
         if not reply.granted:
             raise _not_granted(reply)
         leased = LeasedRobot(

@@ -31,7 +31,7 @@ async def described(wire: Wire, address: str) -> Description:
     give_up_s = loop.time() + _CONNECT_DEADLINE_S
     while True:
         try:
-            payload = await wire.ask(topics.DESCRIPTION.key("*"), DescribeRequest())
+            payload = await wire.ask(topics.DESCRIPTION, "*", DescribeRequest())
         except ServiceUnreachableError:
             if loop.time() >= give_up_s:
                 raise ServiceUnreachableError(

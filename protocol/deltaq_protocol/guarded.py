@@ -27,11 +27,12 @@ class Plan(Message):
 class ServerState(Message):
     """State of one robot as its Robot Server publishes it, after it replied to the KRC.
 
-    `process` is the instance id of the Robot Server's process: each process begins with cycle 1, and knows nothing
-    of earlier holds and resets. `q_cmd` and `dq` are the setpoint just sent and its increment. `q_reset`, of a held
-    robot, is the setpoint that the KRC has instead, in a session that began since; a reset adopts it. `sequence` is
-    the admission that it follows in gate epoch `epoch` (0 and 0: none yet). All lists of joints have the robot's n
-    elements.
+    `process` is a number that no other process of this Robot Server has: each begins with cycle 1, and knows nothing of
+    the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment; `q_reset`, of a held
+    robot, is the setpoint that the KRC has instead in a session that began since, and that a reset takes. `sequence`
+    is the admission it follows in gate epoch `epoch` (0 and 0: none yet). `cell` is the identity of the cell that its
+    Robot Server has read; the gate holds a robot whose server has read another. All joints are those of the robot, n
+    everywhere.
     """
 
     robot: Name
@@ -52,6 +53,7 @@ class ServerState(Message):
     inputs: dict[str, bool] = {}
     outputs: dict[str, bool] = {}
     counters: dict[str, int] = {}
+    cell: str = ""
 
     @model_validator(mode="after")
     def _has_n_joints_everywhere(self) -> Self:
@@ -95,8 +97,9 @@ class Admission(Message):
 class Supervision(Message):
     """SIM to Robot Server, once a cycle: a heartbeat, and standing orders.
 
-    Orders are levels, not edges, so that a lost message does no harm: `stop` is repeated until the state
-    shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's.
+    Orders are levels, not edges, so that a lost message costs nothing: `stop` stands until the state
+    shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's. A Robot
+    Server that has read another `cell` holds its robot.
     """
 
     robot: Name
@@ -105,6 +108,7 @@ class Supervision(Message):
     stop: ReasonCode | None = None
     resets: Count = 0
     outputs: dict[str, bool] = {}
+    cell: str = ""
 
 
 class Command(Message):
@@ -132,7 +136,10 @@ class Command(Message):
 class CommandReply(Message):
     """SIM to HLI: whether the command was taken, and if not, why; of a dry run the verdict.
 
-    `epoch` and `newest_id` are those that the next command has to use, for an HLI that did not know them.
+    A stop is acted upon at once, and answered when the newest state of every robot that it concerns shows that it is
+    held; a reset when the state shows that the robot is not. What no state shows is not answered.
+
+    `epoch` and `newest_id` are what the next command has to go by, told to who did not know.
     """
 
     id: Count
@@ -147,8 +154,9 @@ class CommandReply(Message):
 class Health(Message):
     """A service's heartbeat for `deltaq up`, container health checks and `deltaq status`.
 
-    `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration; `contacts`, too, come from
-    the SIM: those that are allowed now.
+    `fingerprint` is the SIM's, a hash of the gate's code and one of its configuration, and so are the `contacts`
+    that are allowed now, and the `epoch` and `newest_id` that the next command has to go by. `cell` is the identity of
+    the cell that the service has read.
     """
 
     service: Name
@@ -159,6 +167,9 @@ class Health(Message):
     nearest: NearestPair | None = None
     fingerprint: str = ""
     contacts: tuple[Name, ...] = ()
+    cell: str = ""
+    epoch: Count | None = None
+    newest_id: Count | None = None
 
 
 class GateEntry(Message):
@@ -194,6 +205,7 @@ class OrdersMemory(Message):
     cycles_without_hli: int | None = None
     krc_silent: bool = False
     awaited_resets: tuple[Count, ...] = ()
+    awaited_stops: tuple[Count, ...] = ()
 
 
 class RobotMemory(Message):
@@ -231,3 +243,4 @@ class GateMemory(Message):
     contacts: tuple[Name, ...] = ()
     violations: tuple[KeptDistance, ...] = ()
     robots: dict[str, RobotMemory]
+    cell: str = ""

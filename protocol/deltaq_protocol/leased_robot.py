@@ -66,7 +66,7 @@ class LeasedRobot:
         self._lease_s = granted.expires_s or 0.0
         self._states = states
         self._newest = newest
-        self._publisher = wire.publisher(topics.INCREMENT.key(cell, robot=name))
+        self._publisher = wire.publisher(topics.INCREMENT, cell, name)
         self._seqs = itertools.count(1)
         self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
         # each of its operations is atomic, whatever other threads do meanwhile
@@ -202,7 +202,7 @@ class LeasedRobot:
             ServiceUnreachableError: no answer in time.
         """
         request = IoRequest(robot=self.name, outputs=dict(outputs or {}), lease=self._token)
-        return unpack(IoReply, await self._wire.ask(topics.IO.key(self._cell, robot=self.name), request))
+        return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name))
 
     def take_verdict(self, verdict: Verdict) -> None:
         """A verdict has come; `Cell` calls this."""
@@ -244,8 +244,8 @@ class LeasedRobot:
     def release_now(self) -> None:
         """`release` without a loop: the loop ended before its controller did."""
         if self._releasing is None:
-            key, request = self._lease_request(LeaseAction.RELEASE)
-            self._wire.ask_now(key, request)
+            request = self._lease_request(LeaseAction.RELEASE)
+            self._wire.ask_now(topics.LEASE, self._cell, request, self.name)
 
     async def _release(self) -> None:
         self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self.name} was given back")
@@ -308,11 +308,11 @@ class LeasedRobot:
             raise self._lost
 
     async def _ask(self, action: LeaseAction) -> LeaseReply:
-        return unpack(LeaseReply, await self._wire.ask(*self._lease_request(action)))
+        request = self._lease_request(action)
+        return unpack(LeaseReply, await self._wire.ask(topics.LEASE, self._cell, request, self.name))
 
-    def _lease_request(self, action: LeaseAction) -> tuple[str, LeaseRequest]:
-        request = LeaseRequest(robot=self.name, action=action, lease=self._token)
-        return topics.LEASE.key(self._cell, robot=self.name), request
+    def _lease_request(self, action: LeaseAction) -> LeaseRequest:
+        return LeaseRequest(robot=self.name, action=action, lease=self._token)
 
     def check_lease(self) -> None:
         """Raise the error with which the lease was lost, if it was."""

@@ -13,7 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from deltaq_protocol.reasons import ReasonCode
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
+LINE_VERSIONS = (1, 2)
+"""Versions that clients over lines of JSON may speak: to them the second has only more fields to pass over."""
 
 JointValue = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Joints = Annotated[tuple[JointValue, ...], Field(min_length=1, max_length=32)]
@@ -202,7 +204,11 @@ class ContactRequest(Message):
 
 
 class Done(Message):
-    """A stop, a reset or a change of contacts was carried out."""
+    """A stop, a reset or a change of contacts was carried out.
+
+    After a stop every robot is held, or offline; after a reset the robot is not held any more: its state has shown it.
+    What is not confirmed in time is answered with an error, `unreachable`, that says so; it was asked for all the same.
+    """
 
     type: Literal["done"] = "done"
     what: str
@@ -264,13 +270,15 @@ class Welcome(Message):
     cell: str
     cycle_s: FiniteFloat
     robots: dict[str, RobotSummary]
+    identity: str = ""
 
 
 class Description(Message):
     """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
 
-    `hulls` holds the convex hulls that the gate uses for the collision meshes of a URDF: by robot and body, the corners
-    of a hull in the frame of the body [m]. Visual meshes are not sent.
+    `hulls` holds what the gate takes the collision meshes of a URDF for: by robot and body, the corners of
+    a convex hull in the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name and hash
+    (`deltaq_protocol.identity`): one who has a file of the cell sees by it whether the same is meant.
     """
 
     type: Literal["description"] = "description"
@@ -281,6 +289,7 @@ class Description(Message):
     yaml: str
     urdf: dict[str, str]
     hulls: dict[str, dict[str, tuple[Vector3, ...]]] = {}
+    identity: str = ""
 
 
 class Error(Message):
@@ -336,7 +345,11 @@ class RobotStatus(Message):
 
 
 class Status(Message):
-    """The running cell as `deltaq status` shows it; `contacts` are those that are allowed now."""
+    """The running cell as `deltaq status` shows it.
+
+    `contacts` are those that are allowed now; `lagging` says which streams are silent, or slower than the table of
+    topics wants them. `identity` is the cell's name and hash, and `mismatches` tells which services have read another.
+    """
 
     type: Literal["status"] = "status"
     cell: str
@@ -348,3 +361,6 @@ class Status(Message):
     contacts: tuple[str, ...] = ()
     hli: dict[str, int]
     nearest: NearestPair | None = None
+    lagging: tuple[str, ...] = ()
+    identity: str = ""
+    mismatches: tuple[str, ...] = ()

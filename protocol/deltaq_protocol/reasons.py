@@ -36,6 +36,7 @@ class ReasonCode(StrEnum):
     NOT_PERMITTED = "not_permitted"
     PROTOCOL_VERSION = "protocol_version"
     UNREACHABLE = "unreachable"
+    CELL_MISMATCH = "cell_mismatch"
     # why a robot is held
     OPERATOR_STOP = "operator_stop"
     CONTROLLER_LOST = "controller_lost"
@@ -75,6 +76,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.NOT_PERMITTED: "the sender is not entitled to this",
     ReasonCode.PROTOCOL_VERSION: "client and server speak different protocol versions",
     ReasonCode.UNREACHABLE: "a service that is needed for this did not answer",
+    ReasonCode.CELL_MISMATCH: "two services have read different descriptions of the cell",
     ReasonCode.OPERATOR_STOP: "somebody pressed stop",
     ReasonCode.CONTROLLER_LOST: "the controller vanished without releasing its lease",
     ReasonCode.HLI_LOST: "the high-level interface fell silent",

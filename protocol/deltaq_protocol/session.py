@@ -1,20 +1,22 @@
 """zenoh sessions with explicit endpoints: nobody joins by accident, nothing queues up.
 
 Multicast scouting and gossip are off, a lost peer is found again within a fraction of a second, and a
-message is small. Commands travel express, at real-time priority, and are dropped rather than queued.
+message is small. What is urgent travels express, at real-time priority, and what is published is dropped rather
+than queued.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import zenoh
 
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.seal import UNSEALED, Seal
+from deltaq_protocol.topic import Priority
 
 MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
 """Largest message that a session reassembles; descriptions with their URDF texts are the largest."""
@@ -27,13 +29,19 @@ _ACCEPT_MS = 1000
 """Silent connections are closed after this: until then they keep others waiting."""
 
 
-def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_connect: bool = False) -> Any:
+def open_session(
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    must_connect: bool = False,
+    access: Mapping[str, Any] | None = None,
+) -> Any:
     """Open a zenoh session.
 
     Args:
         listen: endpoints to listen on, e.g. `tcp/127.0.0.1:7447`.
         connect: endpoints to connect to, and to connect to again whenever they are lost.
         must_connect: fail at once if an endpoint cannot be reached, instead of trying for ever.
+        access: who may say what here, as `deltaq_protocol.access` has it; None: whoever is there, anything.
 
     Raises:
         ServiceUnreachableError: if an endpoint can neither be listened on nor, with `must_connect`, reached.
@@ -54,6 +62,8 @@ def open_session(listen: Sequence[str] = (), connect: Sequence[str] = (), must_c
         "transport/unicast/max_sessions": MAX_SESSIONS,
         "transport/unicast/accept_timeout": _ACCEPT_MS,
     }
+    if access is not None:
+        settings["access_control"] = access
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
@@ -81,13 +91,36 @@ class SealedPublisher:
         self._publisher.put(self._seal.close(self._key, message))
 
 
-def declare_publisher(session: Any, key: str, seal: Seal = UNSEALED) -> Any:
-    """A publisher for small, urgent messages: sent at once, at real-time priority, dropped when blocked."""
+def sending(priority: Priority) -> dict[str, Any]:
+    """How zenoh sends what is so urgent."""
+    urgent = priority is Priority.URGENT
+    return {
+        "express": urgent,
+        "priority": zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
+    }
+
+
+def declare_publisher(
+    session: Any,
+    key: str,
+    seal: Seal = UNSEALED,
+    priority: Priority = Priority.URGENT,
+    to_itself: bool = True,
+) -> Any:
+    """A publisher for small messages, dropped when blocked.
+
+    Args:
+        session: an open zenoh session.
+        key: to publish on.
+        seal: put on what is published.
+        priority: what its row of the table of topics says; what is urgent is sent at once.
+        to_itself: whether subscribers of the same session count.
+    """
     publisher = session.declare_publisher(
         key,
-        express=True,
-        priority=zenoh.Priority.REAL_TIME,
         congestion_control=zenoh.CongestionControl.DROP,
+        allowed_destination=zenoh.Locality.ANY if to_itself else zenoh.Locality.REMOTE,
+        **sending(priority),
     )
     return publisher if seal is UNSEALED else SealedPublisher(publisher, key, seal)
 

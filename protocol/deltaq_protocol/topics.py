@@ -1,147 +1,116 @@
-"""The table of topics: key, message, rate, greatest age, and whether it is recorded.
+"""The table of topics: key, message, rate, greatest age, priority, who publishes, who reads, and what is recorded.
 
-Publishing, the recorder, `deltaq hz`, the documentation and the tests all follow from this table.
+Publishers' pace and priority, what is too old to act upon, what counts as lagging, access to the sessions, the
+recorder, `deltaq hz`, the documentation and the tests all follow from this table.
+
+Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of the two decides.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
-
 from deltaq_protocol import guarded, messages
-from deltaq_protocol.messages import Message
-
-
-class Realm(StrEnum):
-    """Who can reach a topic: any client (open), or only HLI, SIM and Robot Servers (guarded)."""
-
-    OPEN = "open"
-    GUARDED = "guarded"
-
-
-class Kind(StrEnum):
-    """Published stream or query with a reply."""
-
-    STREAM = "stream"
-    QUERY = "query"
-
-
-@dataclass(frozen=True)
-class Topic:
-    """One row of the table.
-
-    Attributes:
-        name: what people call it, as in `deltaq echo NAME`.
-        template: zenoh key with `{cell}`, `{robot}` and `{service}` to be filled in.
-        message: type of the payload.
-        reply: type of the reply of a query.
-        rate: how often it comes.
-        max_age_cycles: older data must not be acted upon; None where age does not matter.
-        recorded: whether a recording holds it. What passes between a client and the HLI alone is not heard by
-            anybody else: of it a recording has what the HLI makes of it, in the guarded realm.
-    """
-
-    name: str
-    realm: Realm
-    kind: Kind
-    template: str
-    message: type[Message]
-    rate: str
-    reply: type[Message] | None = None
-    max_age_cycles: int | None = None
-    recorded: bool = True
-
-    def key(self, cell: str, **fields: str) -> str:
-        """The key of one cell and robot or service; a field not given becomes the wildcard `*`."""
-        wanted = {"robot": "*", "service": "*"} | fields
-        return self.template.format(cell=cell, **wanted)
-
+from deltaq_protocol.topic import Cycles, Hertz, Kind, Messages, Party, Priority, Realm, Topic
 
 _OPEN = "deltaq/{cell}/"
 _GUARDED = "deltaq-guarded/{cell}/"
 
+_EVERY_CYCLE = Cycles(1)
+_AT_MOST_EVERY_CYCLE = Cycles(1, steady=False)
+_CLIENT, _HLI, _SIM, _ROBOT_SERVER, _WATCHER = (
+    (Party.CLIENT,), (Party.HLI,), (Party.SIM,), (Party.ROBOT_SERVER,), (Party.WATCHER,),
+)  # fmt: skip
+
 STATE = Topic(
-    "state", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/state", messages.RobotState, "every cycle",
-    max_age_cycles=3,
+    "state", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/state", messages.RobotState,
+    publishers=_HLI, readers=_CLIENT, rate=_EVERY_CYCLE,
 )  # fmt: skip
 INCREMENT = Topic(
-    "increment", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/increment", messages.Increment, "every cycle",
-    max_age_cycles=10, recorded=False,
+    "increment", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/increment", messages.Increment,
+    publishers=_CLIENT, readers=_HLI, rate=_AT_MOST_EVERY_CYCLE, max_age_cycles=10, recorded=False,
 )  # fmt: skip
 VERDICT = Topic(
-    "verdict", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/verdict", messages.Verdict, "every decided cycle"
-)
+    "verdict", Realm.OPEN, Kind.STREAM, _OPEN + "{robot}/verdict", messages.Verdict,
+    publishers=_HLI, readers=_CLIENT, rate=_AT_MOST_EVERY_CYCLE,
+)  # fmt: skip
 LEASE = Topic(
-    "lease", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/lease", messages.LeaseRequest, "on demand",
-    reply=messages.LeaseReply, recorded=False,
+    "lease", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/lease", messages.LeaseRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.LeaseReply, recorded=False,
 )  # fmt: skip
 IO = Topic(
-    "io", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/io", messages.IoRequest, "on demand",
-    reply=messages.IoReply, recorded=False,
+    "io", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/io", messages.IoRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.IoReply, recorded=False,
 )  # fmt: skip
-PROXIMITY = Topic("proximity", Realm.OPEN, Kind.STREAM, _OPEN + "proximity", messages.Proximity, "10 Hz")
+PROXIMITY = Topic(
+    "proximity", Realm.OPEN, Kind.STREAM, _OPEN + "proximity", messages.Proximity,
+    publishers=_HLI, readers=_CLIENT, rate=Hertz(10.0), priority=Priority.ORDINARY,
+)  # fmt: skip
 STOP = Topic(
-    "stop", Realm.OPEN, Kind.QUERY, _OPEN + "stop", messages.StopRequest, "on demand",
-    reply=messages.Done, recorded=False,
+    "stop", Realm.OPEN, Kind.QUERY, _OPEN + "stop", messages.StopRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
 )  # fmt: skip
 RESET = Topic(
-    "reset", Realm.OPEN, Kind.QUERY, _OPEN + "reset", messages.ResetRequest, "on demand",
-    reply=messages.Done, recorded=False,
+    "reset", Realm.OPEN, Kind.QUERY, _OPEN + "reset", messages.ResetRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
 )  # fmt: skip
 DRY_RUN = Topic(
-    "dry-run", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/dry-run", messages.DryRunRequest, "on demand",
-    reply=messages.DryRunReply, recorded=False,
+    "dry-run", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/dry-run", messages.DryRunRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.DryRunReply, recorded=False,
 )  # fmt: skip
 CONTACT = Topic(
-    "contact", Realm.OPEN, Kind.QUERY, _OPEN + "contact", messages.ContactRequest, "on demand",
-    reply=messages.Done, recorded=False,
+    "contact", Realm.OPEN, Kind.QUERY, _OPEN + "contact", messages.ContactRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
 )  # fmt: skip
 DESCRIPTION = Topic(
-    "description", Realm.OPEN, Kind.QUERY, _OPEN + "description", messages.DescribeRequest, "on demand",
-    reply=messages.Description, recorded=False,
+    "description", Realm.OPEN, Kind.QUERY, _OPEN + "description", messages.DescribeRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Description, priority=Priority.ORDINARY, recorded=False,
 )  # fmt: skip
 STATUS = Topic(
-    "status", Realm.OPEN, Kind.QUERY, _OPEN + "status", messages.DescribeRequest, "on demand",
-    reply=messages.Status, recorded=False,
+    "status", Realm.OPEN, Kind.QUERY, _OPEN + "status", messages.DescribeRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Status, priority=Priority.ORDINARY, recorded=False,
 )  # fmt: skip
 
 SERVER_STATE = Topic(
     "server-state", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/state", guarded.ServerState,
-    "every cycle", max_age_cycles=3,
+    publishers=_ROBOT_SERVER, readers=_SIM + _HLI, rate=_EVERY_CYCLE, max_age_cycles=10,
 )  # fmt: skip
 REQUEST = Topic(
-    "request", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/request", guarded.Request, "every cycle",
-    max_age_cycles=10,
+    "request", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/request", guarded.Request,
+    publishers=_HLI, readers=_SIM, rate=_EVERY_CYCLE, max_age_cycles=10,
 )  # fmt: skip
 ADMISSION = Topic(
     "admission", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/admission", guarded.Admission,
-    "every cycle", max_age_cycles=1,
+    publishers=_SIM, readers=_ROBOT_SERVER, rate=_AT_MOST_EVERY_CYCLE, max_age_cycles=0,
 )  # fmt: skip
 SUPERVISION = Topic(
     "supervision", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/supervision", guarded.Supervision,
-    "every cycle",
+    publishers=_SIM, readers=_ROBOT_SERVER, rate=_EVERY_CYCLE,
 )  # fmt: skip
 GATE_VERDICT = Topic(
     "gate-verdict", Realm.GUARDED, Kind.STREAM, _GUARDED + "{robot}/verdict", messages.Verdict,
-    "every decided cycle",
+    publishers=_SIM, readers=_HLI, rate=_AT_MOST_EVERY_CYCLE,
 )  # fmt: skip
-COMMAND = Topic("command", Realm.GUARDED, Kind.STREAM, _GUARDED + "command", guarded.Command, "on demand")
+COMMAND = Topic(
+    "command", Realm.GUARDED, Kind.STREAM, _GUARDED + "command", guarded.Command,
+    publishers=_HLI, readers=_SIM, max_age_cycles=10,
+)  # fmt: skip
 COMMAND_REPLY = Topic(
-    "command-reply", Realm.GUARDED, Kind.STREAM, _GUARDED + "command-reply", guarded.CommandReply, "on demand"
-)
+    "command-reply", Realm.GUARDED, Kind.STREAM, _GUARDED + "command-reply", guarded.CommandReply,
+    publishers=_SIM, readers=_HLI,
+)  # fmt: skip
 HEALTH = Topic(
-    "health", Realm.GUARDED, Kind.STREAM, _GUARDED + "health/{service}", guarded.Health, "2 Hz",
-    recorded=False,
+    "health", Realm.GUARDED, Kind.STREAM, _GUARDED + "health/{service}", guarded.Health,
+    publishers=_HLI + _SIM + _ROBOT_SERVER, readers=_HLI + _SIM + _WATCHER, rate=Hertz(10.0), max_age_s=2.0,
+    priority=Priority.ORDINARY, recorded=False,
 )  # fmt: skip
 GATE_KEYS = _GUARDED + "gate/*"
 """Keys of the two that follow, and of nothing else."""
 GATE_LOG = Topic(
     "gate-log", Realm.GUARDED, Kind.STREAM, _GUARDED + "gate/log", guarded.GateEntry,
-    "every message of the gate, while it is recorded", recorded=False,
+    publishers=_SIM, readers=_WATCHER, rate=Messages(1), priority=Priority.ORDINARY, recorded=False,
 )  # fmt: skip
 GATE_MEMORY = Topic(
     "gate-memory", Realm.GUARDED, Kind.STREAM, _GUARDED + "gate/memory", guarded.GateMemory,
-    "every 500 messages of the gate, while it is recorded",
+    publishers=_SIM, readers=_WATCHER, rate=Messages(500), priority=Priority.ORDINARY,
 )  # fmt: skip
 
 TOPICS: tuple[Topic, ...] = (

@@ -13,7 +13,8 @@ from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.inbox import Inbox
 from deltaq_protocol.messages import Error, Message
-from deltaq_protocol.session import declare_publisher
+from deltaq_protocol.session import declare_publisher, sending
+from deltaq_protocol.topic import Topic
 
 QUERY_DEADLINE_S = 1.0
 """Longer than the server waits for the gate, so that the server's own answer arrives first."""
@@ -32,13 +33,16 @@ class Wire:
         self._loop = loop
         self._declared: list[tuple[Any, Inbox[zenoh.Sample]]] = []
 
-    async def ask(self, key: str, request: Message, deadline_s: float = QUERY_DEADLINE_S) -> bytes:
-        """Send a query and return the payload of its answer.
+    async def ask(
+        self, topic: Topic, cell: str, request: Message, robot: str = "", deadline_s: float = QUERY_DEADLINE_S
+    ) -> bytes:
+        """Send a query and return the payload of its answer; `robot` where the topic's key has one.
 
         Raises:
             RefusedError: the server refused the request.
             ServiceUnreachableError: nobody answered within the deadline.
         """
+        key = topic.key(cell, robot=robot)
         future: asyncio.Future[zenoh.Reply | None] = self._loop.create_future()
 
         def settle(reply: zenoh.Reply | None) -> None:
@@ -55,8 +59,7 @@ class Wire:
                 zenoh.handlers.Callback(post, drop=lambda: post(None), indirect=False),
                 payload=pack(request),
                 timeout=deadline_s,
-                express=True,
-                priority=zenoh.Priority.REAL_TIME,
+                **sending(topic.priority),
             )
         except zenoh.ZError as error:
             raise ServiceUnreachableError(
@@ -73,10 +76,13 @@ class Wire:
             f"no answer to {key} within {deadline_s:g} s; is the cell up (`deltaq up`, `deltaq status`)?"
         )
 
-    def ask_now(self, key: str, request: Message) -> None:
-        """Send a query where no loop runs any more, and wait until it is answered or has failed."""
+    def ask_now(self, topic: Topic, cell: str, request: Message, robot: str) -> None:
+        """Send a query from where no loop runs any more, and wait until it was answered or will not be."""
+        key = topic.key(cell, robot=robot)
         with contextlib.suppress(zenoh.ZError):
-            for _ in self._session.get(key, payload=pack(request), timeout=QUERY_DEADLINE_S):
+            for _ in self._session.get(
+                key, payload=pack(request), timeout=QUERY_DEADLINE_S, **sending(topic.priority)
+            ):
                 pass
 
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
@@ -85,9 +91,9 @@ class Wire:
         callback = zenoh.handlers.Callback(inbox.put, indirect=False)
         self._declared.append((self._session.declare_subscriber(key, callback), inbox))
 
-    def publisher(self, key: str) -> Any:
-        """A publisher for small, urgent messages; a session that was closed makes its `put` raise `ZError`."""
-        return declare_publisher(self._session, key)
+    def publisher(self, topic: Topic, cell: str, robot: str) -> Any:
+        """A publisher of a robot's topic; a session that was closed makes its `put` raise `ZError`."""
+        return declare_publisher(self._session, topic.key(cell, robot=robot), priority=topic.priority)
 
     def close(self) -> None:
         """Stop listening, then close: a session that closes with callbacks still running can panic."""

@@ -44,6 +44,11 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
     Counted(HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong"),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
+    Counted(
+        HLI,
+        "signs_of_life_of_another_cell",
+        "heartbeats of a service that has read another description of the cell",
+    ),
     Counted(HLI, "leases_granted", "leases that were granted, taken ones included"),
     Counted(HLI, "leases_taken", "leases that were taken from their holder"),
     Counted(HLI, "leases_expired", "leases that ran out because the holder was silent"),
@@ -78,6 +83,11 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(SIM, "command_{code}", "commands not obeyed for this reason"),
     Counted(SIM, "missed_admissions_{robot}", "admissions that the Robot Server of this robot did not take"),
     Counted(SIM, "unknown_state", "states of a robot, or with joints, that the cell does not have"),
+    Counted(
+        SIM,
+        "states_of_another_cell_{robot}",
+        "states of a Robot Server that has read another description of the cell",
+    ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
     Counted(SIM, "forged_messages", "messages whose seal is wrong"),
     Counted(SIM, "invalid_messages", "messages that are malformed"),
@@ -90,7 +100,12 @@ COUNTERS: tuple[Counted, ...] = (
     ),
     Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, because no admission had come"),
     Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
-    Counted(ROBOT_SERVER, "krc_silent", "times that the KRC was silent for longer than its timeout"),
+    Counted(
+        ROBOT_SERVER,
+        "supervision_of_another_cell",
+        "heartbeats of a gate that has read another description of the cell",
+    ),
+    Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
     Counted(
         ROBOT_SERVER,
         "motion_stops",

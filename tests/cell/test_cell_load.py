@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_cell.find import find_cell
-from deltaq_cell.load import cell_text, load_cell, parse_cell
+from deltaq_cell.load import load_cell, load_with_text, parse_cell
 from deltaq_cell.problems import CellError, Problem
 
 MINI = """\
@@ -60,7 +60,7 @@ def test_a_good_file_loads(tmp_path: Path) -> None:
     assert cell.cell == "mini"
     assert cell.robots["fr"].joint_names == ("a1", "a2")
     assert cell.structure["pipe"].pose.position_m == (0, 1, 2)
-    assert cell_text(tmp_path / "lab.yaml") == MINI
+    assert load_with_text(tmp_path / "lab.yaml")[1] == MINI
     assert parse_cell(MINI) == cell
 
 
@@ -210,7 +210,7 @@ def test_a_cell_extends_another_and_changes_only_what_it_names(tmp_path: Path) -
     assert other.robots["fr"].joints["a2"].upper_deg == 20
     assert other.robots["fr"].joint_names == base.robots["fr"].joint_names
     assert other.robots["fr"].joints["a1"] == base.robots["fr"].joints["a1"]
-    assert parse_cell(cell_text(tmp_path / "lab.yaml")) == other  # the text stands alone
+    assert parse_cell(load_with_text(tmp_path / "lab.yaml")[1]) == other  # the text stands alone
 
 
 def test_errors_of_an_extended_cell_point_into_the_file_they_are_in(tmp_path: Path) -> None:
@@ -265,7 +265,7 @@ def test_a_cell_takes_out_what_it_inherits_by_null(tmp_path: Path) -> None:
     assert set(load_cell(tmp_path / "base.yaml").robots) == {"fr", "gr"}
     cell = load_cell(write(tmp_path, REMOVED))
     assert (set(cell.robots), set(cell.structure), set(cell.contacts)) == ({"fr"}, {"post"}, set())
-    assert parse_cell(cell_text(tmp_path / "lab.yaml")) == cell  # the text stands alone
+    assert parse_cell(load_with_text(tmp_path / "lab.yaml")[1]) == cell  # the text stands alone
 
 
 def test_what_was_taken_out_may_be_put_back_by_a_cell_that_extends_further(tmp_path: Path) -> None:

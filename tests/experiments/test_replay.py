@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rewritten import rewrite
+from table import change_row
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.recorded import lockstep
@@ -18,6 +19,7 @@ from deltaq_experiments.replay import Replay, differing_fields, replay
 from deltaq_experiments.replay_plot import panels_of
 from deltaq_protocol.messages import NearestPair, Verdict
 from deltaq_protocol.receipts import receipt_of
+from deltaq_protocol.topic import Messages
 from deltaq_services.recorder.protobuf import recorded_schema, to_message
 from deltaq_services.recorder.reader import Recording
 from deltaq_services.sim.core import Sim
@@ -53,7 +55,7 @@ def drive(file: Path, cycles: int = CYCLES, seed: int = 3) -> Path:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deltaq_experiments.recorded.MEMORY_PERIOD", PERIOD)
+        change_row(patch, "GATE_MEMORY", rate=Messages(PERIOD))
         return drive(tmp_path_factory.mktemp("recorded") / "run.mcap")
 
 

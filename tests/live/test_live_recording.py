@@ -16,8 +16,8 @@ from live_stack import Stack, live_stack
 from deltaq_deploy.running import connect
 from deltaq_deploy.services import recorder
 from deltaq_experiments.replay import replay
+from deltaq_protocol import topics
 from deltaq_services.recorder.reader import Recording
-from deltaq_services.sim.gate_log import MEMORY_PERIOD
 
 pytestmark = pytest.mark.live
 
@@ -63,7 +63,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
     assert replayed.good, replayed.differences
     assert replayed.notices == []
     assert replayed.gaps == []
-    assert replayed.skipped < MEMORY_PERIOD  # the second to join waits for the next memory
+    assert replayed.skipped < topics.GATE_MEMORY.rate.messages  # the second to join waits for the next memory
     assert replayed.verdicts > 50
     assert replayed.fingerprint == replayed.recorded_fingerprint == fingerprint
     seen = {item.topic.name for item in Recording.open(file).messages()}

@@ -96,11 +96,11 @@ async def test_a_server_of_another_version_is_refused_though_its_description_has
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            query.reply(key, msgpack.packb({"protocol": 2, "a_field_of_version_2": 1}))
+            query.reply(key, msgpack.packb({"protocol": 3, "a_field_of_version_3": 1}))
 
     try:
         session.declare_queryable(key, answer)
-        with pytest.raises(RefusedError, match="server speaks protocol 2, this client 1") as refused:
+        with pytest.raises(RefusedError, match="server speaks protocol 3, this client 2") as refused:
             async with connect(somewhere):
                 pass
         assert refused.value.code == ReasonCode.PROTOCOL_VERSION

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import pytest
 import zenoh
 
 from deltaq_protocol.messages import Message
+from deltaq_protocol.topic import Kind, Party, Realm, Topic
 from deltaq_protocol.topics import (
+    ADMISSION,
+    COMMAND,
     DESCRIPTION,
+    HEALTH,
     INCREMENT,
+    PROXIMITY,
+    REQUEST,
     SERVER_STATE,
     STATE,
     TOPICS,
-    Kind,
-    Realm,
-    Topic,
+    VERDICT,
 )
 
 
@@ -59,4 +64,26 @@ def test_a_query_has_a_reply_a_stream_has_none_and_both_carry_messages(topic: To
 
 
 def test_what_moves_a_robot_has_a_greatest_age() -> None:
-    assert all(topic.max_age_cycles for topic in (STATE, INCREMENT, SERVER_STATE))
+    assert all(topic.age_s(0.012) >= 0.0 for topic in (INCREMENT, REQUEST, SERVER_STATE, ADMISSION, COMMAND))
+
+
+def test_of_two_ages_the_lesser_rules() -> None:
+    assert INCREMENT.max_age_cycles == 10
+    assert INCREMENT.age_cycles(0.004, bound_s=0.12) == 10  # not the 30 that 0.12 s would allow
+    assert INCREMENT.age_cycles(0.012, bound_s=0.12) == 10
+    assert INCREMENT.age_cycles(0.012, bound_s=0.06) == 5
+    assert replace(INCREMENT, max_age_s=0.03).age_cycles(0.012, bound_s=0.06) == 2
+    with pytest.raises(ValueError, match="verdict has no greatest age"):
+        VERDICT.age_s(0.012)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_every_topic_has_somebody_who_says_it_and_somebody_who_hears_it(topic: Topic) -> None:
+    assert topic.publishers
+    assert topic.readers
+    clients = {*topic.publishers, *topic.readers} & {Party.CLIENT}
+    assert bool(clients) == (topic.realm is Realm.OPEN)
+
+
+def test_what_the_hli_makes_of_a_sign_of_life_comes_no_faster_than_that() -> None:
+    assert PROXIMITY.period_s(0.012) >= HEALTH.period_s(0.012)

@@ -84,8 +84,13 @@ def test_a_stop_is_obeyed_whenever_it_comes_and_however_often(rig, changes):
     for _ in range(2):
         for _ in range(MAX_AGE_CYCLES):
             rig.cycle()
-        assert replies(rig, stop) == [CommandReply(id=stop.id, accepted=True)]
+        said = replies(rig, stop)
         assert rig.sim.memory().robots["fr"].orders.standing_stop is ReasonCode.OPERATOR_STOP
+        for _ in range(4):
+            rig.cycle()
+            said += [message for message in rig.said if isinstance(message, CommandReply)]
+        assert said == [CommandReply(id=stop.id, accepted=True)]
+        assert rig.state.phase is Phase.HELD
     assert rig.sim.memory().command_id == max(1, stop.id)
 
 

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from small_cell import small_cell
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.identity import content_identity
+from deltaq_cell.load import load_cell
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Command, Plan, Request, ServerState, Supervision
 from deltaq_protocol.messages import Message, Phase
@@ -23,6 +25,9 @@ NUMBERS = st.integers(0, 8) | st.sampled_from([2**31, 2**63 - 1])
 REALS = st.floats(-3, 3) | st.sampled_from([0.0, -0.0, 1e-308, 1e6, -1e12, 1e300, -1.7e308])
 JOINTS = (
     st.sampled_from([6, 6, 9, 1, 32]).flatmap(lambda n: st.lists(REALS, min_size=n, max_size=n)).map(tuple)
+)
+CELLS = st.sampled_from(
+    [str(content_identity(load_cell("lab"))), str(content_identity(small_cell())), "", "lab 0", " - \0"]
 )
 PHASES, REASONS = st.sampled_from(list(Phase)), st.none() | st.sampled_from(list(ReasonCode))
 OUTPUTS = st.dictionaries(st.text(max_size=3) | st.just("gripper"), st.booleans(), max_size=2)
@@ -51,6 +56,7 @@ def states(draw: st.DrawFn) -> ServerState:
             reason=REASONS,
             resets=NUMBERS,
             outputs=OUTPUTS,
+            cell=CELLS,
         )
     )
 
@@ -66,7 +72,14 @@ ADMISSIONS = st.builds(
     follows_q_cmd=JOINTS, follows_dq=JOINTS, dq=JOINTS, brake_cycles=st.integers(1, 10_000),
 )  # fmt: skip
 SUPERVISIONS = st.builds(
-    Supervision, robot=ROBOTS, epoch=NUMBERS, cycle=NUMBERS, stop=REASONS, resets=NUMBERS, outputs=OUTPUTS
+    Supervision,
+    robot=ROBOTS,
+    epoch=NUMBERS,
+    cycle=NUMBERS,
+    stop=REASONS,
+    resets=NUMBERS,
+    outputs=OUTPUTS,
+    cell=CELLS,
 )
 lasting = settings(
     deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]

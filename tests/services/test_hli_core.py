@@ -447,7 +447,10 @@ def test_while_a_robot_is_leased_only_the_holder_sets_its_outputs_and_anybody_re
 def test_the_nearest_pair_is_published_when_the_gate_tells_it_and_only_then() -> None:
     bench = Bench()
     pair = NearestPair(pair=("fr/link_5", "floor"), distance_m=0.4, points_m=((0, 0, 0), (0, 0, 0.4)))
-    health = Health(service="sim", healthy=True, time_s=1.0, nearest=pair, counters={"admitted": 3})
+    cell = bench.core.told.identity
+    health = Health(
+        service="sim", healthy=True, time_s=1.0, nearest=pair, counters={"admitted": 3}, cell=cell
+    )
     other = health.model_copy(update={"service": "robot-server-fr"})
     assert bench.core.on_health(other, bench.now) == []
     published = bench.core.on_health(health, bench.now)
@@ -463,7 +466,13 @@ def test_the_status_shows_a_robot_that_fell_silent_as_offline_with_the_age_of_it
     assert (robot.phase, robot.cycle, robot.lease.holder) == (Phase.OFFLINE, 100, "octave")
     assert robot.state_age_s == pytest.approx(0.3)
     assert status.robots["gr"].state_age_s is None
-    assert bench.core.unheard(bench.now, 2.0) == ["robot gr", "gate"]
+    assert status.lagging == (
+        "fr: no server-state for 0.3 s, at most 0.12 s",
+        "gr: no server-state yet",
+        "sim: no health yet",
+        "robot-server-fr: no health yet",
+        "robot-server-gr: no health yet",
+    )
 
 
 # --- dry runs and contacts --------------------------------------------------------------------------

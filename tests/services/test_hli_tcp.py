@@ -197,10 +197,10 @@ async def test_a_client_of_another_version_is_told_both_versions_and_disconnecte
     running: Running, extra: dict[str, Any]
 ) -> None:
     async with json_client(running.port, name=None) as client:
-        client.send(type="hello", protocol=2, client="future", **extra)
+        client.send(type="hello", protocol=3, client="future", **extra)
         error = await client.receive("error", "welcome")
         assert error["code"] == "protocol_version"
-        assert error["message"] == "client speaks protocol 2, this server 1"
+        assert error["message"] == "client speaks protocol 3, this server 1 and 2"
         await client.ended()
 
 
@@ -488,12 +488,19 @@ async def test_the_health_of_the_hli_names_what_it_does_not_hear(running: Runnin
     await running.peer.turn()
     running.peer.publish_from_sim(
         topics.HEALTH.key("small", service="sim"),
-        Health(service="sim", healthy=True, time_s=0.0, counters={"admitted": 1}),
+        Health(
+            service="sim",
+            healthy=True,
+            time_s=0.0,
+            counters={"admitted": 1},
+            cell=running.hli.core.told.identity,
+        ),
     )
     async with asyncio.timeout(10):
         while running.hli.status().gate != {"admitted": 1}:
             await asyncio.sleep(0.005)
         health = await running.peer.health.get()
-        while health.detail != "not heard: robot gr":
+        while "gr: no server-state yet" not in health.detail:
             health = await running.peer.health.get()
+    assert health.detail.startswith("lagging: ")
     assert health.service == "hli"

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from deltaq_cell.identity import content_identity
 from deltaq_cell.load import load_cell
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Supervision
@@ -17,6 +18,7 @@ FR = CELL.robots["fr"]
 EPOCH = 7
 STEP = FR.max_acceleration * CELL.cycle_s**2
 GATE_TIMEOUT = math.ceil(CELL.gate.gate_timeout_s / CELL.cycle_s)
+IDENTITY = str(content_identity(CELL))
 KRC_TIMEOUT = math.ceil(CELL.gate.krc_timeout_s / CELL.cycle_s)
 
 
@@ -32,7 +34,9 @@ class Rig:
 
     def cycle(self, admission=None, gate=True, stop=None, epoch=EPOCH, q_start=None, missed_last=False):
         self.ipoc += 12
-        supervision = Supervision(robot="fr", epoch=epoch, cycle=0, stop=stop, resets=self.resets)
+        supervision = Supervision(
+            robot="fr", epoch=epoch, cycle=0, stop=stop, resets=self.resets, cell=IDENTITY
+        )
         measured = Measurement(self.ipoc, self.q, q_start=q_start, missed_last=missed_last)
         self.q = self.server.cycle(measured, self.ipoc / 1000, admission, supervision if gate else None)
         return self.server.state
@@ -88,7 +92,9 @@ def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_t
     server = RobotServer(CELL, "gr", process=1)
     assert server.outputs == {"gripper": False, "tool_changer": False}
     home = CELL.robots["gr"].home
-    orders = Supervision(robot="gr", epoch=EPOCH, cycle=0, outputs={"gripper": True, "lamp": True})
+    orders = Supervision(
+        robot="gr", epoch=EPOCH, cycle=0, outputs={"gripper": True, "lamp": True}, cell=IDENTITY
+    )
     server.cycle(Measurement(12, home, q_start=home, inputs={"closed": True}), 0.0, None, orders)
     assert server.outputs == server.state.outputs == {"gripper": True, "tool_changer": False}
     assert server.state.inputs == {"closed": True}
@@ -281,7 +287,7 @@ def test_replies_may_be_missed_for_their_time_and_no_cycle_longer(rig):
 
 def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
     server = RobotServer(CELL, "fr", process=1)
-    alive = Supervision(robot="fr", epoch=EPOCH, cycle=0)
+    alive = Supervision(robot="fr", epoch=EPOCH, cycle=0, cell=IDENTITY)
     for count in range(KRC_TIMEOUT + 1):
         assert server.state is None or server.state.phase is Phase.READY
         q_start = FR.home if count == 0 else None

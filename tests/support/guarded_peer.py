@@ -25,7 +25,7 @@ class GuardedPeer:
     Attributes:
         increments: requests with an increment, as they came.
         commands: as they came.
-        health: the HLI's signs of life, as they came.
+        health: the HLI's heartbeats, as they came.
         judges: answers requests with verdicts.
         refuses: reason for which commands are refused.
     """

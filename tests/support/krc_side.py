@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 
 from deltaq_cell.find import find_cell, resolve_near
+from deltaq_cell.identity import content_identity
 from deltaq_cell.load import load_cell
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Supervision
@@ -73,7 +74,14 @@ class KrcSide:
 
     def answer(self, datagram, admission=None):
         """The server's answer to a datagram in bytes, the gate being heard; None if there is none."""
-        supervision = Supervision(robot="fr", epoch=EPOCH, cycle=0, stop=self.order, resets=self.resets)
+        supervision = Supervision(
+            robot="fr",
+            epoch=EPOCH,
+            cycle=0,
+            stop=self.order,
+            resets=self.resets,
+            cell=str(content_identity(self.cell)),
+        )
         measured = self.driver.read(datagram, self.time_s)
         if measured is None:
             return self.driver.unmoved

@@ -8,6 +8,7 @@ import socket
 from typing import Any
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
 from deltaq_cell.summary import robot_summary
 from deltaq_protocol.guarded import Plan, ServerState
 from deltaq_protocol.messages import Description, Phase, ToolPose
@@ -86,6 +87,7 @@ def told(cell: CellDescription) -> Description:
         robots={name: robot_summary(robot, cell.cycle_s) for name, robot in cell.robots.items()},
         yaml="cell: small\n",
         urdf=dict.fromkeys(cell.robots, "<robot/>"),
+        identity=str(content_identity(cell)),
     )
 
 

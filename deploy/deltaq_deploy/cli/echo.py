@@ -10,7 +10,7 @@ from deltaq_deploy.cli.options import CellOption, UrlOption
 
 
 def echo(
-    topic: Annotated[str, typer.Argument(help="state, verdict, increment or proximity.")],
+    topic: Annotated[str, typer.Argument(help="state, verdict or proximity.")],
     cell: CellOption = "lab",
     url: UrlOption = None,
     robot: Annotated[str, typer.Option(help="Only this robot.")] = "",

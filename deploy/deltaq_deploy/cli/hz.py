@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,6 +10,8 @@ from deltaq_deploy.cli.options import CellOption, JsonOption, UrlOption
 
 if TYPE_CHECKING:
     from deltaq_deploy.running import Listener
+    from deltaq_protocol.messages import Description
+    from deltaq_protocol.topic import Topic
 
 
 def hz(
@@ -25,40 +26,61 @@ def hz(
     from deltaq_deploy.cli.console import print_json, print_table
     from deltaq_deploy.rates import rate_of
     from deltaq_deploy.running import Where, describe, listen
+    from deltaq_services.lagging import lags
 
     where = Where.of(cell, url)
     description = describe(where, "deltaq hz")
     with listen(where) as listener:
-        arrivals = _listen(listener, duration_s)
-    rates = {key: rate_of(times) for key, times in sorted(arrivals.items())}
+        arrivals = _listen(listener, description, duration_s)
+    rates = {key: rate_of(times) for key, (_, times) in sorted(arrivals.items())}
+    expected = {key: row.steady_hz(description.cycle_s) for key, (row, _) in arrivals.items()}
+    lagging = {key: lags(row, description.cycle_s, rates[key].rate_hz) for key, (row, _) in arrivals.items()}
     if json:
         print_json(
             {
                 "cell": description.cell,
                 "cycle_s": description.cycle_s,
-                "topics": {key: asdict(rate) for key, rate in rates.items()},
+                "topics": {
+                    key: asdict(rate) | {"expected_hz": expected[key], "lagging": lagging[key]}
+                    for key, rate in rates.items()
+                },
             }
         )
         return
     print_table(
         f"{description.cell}: cycle {description.cycle_s * 1000:g} ms, heard for {duration_s:g} s",
-        ("key", "messages", "Hz", "median ms", "p99 ms", "longest ms"),
+        ("key", "messages", "Hz", "expected", "median ms", "p99 ms", "longest ms"),
         (
-            (key, rate.count, _number(rate.rate_hz), *(_ms(value) for value in _periods(rate)))
+            (
+                key,
+                rate.count,
+                _number(rate.rate_hz),
+                f"{_number(expected[key]) or 'any'}{', lagging' if lagging[key] else ''}",
+                *(_ms(value) for value in _periods(rate)),
+            )
             for key, rate in rates.items()
         ),
     )
 
 
-def _listen(listener: Listener, duration_s: float) -> dict[str, list[float]]:
+def _listen(
+    listener: Listener, description: Description, duration_s: float
+) -> dict[str, tuple[Topic, list[float]]]:
+    """When messages came, by key; a stream that has to come and does not is there too."""
     import time
 
     from deltaq_deploy.cli.topics import open_streams
 
-    arrivals: dict[str, list[float]] = defaultdict(list)
+    arrivals: dict[str, tuple[Topic, list[float]]] = {}
+
+    def take(sample: Any, row: Topic) -> None:
+        arrivals.setdefault(str(sample.key_expr), (row, []))[1].append(time.monotonic())
+
+    for row in open_streams():
+        if row.steady_hz(description.cycle_s) is not None:
+            arrivals |= {row.key(description.cell, robot=robot): (row, []) for robot in description.robots}
     subscribers = [
-        listener.subscribe(row, lambda sample: arrivals[str(sample.key_expr)].append(time.monotonic()))
-        for row in open_streams()
+        listener.subscribe(row, lambda sample, row=row: take(sample, row)) for row in open_streams()
     ]
     try:
         time.sleep(duration_s)

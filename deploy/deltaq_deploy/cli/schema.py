@@ -22,8 +22,12 @@ def schema(
             "key": row.template,
             "realm": row.realm.value,
             "kind": row.kind.value,
-            "rate": row.rate,
+            "publishers": [party.value for party in row.publishers],
+            "readers": [party.value for party in row.readers],
+            "rate": row.rate_text,
             "max_age_cycles": row.max_age_cycles,
+            "max_age_s": row.max_age_s,
+            "priority": row.priority.value,
             "message": row.message.model_json_schema(),
             "reply": row.reply.model_json_schema() if row.reply else None,
         }

@@ -47,7 +47,9 @@ def shown(answer: Status, cell: Description) -> Group:
     lines += [f"{name}: {counts(robot.counters)}" for name, robot in answer.robots.items()]
     if answer.contacts:
         lines.append(f"contacts allowed: {', '.join(answer.contacts)}")
+    lines += [f"another cell: {said}" for said in answer.mismatches]
+    lines += [f"lagging: {fault}" for fault in answer.lagging]
     if answer.nearest is not None:
         pair = " and ".join(answer.nearest.pair)
         lines.append(f"nearest: {pair}, {answer.nearest.distance_m * 1000:.0f} mm")
-    return Group(table_of(f"cell {answer.cell}", columns, rows), *map(Text, lines))
+    return Group(table_of(f"cell {answer.identity or answer.cell}", columns, rows), *map(Text, lines))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 
+from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.topics import TOPICS, Kind, Realm, Topic
+from deltaq_protocol.topic import Kind, Party, Realm, Topic
 
 
 class UnknownTopicError(DeltaqError):
@@ -18,18 +19,22 @@ def by_name(name: str) -> Topic:
     Raises:
         UnknownTopicError: naming those that there are.
     """
-    for topic in TOPICS:
+    for topic in topics.TOPICS:
         if topic.name == name:
             return topic
-    names = [topic.name for topic in TOPICS]
+    names = [topic.name for topic in topics.TOPICS]
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     raise UnknownTopicError(f"no topic {name!r}; {hint}the topics are {', '.join(names)}")
 
 
 def open_streams() -> tuple[Topic, ...]:
-    """The topics that a client can watch."""
-    return tuple(topic for topic in TOPICS if topic.realm is Realm.OPEN and topic.kind is Kind.STREAM)
+    """What a client can watch: the streams of the open realm that the table lets clients read."""
+    return tuple(
+        topic
+        for topic in topics.TOPICS
+        if (topic.realm, topic.kind) == (Realm.OPEN, Kind.STREAM) and Party.CLIENT in topic.readers
+    )
 
 
 def open_stream(name: str) -> Topic:
@@ -44,6 +49,8 @@ def open_stream(name: str) -> Topic:
             "is in the guarded realm, which no client reaches"
             if topic.realm is Realm.GUARDED
             else "is a query"
+            if topic.kind is Kind.QUERY
+            else f"is read by the {' and the '.join(topic.readers)} alone"
         )
         names = ", ".join(row.name for row in open_streams())
         raise UnknownTopicError(f"topic {name!r} {why}; those that can be watched are {names}")

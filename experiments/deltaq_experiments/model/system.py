@@ -124,7 +124,7 @@ class System:
         for a in (None, *range(len(world.admissions))):
             for s in (None, *range(len(world.supervisions))):
                 what = f"telegram with {_which(a, 'admission', world.admissions)} and "
-                what += _which(s, "sign of life", world.supervisions)
+                what += _which(s, "heartbeat", world.supervisions)
                 faults = (a != admission) + (s != supervision)
                 yield what, faults, partial(self._telegram, a=a, s=s)
         if world.server.state is not None:
@@ -256,7 +256,7 @@ class System:
         state = world.gate.robots[ROBOT].tracker.state
         cycle = state.cycle if state is not None else 0
         yield (
-            "the HLI gives a sign of life",
+            "the HLI gives a heartbeat",
             0,
             lambda w: self._asks(w, Request(robot=ROBOT, cycle=cycle, lease_epoch=1)),
         )

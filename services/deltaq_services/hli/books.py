@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
-from deltaq_protocol.guarded import Command
+from deltaq_protocol.guarded import Command, Health
+from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Commands
@@ -18,28 +18,54 @@ from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
 
-_ROUNDING = 1e-9
-
 
 class Books:
     """State of the HLI, shared by the parts of its core.
 
     Args:
         cell: description of the cell.
+        identity: its name and hash.
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
     """
 
-    def __init__(self, cell: CellDescription, new_token: Callable[[], str], first_epoch: int) -> None:
-        age = cell.gate.max_request_age_s
+    def __init__(
+        self,
+        cell: CellDescription,
+        identity: CellIdentity,
+        new_token: Callable[[], str],
+        first_epoch: int,
+    ) -> None:
+        age_s = cell.gate.max_request_age_s
         self.cell = cell
+        self.identity = identity
+        self.mismatches: dict[str, str] = {}
         self.counters: Counter[str] = Counter()
         self.leases = Leases(cell.robots, cell.lease_s, new_token, first_epoch)
         self.commands = Commands(first_epoch)
         self.links = {
-            name: RobotLink(len(robot.joints), math.floor(age / cell.cycle_s + _ROUNDING), age)
+            name: RobotLink(
+                len(robot.joints),
+                topics.INCREMENT.age_cycles(cell.cycle_s, age_s),
+                topics.SERVER_STATE.age_s(cell.cycle_s, age_s),
+            )
             for name, robot in cell.robots.items()
         }
+
+    def compare(self, health: Health) -> None:
+        """Compare the cell that a service has read with this one's."""
+        theirs = CellIdentity.parse(health.cell)
+        if self.identity.is_same(theirs):
+            self.mismatches.pop(health.service, None)
+            return
+        self.counters["signs_of_life_of_another_cell"] += 1
+        self.mismatches[health.service] = mismatch(health.service, theirs, self.identity)
+
+    def mismatch(self) -> Reason | None:
+        """Why nothing moves, where a service has read another cell than this one."""
+        for said in self.mismatches.values():
+            return Reason(code=ReasonCode.CELL_MISMATCH, what=said)
+        return None
 
     def tick(self, time_s: float) -> list[Output]:
         """Let leases and commands run out."""
@@ -114,6 +140,19 @@ class Books:
     def command(
         self, command: Command, sender: Sender | None, done: Done | IoReply | None, time_s: float
     ) -> list[Output]:
-        """Send a command to the gate; its sender gets `done`, or the reply's verdict, when the gate has answered."""
+        """Send a command to the gate and remember whom to tell `done`, or the reply's verdict, when it has answered.
+
+        Where a service has read another cell, nothing but a stop is sent.
+        """
+        if command.kind != "stop" and self.mismatches:
+            said = "; ".join(self.mismatches.values())
+            error = Error(
+                code=ReasonCode.CELL_MISMATCH,
+                message=f"{command.kind} refused: {said}",
+                hint="start every service of the cell from the same description",
+                request=command.kind,
+                robot=command.robot,
+            )
+            return [] if sender is None else [ToSender(sender, error)]
         self.commands.sent(command, sender, done, time_s)
         return [ToGuarded(topics.COMMAND, "", command)]

@@ -11,12 +11,30 @@ from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 
 REPLY_DEADLINE_S = 0.5
-"""Silence of the gate after which a command counts as not carried out."""
+"""Silence of the gate after which a command counts as not confirmed."""
 
 _HINTS = {
     ReasonCode.CAUSE_STANDS: "remove the cause, then reset again",
     ReasonCode.NOT_AT_REST: "wait until the robot is at rest, then reset again",
 }
+
+
+_WITHOUT_GATE = "without the gate every robot brakes to rest by itself; see `deltaq status`"
+_HINTS_UNCONFIRMED = {
+    "stop": "it was sent, and is obeyed by all that it reaches; " + _WITHOUT_GATE,
+    "reset": "it was sent, and may still be carried out; see `deltaq status`",
+}
+
+
+def _unconfirmed(command: Command) -> str:
+    match command.kind:
+        case "stop":
+            what = f" that {command.robot or 'every robot'} is held"
+        case "reset":
+            what = f" that {command.robot or 'every robot'} is reset"
+        case _:
+            what = ""
+    return f"{command.kind} is not confirmed: the gate did not answer within {REPLY_DEADLINE_S:g} s{what}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +48,8 @@ class _Awaited:
 class Commands:
     """The commands that are in flight.
 
-    It learns the gate's epoch, and the ids of an earlier process, when the gate refuses a command because of them.
+    Of the gate's epoch and of the ids of an earlier process this one hears by the gate's heartbeats, so that the
+    first command is good; or, when the gate began anew since, as it refuses a command for them.
 
     Args:
         first_id: greater than any id used before, as far as that can be known.
@@ -58,7 +77,7 @@ class Commands:
         """Answer the sender of the command, or send the command again as the gate requires."""
         asked = self._awaited.get(reply.id)
         if asked is not None and reply.epoch is not None and reply.newest_id is not None:
-            self._learn(reply.epoch, reply.newest_id)
+            self.learn(reply.epoch, reply.newest_id)
             unknowing = asked.command.epoch != reply.epoch or asked.command.id <= self._outdated_id
             # what was asked before a stop must not come after it
             if unknowing and asked.command.id > self._stop_id:
@@ -82,7 +101,12 @@ class Commands:
         )
         return [ToSender(awaited.sender, error)]
 
-    def _learn(self, epoch: int, newest_id: int) -> None:
+    def suppose(self, epoch: int) -> None:
+        """A Robot Server follows the gate of this epoch (0: none yet); what the gate itself says counts more."""
+        self._epoch = self._epoch or epoch
+
+    def learn(self, epoch: int, newest_id: int) -> None:
+        """The gate says of what epoch it is, and how far ids have come."""
         self._epoch = epoch
         if newest_id > self._id:
             self._outdated_id, self._id = self._id, newest_id
@@ -102,8 +126,8 @@ class Commands:
                 awaited.sender,
                 Error(
                     code=ReasonCode.UNREACHABLE,
-                    message=f"the gate did not answer {awaited.command.kind} within {REPLY_DEADLINE_S:g} s",
-                    hint="without the gate every robot brakes to rest by itself; see `deltaq status`",
+                    message=_unconfirmed(awaited.command),
+                    hint=_HINTS_UNCONFIRMED.get(awaited.command.kind, _WITHOUT_GATE),
                     request=awaited.command.kind,
                     robot=awaited.command.robot or None,
                 ),

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
+from deltaq_protocol.identity import CellIdentity
 from deltaq_protocol.messages import (
-    PROTOCOL_VERSION,
+    LINE_VERSIONS,
     Description,
     Error,
     Hello,
@@ -33,6 +34,8 @@ from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
+from deltaq_services.lagging import Heard
+from deltaq_services.pace import Pace
 
 
 class HliCore:
@@ -61,10 +64,15 @@ class HliCore:
         first_epoch: int,
         operator_token: str | None = None,
     ) -> None:
-        self._books = Books(cell, new_token, first_epoch)
+        self._books = Books(cell, CellIdentity.parse(told.identity), new_token, first_epoch)
         self._tool_pose = tool_pose
         self._gate: Health | None = None
         self._gate_heard_s = -math.inf
+        bound_s = cell.gate.max_request_age_s
+        self._states = {name: Heard(name, topics.SERVER_STATE, cell.cycle_s, bound_s) for name in cell.robots}
+        services = ("sim", *(f"robot-server-{name}" for name in cell.robots))
+        self._services = {name: Heard(name, topics.HEALTH, cell.cycle_s) for name in services}
+        self._proximity = Pace(topics.PROXIMITY.period_s(cell.cycle_s))
         self.told = told
         self.counters = self._books.counters
         self.increments = Increments(self._books)
@@ -77,8 +85,10 @@ class HliCore:
             self.counters["states_ignored"] += 1
             return []
         self.counters["states"] += 1
+        self._states[state.robot].at(time_s)
         outputs = self._books.tick(time_s)
         link.take_state(state, time_s)
+        self._books.commands.suppose(state.epoch)
         outputs += self.increments.on_cycle(state.robot, link, time_s)
         told = RobotState(
             robot=state.robot,
@@ -117,23 +127,36 @@ class HliCore:
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
         """A service is alive; the gate's heartbeat brings its counters and the nearest pair."""
+        if health.service in self._services:
+            self._services[health.service].at(time_s)
+            self._books.compare(health)
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s
-        if health.nearest is None:
+        if health.epoch is not None:
+            self._books.commands.learn(health.epoch, health.newest_id or 0)
+        if health.nearest is None or not self._proximity.due(time_s):
             return []
         return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
 
     def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
-        """Welcome a client, or refuse one that speaks another version."""
-        if hello.protocol != PROTOCOL_VERSION:
+        """Welcome a client, or tell it that it speaks another version."""
+        if hello.protocol not in LINE_VERSIONS:
             self.counters["version_mismatches"] += 1
-            text = f"client speaks protocol {hello.protocol}, this server {PROTOCOL_VERSION}"
+            ours = " and ".join(map(str, LINE_VERSIONS))
+            text = f"client speaks protocol {hello.protocol}, this server {ours}"
             hint = "install the deltaq version that the server runs"
             error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
             return [ToSender(sender, error)]
         told = self.told
-        return [ToSender(sender, Welcome(cell=told.cell, cycle_s=told.cycle_s, robots=told.robots))]
+        welcome = Welcome(
+            protocol=hello.protocol,
+            cell=told.cell,
+            cycle_s=told.cycle_s,
+            robots=told.robots,
+            identity=told.identity,
+        )
+        return [ToSender(sender, welcome)]
 
     def on_tick(self, time_s: float) -> list[Output]:
         """Let leases and commands run out."""
@@ -153,13 +176,21 @@ class HliCore:
             contacts=gate.contacts if gate else (),
             hli=dict(self.counters + front_counters),
             nearest=gate.nearest if gate else None,
+            lagging=self.lagging(time_s),
+            identity=self.told.identity,
+            mismatches=self.mismatches,
         )
 
-    def unheard(self, time_s: float, timeout_s: float) -> list[str]:
-        """The gate and the robots that have not been heard for a while."""
-        heard = {f"robot {name}": link.received_s for name, link in self._books.links.items()}
-        heard["gate"] = self._gate_heard_s
-        return [name for name, at_s in heard.items() if time_s - at_s > timeout_s]
+    @property
+    def mismatches(self) -> tuple[str, ...]:
+        """Services that have read another cell than this one has, for people."""
+        return tuple(self._books.mismatches.values())
+
+    def lagging(self, time_s: float) -> tuple[str, ...]:
+        """What is silent, or comes more slowly than the table of topics says; for people."""
+        streams = (*self._states.values(), *self._services.values())
+        faults = (stream.fault(time_s) for stream in streams)
+        return tuple(fault for fault in faults if fault is not None)
 
     def _robot_status(self, robot: str, link: RobotLink, time_s: float) -> RobotStatus:
         state, lease = link.state, self._books.leases.of(robot)

@@ -10,13 +10,14 @@ import zenoh
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.access import access
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
 from deltaq_protocol.messages import Message, Verdict
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import open_session
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.hli.outputs import Output
 from deltaq_services.hli.port import Port
@@ -39,7 +40,10 @@ class GuardedFront:
         self._port = port
         endpoints = [robot.server for robot in cell.robots.values()] + [cell.sim]
         self._seal = guarded_seal(cell)
-        self._session = LoopSession(open_session(connect=endpoints), cell.cell, port.loop, self._seal)
+        rules = access(Party.HLI, Realm.GUARDED, cell.cell)
+        self._session = LoopSession(
+            open_session(connect=endpoints, access=rules), cell.cell, port.loop, self._seal
+        )
         self._session.subscribe(topics.SERVER_STATE, self._on_state)
         self._session.subscribe(topics.GATE_VERDICT, self._on_verdict)
         self._session.subscribe(topics.COMMAND_REPLY, self._on_command_reply)
@@ -47,8 +51,7 @@ class GuardedFront:
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the guarded realm."""
-        key = topic.key(self._cell, robot=robot, service="hli")
-        self._session.publish(key, message)
+        self._session.publish(topic, message, robot=robot, service="hli")
 
     def counters(self) -> Counter[str]:
         """What the session counted."""

@@ -31,7 +31,7 @@ class Increments:
         reason = self._sequence_fault(robot, lease, seq, time_s)
         link = self._books.links.get(robot)
         if reason is None and link is not None:
-            reason = link.fault(increment, time_s)
+            reason = self._books.mismatch() or link.fault(increment, time_s)
         if reason is not None or lease is None or link is None:
             return outputs + self._books.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
         lease.used = True
@@ -78,7 +78,9 @@ class Increments:
         outputs: list[Output] = []
         waited = link.drop()
         if waited is not None:
-            reason = link.fault(waited.increment, time_s)  # it may have gone stale, or the robot been held
+            reason = self._books.mismatch() or link.fault(
+                waited.increment, time_s
+            )  # it may have gone stale, or the robot been held
             if reason is not None:
                 outputs = self._books.refuse_asked(waited, reason)
             else:

@@ -10,6 +10,7 @@ import zenoh
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import (
     ContactRequest,
@@ -23,7 +24,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.hli.outputs import Output, Sender
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
@@ -62,7 +63,9 @@ class OpenFront:
         self._cell = cell.cell
         self._robots = frozenset(cell.robots)
         self._port = port
-        session = self._session = LoopSession(open_session(listen=[cell.hli]), cell.cell, port.loop)
+        rules = access(Party.HLI, Realm.OPEN, cell.cell)
+        opened = open_session(listen=[cell.hli], access=rules)
+        session = self._session = LoopSession(opened, cell.cell, port.loop)
         session.subscribe(topics.INCREMENT, self._on_increment)
         session.answer(topics.LEASE, self._on_lease)
         session.answer(topics.IO, self._on_io)
@@ -76,11 +79,10 @@ class OpenFront:
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the open realm."""
-        key = topic.key(self._cell, robot=robot)
         if robot and robot not in self._robots:
-            self._session.publish_once(key, message)
+            self._session.publish_once(topic, message, robot=robot)
         else:
-            self._session.publish(key, message)
+            self._session.publish(topic, message, robot=robot)
 
     def counters(self) -> Counter[str]:
         """What the session counted."""

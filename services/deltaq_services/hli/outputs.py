@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 from deltaq_protocol.messages import Message
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Topic
 
 
 class Sender(ABC):

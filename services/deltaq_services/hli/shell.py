@@ -17,11 +17,9 @@ from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
 from deltaq_services.hli.outputs import Output, ToGuarded, ToOpen
 from deltaq_services.hli.tcp_front import TcpFront
+from deltaq_services.pace import Pace
 
 _TICK_S = 0.02
-_HEALTH_S = 0.5
-_SILENCE_S = 2.0
-"""Silence after which `Health` says that a peer has not been heard."""
 
 
 class Hli:
@@ -50,7 +48,7 @@ class Hli:
         self.core = HliCore(cell, told, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token)
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
-        self._health_due_s = 0.0
+        self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
 
     async def __aenter__(self) -> Hli:
         self.loop = asyncio.get_running_loop()
@@ -99,17 +97,18 @@ class Hli:
         now = self.now()
         self._next_tick = self.loop.call_at(now + _TICK_S, self._tick)
         self.carry_out(self.core.on_tick(now))
-        if now >= self._health_due_s:
-            self._health_due_s = now + _HEALTH_S
+        if self._pace.due(now):
             self._publish_health(now)
 
     def _publish_health(self, now: float) -> None:
-        unheard = self.core.unheard(now, _SILENCE_S)
+        lagging = self.core.lagging(now)
         counters = self.core.counters + self._front_counters()
+        details = (*self.core.mismatches, *((f"lagging: {'; '.join(lagging)}",) if lagging else ()))
         health = Health(
             service="hli",
-            healthy=True,
-            detail=f"not heard: {', '.join(unheard)}" if unheard else "",
+            healthy=not self.core.mismatches,
+            detail="; ".join(details),
+            cell=self.core.told.identity,
             time_s=now,
             counters=dict(counters),
         )

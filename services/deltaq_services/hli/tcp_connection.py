@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map, to_line
 from deltaq_protocol.messages import (
+    LINE_VERSIONS,
     PROTOCOL_VERSION,
     ContactRequest,
     DescribeRequest,
@@ -234,7 +235,7 @@ class TcpConnection(asyncio.Protocol, Sender):
     def _greet(self, hello: Hello) -> list[Output]:
         outputs = self._port.core.on_hello(hello, self)
         self._port.carry_out(outputs)
-        if hello.protocol != PROTOCOL_VERSION:
+        if hello.protocol not in LINE_VERSIONS:
             self.close()
         else:
             self._client = hello
@@ -276,6 +277,6 @@ class TcpConnection(asyncio.Protocol, Sender):
 def _hello(data: dict[str, Any]) -> Hello:
     """The hello; one of another version may have fields that this one does not know."""
     protocol = data.get("protocol")
-    if isinstance(protocol, int) and protocol != PROTOCOL_VERSION:
+    if isinstance(protocol, int) and protocol not in LINE_VERSIONS:
         data = {"type": "hello", "protocol": protocol, "client": "of another version"}
     return from_map(Hello, data)

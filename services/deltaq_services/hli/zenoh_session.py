@@ -13,8 +13,8 @@ from deltaq_protocol.codec import pack
 from deltaq_protocol.inbox import Inbox
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import UNSEALED, Seal
-from deltaq_protocol.session import declare_publisher
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.session import declare_publisher, sending
+from deltaq_protocol.topic import Topic
 
 _WAITING = 256
 """Samples or queries of one topic that may wait for the loop; at rest there is none."""
@@ -51,16 +51,19 @@ class LoopSession:
         callback = self._callback(topic, take)
         self._declared.append(self._session.declare_queryable(topic.key(self._cell), callback))
 
-    def publish(self, key: str, message: Message) -> None:
-        """Publish a message."""
+    def publish(self, topic: Topic, message: Message, **fields: str) -> None:
+        """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
+        key = topic.key(self._cell, **fields)
         publisher = self._publishers.get(key)
         if publisher is None:
-            publisher = self._publishers[key] = declare_publisher(self._session, key, self._seal)
+            publisher = self._publishers[key] = declare_publisher(
+                self._session, key, self._seal, topic.priority
+            )
         publisher.put(pack(message))
 
-    def publish_once(self, key: str, message: Message) -> None:
-        """Publish a message on a key outside the table of topics, without keeping a publisher."""
-        self._session.put(key, pack(message))
+    def publish_once(self, topic: Topic, message: Message, **fields: str) -> None:
+        """Publish a message on a key that is not one of ours, without keeping anything for the next time."""
+        self._session.put(topic.key(self._cell, **fields), pack(message), **sending(topic.priority))
 
     def counters(self) -> Counter[str]:
         """Counts of messages that were dropped because they came too fast, and of those that could not be served."""

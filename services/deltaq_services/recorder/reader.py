@@ -30,7 +30,8 @@ from deltaq_cell.load import parse_cell
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Message
-from deltaq_protocol.topics import TOPICS, Topic
+from deltaq_protocol.topic import Topic
+from deltaq_protocol.topics import TOPICS
 from deltaq_services.recorder.protobuf import to_message
 from deltaq_services.recorder.writer import CELL_FILE, HULLS_FILE, METADATA
 

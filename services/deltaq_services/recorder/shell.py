@@ -13,19 +13,21 @@ from pathlib import Path
 from typing import Any
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateEntry, GateMemory
+from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.session import open_session
-from deltaq_protocol.topics import TOPICS, Kind, Realm
+from deltaq_protocol.topic import Kind, Party, Realm, Topic
 from deltaq_services.recorder.writer import RecordingWriter
 
 _MOST_WAITING = 20_000
 """Messages that may wait to be written: some ten seconds of a cell."""
 
-_BY_NAME = {topic.name: topic for topic in TOPICS}
+_BY_NAME = {topic.name: topic for topic in topics.TOPICS}
 
 
 class OtherCellRunsError(DeltaqError):
@@ -54,17 +56,23 @@ class Recorder:
             description = running.description
         if description.cell != cell.cell:
             raise OtherCellRunsError(f"{cell.hli} serves cell {description.cell}, not {cell.cell}")
+        running_identity = CellIdentity.parse(description.identity)
+        if not content_identity(cell).is_same(running_identity):
+            raise OtherCellRunsError(
+                mismatch(f"the HLI at {cell.hli}", running_identity, content_identity(cell))
+            )
         self.lost = 0
         self.invalid = 0
-        self._came: queue.SimpleQueue[tuple[topics.Topic, bytes, int]] = queue.SimpleQueue()
+        self._came: queue.SimpleQueue[tuple[Topic, bytes, int]] = queue.SimpleQueue()
         self._session: Any = open_session(connect=[cell.hli, cell.sim], must_connect=True)
         try:
             self.writer = RecordingWriter(path, description, "live")
         except DeltaqError:
             self._session.close()
             raise
-        for topic in TOPICS:
-            if topic.realm is Realm.OPEN and topic.kind is Kind.STREAM and topic.recorded:
+        for topic in topics.TOPICS:
+            open_stream = topic.realm is Realm.OPEN and topic.kind is Kind.STREAM
+            if open_stream and Party.CLIENT in topic.readers and topic.recorded:
                 self._session.declare_subscriber(topic.key(cell.cell), lambda s, t=topic: self._put(t, s))
         # one subscriber for both, so that a snapshot keeps its place among the entries
         self._session.declare_subscriber(topics.GATE_KEYS.format(cell=cell.cell), self._put_gate)
@@ -96,7 +104,7 @@ class Recorder:
             except InvalidMessageError:
                 self.invalid += 1
 
-    def _put(self, topic: topics.Topic, sample: Any) -> None:
+    def _put(self, topic: Topic, sample: Any) -> None:
         if self._came.qsize() < _MOST_WAITING:
             self._came.put((topic, sample.payload.to_bytes(), time.time_ns()))
         else:
@@ -106,7 +114,7 @@ class Recorder:
         is_memory = str(sample.key_expr).endswith("/memory")
         self._put(topics.GATE_MEMORY if is_memory else topics.GATE_LOG, sample)
 
-    def _write(self, topic: topics.Topic, payload: bytes, time_ns: int) -> None:
+    def _write(self, topic: Topic, payload: bytes, time_ns: int) -> None:
         message = unpack(topic.message, payload)
         if isinstance(message, GateMemory):
             self.writer.gate_remembers(message, time_ns)

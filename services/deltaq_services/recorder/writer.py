@@ -18,7 +18,8 @@ from mcap_protobuf.writer import Writer
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateMemory
 from deltaq_protocol.messages import Description, Message, RobotState
-from deltaq_protocol.topics import GATE_MEMORY, STATE, Topic
+from deltaq_protocol.topic import Topic
+from deltaq_protocol.topics import GATE_MEMORY, STATE
 from deltaq_services.recorder.frames import Frames
 from deltaq_services.recorder.protobuf import recorded_schema
 
@@ -78,6 +79,7 @@ class RecordingWriter:
             "protocol": str(description.protocol),
             "source": source,
             "robots": " ".join(description.robots),
+            "identity": description.identity,
         }
         self._carefully(self._begin, about, description)
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
 from deltaq_protocol.messages import Phase
@@ -62,6 +63,7 @@ class RobotServer:
     def __init__(self, cell: CellDescription, robot: str, process: int) -> None:
         self.robot = robot
         self.process = process
+        self._identity = str(content_identity(cell))
         self.outputs: dict[str, bool] = dict.fromkeys(cell.robots[robot].outputs, False)
         self.motion_stop = False
         self.counters: Counter[str] = Counter()
@@ -220,6 +222,10 @@ class RobotServer:
             if self._cycles_without_gate > self._gate_timeout_cycles:
                 self._stop(ReasonCode.GATE_LOST)
             return
+        if supervision.cell != self._identity:
+            self.counters["supervision_of_another_cell"] += 1
+            self._stop(supervision.stop or ReasonCode.CELL_MISMATCH)
+            return
         self._cycles_without_gate = 0
         if self._phase is Phase.OFFLINE:
             self._epoch = supervision.epoch
@@ -303,4 +309,5 @@ class RobotServer:
             inputs=dict(measured.inputs),
             outputs=self.outputs,
             counters=dict(self.counters),
+            cell=self._identity,
         )

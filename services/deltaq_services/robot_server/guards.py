@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription
+from deltaq_protocol import topics
 from deltaq_protocol.brake import brake_travel
 from deltaq_protocol.guarded import Admission, ServerState
 
@@ -68,7 +69,7 @@ def refusal(admission: Admission, state: ServerState, bounds: Bounds) -> Refusal
         return Refusal.WRONG_EPOCH
     if len(admission.dq) != len(state.q_cmd):
         return Refusal.WRONG_SHAPE
-    if admission.cycle != state.cycle:
+    if not 0 <= state.cycle - admission.cycle <= (topics.ADMISSION.max_age_cycles or 0):
         return Refusal.LATE
     if admission.sequence <= state.sequence:
         return Refusal.REPLAYED

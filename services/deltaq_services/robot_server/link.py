@@ -6,17 +6,19 @@ from collections import Counter
 from typing import Any, TypeVar
 
 from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
+from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
+from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.pace import Pace
 
 M = TypeVar("M", bound=Message)
-
-_HEALTH_PERIOD_S = 0.5
 
 
 class Link:
@@ -34,14 +36,16 @@ class Link:
 
     def __init__(self, cell: CellDescription, robot: str, counters: Counter[str]) -> None:
         self._counters = counters
+        self._identity = str(content_identity(cell))
         self._service = f"robot-server-{robot}"
         self._seal = guarded_seal(cell)
-        self._session: Any = open_session(listen=[cell.robots[robot].server])
+        rules = access(Party.ROBOT_SERVER, Realm.GUARDED, cell.cell, robot)
+        self._session: Any = open_session(listen=[cell.robots[robot].server], access=rules)
         self._admissions = subscribe_newest(self._session, topics.ADMISSION.key(cell.cell, robot=robot))
         self._supervisions = subscribe_newest(self._session, topics.SUPERVISION.key(cell.cell, robot=robot))
-        self._state = self._publisher(topics.SERVER_STATE.key(cell.cell, robot=robot))
-        self._health = self._publisher(topics.HEALTH.key(cell.cell, service=self._service))
-        self._next_health_s = 0.0
+        self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
+        self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
+        self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
 
     def admission(self) -> Admission | None:
         """The newest admission since the last call, if any."""
@@ -52,17 +56,17 @@ class Link:
         return self._newest(self._supervisions, Supervision)
 
     def publish(self, state: ServerState | None, time_s: float, detail: str = "") -> None:
-        """Publish the state, and twice a second a heartbeat."""
+        """Publish the state, and at the pace of the table of topics a heartbeat."""
         if state is not None:
             self._state.put(pack(state))
-        if time_s >= self._next_health_s:
-            self._next_health_s = time_s + _HEALTH_PERIOD_S
+        if self._pace.due(time_s):
             health = Health(
                 service=self._service,
                 healthy=True,
                 detail=detail,
                 time_s=time_s,
                 counters=dict(self._counters),
+                cell=self._identity,
             )
             self._health.put(pack(health))
 
@@ -70,8 +74,8 @@ class Link:
         """End the session."""
         self._session.close()
 
-    def _publisher(self, key: str) -> Any:
-        return declare_publisher(self._session, key, self._seal)
+    def _publisher(self, topic: Topic, cell: str, **fields: str) -> Any:
+        return declare_publisher(self._session, topic.key(cell, **fields), self._seal, topic.priority)
 
     def _newest(self, subscriber: Any, message_type: type[M]) -> M | None:
         sample = subscriber.try_recv()

@@ -9,7 +9,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import CommandReply
 from deltaq_protocol.messages import Message, NearestPair, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.topic import Topic
 from deltaq_services.sim.gate import Decision
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.identity import content_identity
 from deltaq_cell.proximity import Proximity
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import (
@@ -26,6 +27,7 @@ from deltaq_protocol.guarded import (
     ServerState,
     Supervision,
 )
+from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Message, NearestPair, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, with_receipt
@@ -69,6 +71,8 @@ class Sim:
         cycle_s = self._cycle_s = description.cycle_s
         self.epoch = epoch
         self.fingerprint = fingerprint(cell)
+        # of the description alone: a Robot Server reads no bodies
+        self._cell = str(content_identity(description))
         self.taken = 0
         self._receipt = first_receipt(self.fingerprint, epoch)
         self.counters: Counter[str] = Counter()
@@ -153,17 +157,25 @@ class Sim:
         if command.kind == "contact":
             return [self._switch_contact(command)]
         if command.kind == "reset":
-            refused = [robot.orders.reset(command.id) for robot in robots]
+            refused = [self._other_cell(robot) or robot.orders.reset(command.id) for robot in robots]
             return [reply(command.id, *item) for item in refused if item is not None]
-        outputs = [reply(command.id)]
+        if command.kind == "stop":
+            return self._stop(command, robots)
         for robot in robots:
-            if command.kind == "stop":
-                robot.orders.stop(command.reason)
-                waiting = robot.inbox.take()
-                if waiting is not None:
-                    outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
-            else:
-                robot.orders.outputs.update(command.outputs)
+            robot.orders.outputs.update(command.outputs)
+        return [reply(command.id)]
+
+    def _stop(self, command: Command, robots: Sequence[GatedRobot]) -> list[Output]:
+        """Order a stop at once, and answer when the last robot shows it."""
+        outputs = []
+        for robot in robots:
+            robot.orders.answer_when_stopped(command.id)
+            robot.orders.stop(command.reason)
+            waiting = robot.inbox.take()
+            if waiting is not None:
+                outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
+        if not any(robot.orders.awaits_stop(command.id) for robot in robots):
+            outputs.insert(0, reply(command.id))
         return outputs
 
     def _switch_contact(self, command: Command) -> Output:
@@ -194,6 +206,11 @@ class Sim:
         answer = CommandReply(id=command.id, accepted=True, verdict=verdict)
         return Output(topics.COMMAND_REPLY, "", answer)
 
+    @property
+    def newest_id(self) -> int:
+        """The greatest id of a command so far."""
+        return self._command_order.newest_id
+
     def memory(self) -> GateMemory:
         """Snapshot of all that decisions depend on, for `recall`."""
         return GateMemory(
@@ -206,11 +223,12 @@ class Sim:
             contacts=self.contacts.allowed,
             violations=self.violations.memory(),
             robots={name: robot.memory() for name, robot in self.robots.items()},
+            cell=self._cell,
         )
 
     def recall(self, memory: GateMemory) -> None:
-        """Restore a snapshot of another gate of this cell, except counters."""
-        self.epoch, self.taken = memory.epoch, memory.number
+        """Go on from where another gate of this cell was, counters excepted."""
+        self.epoch, self.taken, self._cell = memory.epoch, memory.number, memory.cell
         self._sequence, self._receipt = memory.sequence, memory.receipt
         self._command_order.newest_id = memory.command_id
         self.contacts.allow(memory.contacts)
@@ -233,6 +251,9 @@ class Sim:
         robot.orders.judge()
         state = robot.tracker.state
         assert state is not None  # called with a state just observed
+        if state.cell != self._cell:
+            self.counters[f"states_of_another_cell_{robot.name}"] += 1
+            robot.orders.stop(ReasonCode.CELL_MISMATCH)
         message = Supervision(
             robot=robot.name,
             epoch=self.epoch,
@@ -240,11 +261,17 @@ class Sim:
             stop=robot.orders.standing_stop,
             resets=robot.orders.resets,
             outputs=robot.orders.outputs,
+            cell=self._cell,
         )
         return [Output(topics.SUPERVISION, robot.name, message)]
 
     def _answered(self, robot: GatedRobot) -> list[Output]:
-        return [reply(id_) for id_ in robot.orders.fulfilled()]
+        stops = [
+            id_
+            for id_ in robot.orders.latched()
+            if not any(other.orders.awaits_stop(id_) for other in self.robots.values())
+        ]
+        return [reply(id_) for id_ in (*robot.orders.fulfilled(), *stops)]
 
     def _decide(self, robot: GatedRobot) -> list[Output]:
         inbox, state = robot.inbox, robot.tracker.state
@@ -273,9 +300,20 @@ class Sim:
         unheard = [name for name, other in self.robots.items() if other.tracker.state is None]
         if unheard:  # its position is unknown, so nothing can be kept clear of it
             return Reason(code=ReasonCode.NOT_READY, what=unheard[0])
+        others = [told[1] for other in self.robots.values() if (told := self._other_cell(other)) is not None]
+        if others:  # its limits and bodies may be others than those that are decided by
+            return Reason(code=ReasonCode.CELL_MISMATCH, what=others[0])
         if state.epoch != self.epoch:
             return Reason(code=ReasonCode.NOT_READY, what="gate epoch")
         return None
+
+    def _other_cell(self, robot: GatedRobot) -> tuple[ReasonCode, str] | None:
+        """What to say of a robot whose Robot Server has read another cell; None if it has not, as far as was heard."""
+        state = robot.tracker.state
+        if state is None or state.cell == self._cell:
+            return None
+        theirs, ours = CellIdentity.parse(state.cell), CellIdentity.parse(self._cell)
+        return ReasonCode.CELL_MISMATCH, mismatch(f"the Robot Server of {robot.name}", theirs, ours)
 
     def _admit(self, robot: GatedRobot, state: ServerState, decision: Decision) -> Output:
         self._sequence += 1

@@ -23,6 +23,8 @@ _CODE = (
     "deltaq_protocol.guarded",
     "deltaq_protocol.messages",
     "deltaq_protocol.receipts",
+    "deltaq_protocol.topic",
+    "deltaq_protocol.topics",
 )
 """Packages and modules that decide."""
 

@@ -10,16 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import zenoh
-
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import GateEntry
-from deltaq_protocol.topics import Topic
+from deltaq_protocol.session import declare_publisher
+from deltaq_protocol.topic import Messages, Topic
 from deltaq_services.sim.core import Sim
 
-MEMORY_PERIOD = 500
-"""Messages between two snapshots, at which a replay can begin, or continue after a gap."""
+
+def memory_is_due(taken: int) -> bool:
+    """Whether a memory follows the message of this number: where a replay can begin, or go on after a gap."""
+    rate = topics.GATE_MEMORY.rate
+    assert isinstance(rate, Messages)  # that is how the table counts them
+    return taken % rate.messages == 0
 
 
 class GateLog:
@@ -28,8 +31,8 @@ class GateLog:
     def __init__(self, session: Any, cell: str, sim: Sim) -> None:
         self._sim = sim
         self._listened_to = False
-        self._entries = _publisher(session, topics.GATE_LOG.key(cell))
-        self._memories = _publisher(session, topics.GATE_MEMORY.key(cell))
+        self._entries = _publisher(session, topics.GATE_LOG, cell)
+        self._memories = _publisher(session, topics.GATE_MEMORY, cell)
 
     def took(self, topic: Topic, payload: bytes, outputs: Sequence[tuple[str, bytes]]) -> None:
         """The gate took a message and published its outputs, all as msgpack."""
@@ -43,15 +46,10 @@ class GateLog:
                 epoch=sim.epoch, number=sim.taken, topic=topic.name, payload=payload, outputs=tuple(outputs)
             )
             self._entries.put(pack(entry))
-        if began or sim.taken % MEMORY_PERIOD == 0:
+        if began or memory_is_due(sim.taken):
             self._memories.put(pack(sim.memory()))
 
 
-def _publisher(session: Any, key: str) -> Any:
+def _publisher(session: Any, topic: Topic, cell: str) -> Any:
     # the SIM itself listens to all of its realm, and does not count
-    return session.declare_publisher(
-        key,
-        priority=zenoh.Priority.DATA,
-        congestion_control=zenoh.CongestionControl.DROP,
-        allowed_destination=zenoh.Locality.REMOTE,
-    )
+    return declare_publisher(session, topic.key(cell), priority=topic.priority, to_itself=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.description import GateDescription, RobotDescription
+from deltaq_protocol import topics
 from deltaq_protocol.guarded import RobotMemory
 from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders
@@ -17,7 +18,7 @@ class GatedRobot:
     Attributes:
         name: of the robot.
         joints: how many it has.
-        max_age_cycles: an increment or a command that goes by an older state is stale.
+        max_age_cycles: a command that goes by an older state is stale.
         tracker: its motion.
         orders: stop, reset and outputs.
         inbox: the requests for it.
@@ -29,10 +30,10 @@ class GatedRobot:
     ) -> None:
         self.name = name
         self.joints = len(description.joints)
-        self.max_age_cycles = math.ceil(gate.max_request_age_s / cycle_s)
+        self.max_age_cycles = topics.COMMAND.age_cycles(cycle_s, gate.max_request_age_s)
         self.tracker = Tracker(name, description, cycle_s, math.ceil(gate.servo_lag_s / cycle_s))
         self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
-        self.inbox = Inbox(self.joints, self.max_age_cycles)
+        self.inbox = Inbox(self.joints, topics.REQUEST.age_cycles(cycle_s, gate.max_request_age_s))
         self.dry_run_cycle = -1
 
     def memory(self) -> RobotMemory:

@@ -11,6 +11,9 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.tracker import Tracker
 
+_MOST_AWAITED = 64
+"""Commands of one kind whose answer may be outstanding."""
+
 
 class Orders:
     """The orders to one robot, and when they are given or refused.
@@ -30,6 +33,7 @@ class Orders:
         self._cycles_without_hli: int | None = None
         self._krc_silent = False
         self._awaited_resets: list[int] = []
+        self._awaited_stops: list[int] = []
 
     def memory(self) -> OrdersMemory:
         """Snapshot for `recall`."""
@@ -40,6 +44,7 @@ class Orders:
             cycles_without_hli=self._cycles_without_hli,
             krc_silent=self._krc_silent,
             awaited_resets=tuple(self._awaited_resets),
+            awaited_stops=tuple(self._awaited_stops),
         )
 
     def recall(self, memory: OrdersMemory) -> None:
@@ -48,6 +53,7 @@ class Orders:
         self.outputs = dict(memory.outputs)
         self._cycles_without_hli, self._krc_silent = memory.cycles_without_hli, memory.krc_silent
         self._awaited_resets = list(memory.awaited_resets)
+        self._awaited_stops = list(memory.awaited_stops)
 
     def hli_heard(self) -> None:
         """The HLI gave a heartbeat."""
@@ -88,6 +94,29 @@ class Orders:
     def stop(self, reason: ReasonCode) -> None:
         """Order the robot to brake and hold; the first reason stands."""
         self.standing_stop = self.standing_stop or reason
+
+    def awaits_stop(self, command_id: int) -> bool:
+        """Whether a stop is still to be shown by the robot."""
+        return command_id in self._awaited_stops
+
+    def answer_when_stopped(self, command_id: int) -> None:
+        """Answer a stop once the robot shows it; one that is held already shows it now."""
+        if not self._is_latched() and command_id not in self._awaited_stops:
+            self._awaited_stops = [*self._awaited_stops, command_id][-_MOST_AWAITED:]
+
+    def latched(self) -> list[int]:
+        """Ids of the stops that the newest state shows as done."""
+        if not self._is_latched():
+            return []
+        done, self._awaited_stops = self._awaited_stops, []
+        return done
+
+    def _is_latched(self) -> bool:
+        state = self._robot.state
+        # while a reset is on its way, this is the hold that it ends; and one that is offline takes no admission
+        return state is not None and (
+            state.phase is Phase.OFFLINE or (state.phase is Phase.HELD and state.resets >= self.resets)
+        )
 
     def reset(self, command_id: int) -> tuple[ReasonCode, str] | None:
         """Order a reset, to be answered once the robot shows it; returns why not if it is refused."""

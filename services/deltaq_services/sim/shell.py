@@ -1,7 +1,8 @@
 """The loop of the SIM: one blocking read of a ring channel, decide, publish.
 
 There is one Python thread and one channel for everything that comes in, so nothing is decided out of turn.
-Robot Servers and the HLI speak at least twice a second, so the loop never sleeps for long.
+Robot Servers and the HLI give heartbeats at the pace that the table of topics sets, so the loop never sleeps for
+long.
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ import zenoh
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
+from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.pace import Pace
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import GateLog
 
@@ -26,10 +30,11 @@ _RING = 256
 """Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
 still answers every request, if only to say that it is stale."""
 
-_HEALTH_PERIOD_S = 0.1
 
-_TAKEN = {"state": topics.SERVER_STATE, "request": topics.REQUEST, "command": topics.COMMAND}
-"""The gate's inputs, by the end of the key."""
+def _taken() -> dict[str, Topic]:
+    """What the gate takes in, by the end of the key; others' heartbeats only wake it."""
+    rows = [topic for topic in topics.TOPICS if topic.realm is Realm.GUARDED and Party.SIM in topic.readers]
+    return {topic.template.rpartition("/")[2]: topic for topic in rows if topic.message is not Health}
 
 
 class Shell:
@@ -38,22 +43,26 @@ class Shell:
     def __init__(self, cell: CellModel) -> None:
         description = cell.description
         self._name = description.cell
+        self._identity = cell.identity
         self.sim = Sim(cell, epoch=secrets.randbits(62))
         self._seal = guarded_seal(description)
         self._session: Any = open_session(
-            listen=[description.sim], connect=[robot.server for robot in description.robots.values()]
+            listen=[description.sim],
+            connect=[robot.server for robot in description.robots.values()],
+            access=access(Party.SIM, Realm.GUARDED, self._name),
         )
+        self._taken = _taken()
         self._incoming = self._session.declare_subscriber(
             f"deltaq-guarded/{self._name}/**",
             zenoh.handlers.RingChannel(_RING),
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._log = GateLog(self._session, self._name, self.sim)
-        self._publishers: dict[tuple[str, str], Any] = {}
-        self._next_health_s = 0.0
+        self._publishers: dict[str, Any] = {}
+        self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
-                self._publisher(topic, robot)
+                self._publisher(topic, robot=robot)
 
     def run(self) -> None:
         """Serve until the process is ended by a signal."""
@@ -66,7 +75,7 @@ class Shell:
             self._session.close()
 
     def _handle(self, key: str, payload: bytes) -> None:
-        topic = _TAKEN.get(key.rpartition("/")[2])
+        topic = self._taken.get(key.rpartition("/")[2])
         if topic is None:
             return  # a heartbeat of the others
         try:
@@ -82,21 +91,20 @@ class Shell:
         outputs = []
         for output in self.sim.take(message):
             packed = pack(output.message)
-            self._publisher(output.topic, output.robot).put(packed)
+            self._publisher(output.topic, robot=output.robot).put(packed)
             outputs.append((output.topic.name, packed))
         self._log.took(topic, payload, outputs)
 
-    def _publisher(self, topic: topics.Topic, robot: str) -> Any:
-        if (topic.name, robot) not in self._publishers:
-            key = topic.key(self._name, robot=robot)
-            self._publishers[topic.name, robot] = declare_publisher(self._session, key, self._seal)
-        return self._publishers[topic.name, robot]
+    def _publisher(self, topic: Topic, **fields: str) -> Any:
+        key = topic.key(self._name, **fields)
+        if key not in self._publishers:
+            self._publishers[key] = declare_publisher(self._session, key, self._seal, topic.priority)
+        return self._publishers[key]
 
     def _say_healthy(self) -> None:
         now_s = time.monotonic()
-        if now_s < self._next_health_s:
+        if not self._pace.due(now_s):
             return
-        self._next_health_s = now_s + _HEALTH_PERIOD_S
         health = Health(
             service="sim",
             healthy=True,
@@ -105,6 +113,8 @@ class Shell:
             nearest=self.sim.nearest(),
             fingerprint=self.sim.fingerprint,
             contacts=self.sim.contacts.allowed,
+            cell=str(self._identity),
+            epoch=self.sim.epoch,
+            newest_id=self.sim.newest_id,
         )
-        key = topics.HEALTH.key(self._name, service="sim")
-        self._session.put(key, self._seal.close(key, pack(health)))
+        self._publisher(topics.HEALTH, service="sim").put(pack(health))

@@ -1,0 +1,47 @@
+"""The hash of a cell: of what its description says, not of the bytes of its file.
+
+A comment, the order of fields, `10` or `10.0`, and whether it extends another cell change nothing. Where a service
+listens or a file lies may differ from one host to another and is left out; what the files of a robot's model say is
+hashed itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol.identity import CellIdentity
+
+_PLACES = {"hli", "sim", "tcp_address", "tcp_port"}
+_PLACES_OF_ROBOT = {"server", "model"}
+_PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet_xml"}
+
+
+def content_identity(cell: CellDescription) -> CellIdentity:
+    """The identity of a cell of which only the description was read."""
+    fields = cell.model_dump(mode="json", exclude=_PLACES)
+    for robot in fields["robots"].values():
+        _leave_out(robot, _PLACES_OF_ROBOT)
+        _leave_out(robot["driver"], _PLACES_OF_DRIVER)
+    return CellIdentity(cell.cell, _hash(fields))
+
+
+def cell_identity(
+    cell: CellDescription, urdf: Mapping[str, str], hulls: Mapping[str, Mapping[str, Any]]
+) -> CellIdentity:
+    """The identity of a cell with the bodies of its robots: by robot the URDF text, and the hulls of its meshes."""
+    content = content_identity(cell)
+    return CellIdentity(content.name, content.content, _hash([dict(urdf), dict(hulls)]))
+
+
+def _leave_out(fields: dict[str, Any], names: set[str]) -> None:
+    for name in names:
+        fields.pop(name, None)
+
+
+def _hash(fields: Any) -> str:
+    # names of robots, joints and bodies keep their order: it is that of vectors, and of what is decided first
+    return hashlib.sha256(json.dumps(fields).encode()).hexdigest()[:16]

@@ -1,0 +1,42 @@
+"""Which cell is meant: its name and a hash of what its description says, for those who meet to compare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CellIdentity:
+    """A cell as somebody has read it; as text `NAME CONTENT-BODIES`.
+
+    Attributes:
+        name: of the cell.
+        content: hash of what its description says, in sixteen hexadecimal digits; empty: not told.
+        bodies: hash of the bodies of its robots; empty for a Robot Server, which reads none.
+    """
+
+    name: str
+    content: str
+    bodies: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> CellIdentity:
+        """From its text; whatever it is, so that a stranger has an identity too, which is nobody else's."""
+        name, _, hashes = text.partition(" ")
+        content, _, bodies = hashes.partition("-")
+        return cls(name, content, bodies)
+
+    def is_same(self, other: CellIdentity) -> bool:
+        """Whether both mean the same cell, as far as both have read it."""
+        bodies_differ = bool(self.bodies and other.bodies) and self.bodies != other.bodies
+        return (self.name, self.content) == (other.name, other.content) and not bodies_differ
+
+    def __str__(self) -> str:
+        hashes = f"{self.content}-{self.bodies}" if self.bodies else self.content
+        return f"{self.name} {hashes}"
+
+
+def mismatch(who: str, theirs: CellIdentity, ours: CellIdentity) -> str:
+    """What to say of two that mean different cells."""
+    told = str(theirs) if theirs.content else f"{theirs.name or 'one'} of a version that tells no hash"
+    return f"{who} has read cell {told.strip()}, and here it is {ours}"

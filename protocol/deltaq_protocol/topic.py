@@ -1,0 +1,173 @@
+"""What a row of the table of topics says: where, what, how often, how old at most, how urgent, from whom, for whom."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from deltaq_protocol.messages import Message
+
+_ROUNDING = 1e-9
+"""What a division may take off a whole number of cycles."""
+
+
+class Realm(StrEnum):
+    """Who can reach a topic: any client (open), or only HLI, SIM and Robot Servers (guarded)."""
+
+    OPEN = "open"
+    GUARDED = "guarded"
+
+
+class Kind(StrEnum):
+    """Published stream or query with a reply."""
+
+    STREAM = "stream"
+    QUERY = "query"
+
+
+class Party(StrEnum):
+    """Who publishes a stream or asks a query, and who reads it or answers."""
+
+    CLIENT = "client"
+    HLI = "HLI"
+    SIM = "SIM"
+    ROBOT_SERVER = "Robot Server"
+    WATCHER = "watcher"
+    """The recorder and `deltaq health`: they only listen."""
+
+
+class Priority(StrEnum):
+    """How urgent a message is on a link where others wait. What is urgent is sent at once, by itself."""
+
+    URGENT = "urgent"
+    ORDINARY = "ordinary"
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """Once in so many cycles of a robot.
+
+    Attributes:
+        cycles: from one message to the next.
+        steady: False where there may be less to say than that.
+    """
+
+    cycles: int = 1
+    steady: bool = True
+
+    def period_s(self, cycle_s: float) -> float:
+        """Time from one message to the next [s]."""
+        return self.cycles * cycle_s
+
+    def __str__(self) -> str:
+        often = "every cycle" if self.cycles == 1 else f"every {self.cycles} cycles"
+        return often if self.steady else f"at most {often}"
+
+
+@dataclass(frozen=True)
+class Hertz:
+    """So many times a second, whatever the robot's cycle."""
+
+    hz: float
+    steady: bool = True
+
+    def period_s(self, cycle_s: float) -> float:  # noqa: ARG002 - the same for every cycle
+        """Time from one message to the next [s]."""
+        return 1.0 / self.hz
+
+    def __str__(self) -> str:
+        often = f"{self.hz:g} Hz"
+        return often if self.steady else f"at most {often}"
+
+
+@dataclass(frozen=True)
+class Messages:
+    """Once in so many messages that the gate takes, while it is recorded."""
+
+    messages: int
+
+    def __str__(self) -> str:
+        if self.messages == 1:
+            return "every message of the gate, while it is recorded"
+        return f"every {self.messages} messages of the gate, while it is recorded"
+
+
+Rate = Cycles | Hertz | Messages
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    Attributes:
+        name: what people call it, as in `deltaq echo NAME`.
+        template: zenoh key with `{cell}`, `{robot}` and `{service}` to be filled in.
+        message: type of the payload.
+        publishers: who publishes the stream, or asks the query.
+        readers: who reads the stream, or answers the query.
+        rate: how often it comes; None: on demand.
+        reply: type of the reply of a query.
+        max_age_cycles: what is older, in cycles of the robot, is not acted upon; None where cycles do not count.
+        max_age_s: what is older than this is not acted upon, or counts as silence; None where seconds do not count.
+        priority: how urgent it is.
+        recorded: whether a recording holds it. What passes between a client and the HLI alone is not heard by
+            anybody else: of it a recording has what the HLI makes of it, in the guarded realm.
+    """
+
+    name: str
+    realm: Realm
+    kind: Kind
+    template: str
+    message: type[Message]
+    publishers: tuple[Party, ...]
+    readers: tuple[Party, ...]
+    rate: Rate | None = None
+    reply: type[Message] | None = None
+    max_age_cycles: int | None = None
+    max_age_s: float | None = None
+    priority: Priority = Priority.URGENT
+    recorded: bool = True
+
+    def key(self, cell: str, **fields: str) -> str:
+        """The key of one cell and robot or service; a field not given becomes the wildcard `*`."""
+        wanted = {"robot": "*", "service": "*"} | fields
+        return self.template.format(cell=cell, **wanted)
+
+    def period_s(self, cycle_s: float) -> float:
+        """Time from one message to the next [s].
+
+        Raises:
+            ValueError: if the table gives this topic no rate in time.
+        """
+        if isinstance(self.rate, Cycles | Hertz):
+            return self.rate.period_s(cycle_s)
+        raise ValueError(f"{self.name} has no rate in time, it comes {self.rate_text}")
+
+    def steady_hz(self, cycle_s: float) -> float | None:
+        """How often it has to come [1/s]; None where it comes when there is something to say."""
+        if isinstance(self.rate, Cycles | Hertz) and self.rate.steady:
+            return 1.0 / self.rate.period_s(cycle_s)
+        return None
+
+    def age_s(self, cycle_s: float, bound_s: float = math.inf) -> float:
+        """How old it may be [s]: the least of the row's ages, and of a bound that the cell sets.
+
+        Raises:
+            ValueError: if nothing bounds it.
+        """
+        cycles = math.inf if self.max_age_cycles is None else self.max_age_cycles * cycle_s
+        seconds = math.inf if self.max_age_s is None else self.max_age_s
+        age_s = min(cycles, seconds, bound_s)
+        if age_s == math.inf:
+            raise ValueError(f"{self.name} has no greatest age")
+        return age_s
+
+    def age_cycles(self, cycle_s: float, bound_s: float = math.inf) -> int:
+        """The same in whole cycles, what is begun not counted."""
+        return math.floor(self.age_s(cycle_s, bound_s) / cycle_s + _ROUNDING)
+
+    @property
+    def rate_text(self) -> str:
+        """How often it comes, for people."""
+        return "on demand" if self.rate is None else str(self.rate)
