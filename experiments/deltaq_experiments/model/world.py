@@ -53,7 +53,7 @@ class SentSupervision:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A moment. What is in flight stays for others to double, delay or put before what is newer.
+    """A moment. What is in flight stays for others to duplicate, delay or put before what is newer.
 
     Attributes:
         server: the Robot Server; never changed, but copied.
