@@ -136,6 +136,8 @@ def parse(text: str, file: str) -> Located:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise _error(file, mark.line + 1 if mark else 0, f"not YAML: {error.problem or error}") from None
+    except KeyError as error:  # ruamel looks up the version of a %YAML directive
+        raise _error(file, 1, f"not YAML: no version {error} of it is known; use 1.2") from None
     except (YAMLError, ValueError, TypeError, RecursionError) as error:  # TypeError: a list or a map as a key
         raise _error(
             file, 0, f"not YAML: {str(error).splitlines()[0] if str(error) else 'too deep'}"
