@@ -10,13 +10,16 @@ from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 
 CELL = load_cell("lab")
 FR = CELL.robots["fr"]
 EPOCH = 7
 STEP = FR.max_acceleration * CELL.cycle_s**2
 GATE_TIMEOUT = math.ceil(CELL.gate.gate_timeout_s / CELL.cycle_s)
+PROBE_CYCLES = 27
+"""What is left of a trial after a session's first cycle."""
 KRC_TIMEOUT = math.ceil(CELL.gate.krc_timeout_s / CELL.cycle_s)
 
 
@@ -28,7 +31,20 @@ class Rig:
         self.q = FR.home.copy()
         self.ipoc = 1000
         self.resets = 0
-        self.cycle(q_start=self.q)
+        self.begin(self.q)
+
+    def begin(self, q_start):
+        """A session begins, and its mode is found out."""
+        self.q = q_start
+        self.cycle(q_start=q_start)
+        self.probed()
+
+    def probed(self):
+        """The mode of a session is found out."""
+        for _ in range(PROBE_CYCLES):
+            assert self.server.detail == "finds out how the KRC takes corrections"
+            self.cycle()
+        assert self.server.detail == ""
 
     def cycle(self, admission=None, gate=True, stop=None, epoch=EPOCH, q_start=None, missed_last=False):
         self.ipoc += 12
@@ -153,7 +169,7 @@ def test_a_brake_that_is_too_short_is_not_taken(rig):
 
 def test_a_brake_that_ends_outside_the_limits_is_not_taken(rig):
     q_edge = FR.upper - STEP * 0.5
-    rig.cycle(q_start=q_edge)
+    rig.begin(q_edge)
     rig.resets += 1
     rig.cycle()
     rig.cycle(rig.admission(STEP))
@@ -161,7 +177,7 @@ def test_a_brake_that_ends_outside_the_limits_is_not_taken(rig):
 
 
 def test_outside_its_limits_it_may_come_back_but_not_go_further(rig):
-    rig.cycle(q_start=FR.upper + 0.1)
+    rig.begin(FR.upper + 0.1)
     rig.resets += 1
     rig.cycle()
     rig.cycle(rig.admission(STEP * 0.1))
@@ -280,12 +296,13 @@ def test_replies_may_be_missed_for_their_time_and_no_cycle_longer(rig):
 
 
 def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
-    server = RobotServer(CELL, "fr", process=1)
-    alive = Supervision(robot="fr", epoch=EPOCH, cycle=0)
-    for count in range(KRC_TIMEOUT + 1):
+    dawm = load_cell("dawm")
+    server, home = RobotServer(dawm, "dawm", process=1), dawm.robots["dawm"].home
+    alive = Supervision(robot="dawm", epoch=EPOCH, cycle=0)
+    for count in range(math.ceil(dawm.gate.krc_timeout_s / dawm.cycle_s) + 1):
         assert server.state is None or server.state.phase is Phase.READY
-        q_start = FR.home if count == 0 else None
-        server.cycle(Measurement(count, FR.home, q_start=q_start, missed_last=True), 0.0, None, alive)
+        q_start = home if count == 0 else None
+        server.cycle(Measurement(count, home, q_start=q_start, missed_last=True), 0.0, None, alive)
     assert server.state.phase is Phase.HELD
 
 
@@ -352,12 +369,14 @@ def test_every_further_session_is_counted(rig):
 def test_a_new_session_changes_no_setpoint_before_a_reset(rig):
     rig.run_up(3)
     before = rig.server.state
-    elsewhere = FR.home + 0.1
+    elsewhere = rig.q = FR.home + 0.1
     state = rig.cycle(q_start=elsewhere)
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
     assert (state.q_cmd, state.q_reset) == (before.q_cmd, tuple(elsewhere.tolist()))
     assert not any(state.dq)
     np.testing.assert_array_equal(rig.q, elsewhere)  # what the KRC has is what it is sent
+    rig.probed()
+    np.testing.assert_array_equal(rig.q, elsewhere)
     rig.resets += 1
     state = rig.cycle()
     assert (state.phase, state.q_cmd, state.q_reset) == (Phase.READY, tuple(elsewhere.tolist()), None)
@@ -377,7 +396,7 @@ def test_before_it_is_linked_the_newest_session_is_where_it_begins():
 
 
 def test_a_reset_waits_until_the_robot_is_where_it_was_sent(rig):
-    rig.cycle(q_start=FR.home + 0.1)
+    rig.begin(FR.home + 0.1)
     rig.resets += 1
     rig.q = FR.home + 0.1 + 1.01 * FR.tracking_tolerance
     assert rig.cycle().phase is Phase.HELD
