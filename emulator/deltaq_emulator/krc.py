@@ -329,7 +329,7 @@ class Krc:
         self._ipoc = (self._ipoc + by) % IPOC_RANGE
 
     def turn(self, correction: Correction) -> None:
-        """Take corrections otherwise from now on, within a session: no program does that, a damaged controller might."""
+        """Take corrections otherwise from now on, within a session: no program does that."""
         self.correction = correction
         self._corrections.turn(correction)
 

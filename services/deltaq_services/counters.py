@@ -83,6 +83,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, for want of an admission"),
     Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
     Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
+    Counted(ROBOT_SERVER, "modes_refused", "sessions of a KRC that does not take corrections as offsets"),
     Counted(
         ROBOT_SERVER, "motion_stops", "times that the KRC was told to end a motion that went on by itself"
     ),

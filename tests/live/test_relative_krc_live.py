@@ -34,7 +34,7 @@ def relative(services, file):
 
 def detail(stack):
     """What the floor robot's Robot Server tells people."""
-    session = open_session(connect=[stack.robot.server], must_connect=True)
+    session = open_session(connect=[stack.cell.robots["fr"].server], must_connect=True)
     try:
         health = subscribe_newest(session, topics.HEALTH.key(stack.cell.cell, service="robot-server-fr"))
         return unpack(Health, health.recv().payload.to_bytes()).detail
@@ -47,7 +47,10 @@ def test_a_krc_in_relative_mode_is_never_driven(tmp_path):
         assert stack.emulator()["correction"] == "relative"
         stack.wait_for_reason("rsi_mode")
         assert "let the program call RSI_ON(#ABSOLUTE)" in detail(stack)
-        with connect(stack.cell, "test") as running, pytest.raises(RefusedError, match=r"RSI_ON\(#ABSOLUTE\)"):
+        with (
+            connect(stack.cell, "test") as running,
+            pytest.raises(RefusedError, match=r"RSI_ON\(#ABSOLUTE\)"),
+        ):
             running.reset("fr")
         stack.wait_cycles(50)
         assert stack.phase() == (Phase.HELD, "rsi_mode")
@@ -62,7 +65,7 @@ def test_a_krc_that_turns_relative_in_motion_is_told_to_stop_and_comes_to_rest(t
     with live_stack(tmp_path) as stack:
         hli = stack.cell.hli
         with blocking.connect(hli) as cell, cell.lease("fr") as robot:
-            for _, state in zip(range(12), robot.states(), strict=False):
+            for _, _state in zip(range(12), robot.states(), strict=False):
                 robot.move([5e-4, 0, 0, 0, 0, 0])
         stack.wait_until_at_rest()
         before = stack.setpoint()

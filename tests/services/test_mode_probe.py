@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deltaq_cell.description import RobotDescription
 from deltaq_cell.load import load_cell
 from deltaq_services.robot_server.mode_probe import (
     ADRIFT,
@@ -85,7 +86,9 @@ LAGS = st.tuples(st.integers(0, 2), st.floats(0.7, 1.0))
 
 @settings(deadline=None, max_examples=60)
 @given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
-def test_an_absolute_krc_is_found_out_in_one_trial_whatever_the_lag_and_a_little_noise(lag, noise, seed, cell):
+def test_an_absolute_krc_is_found_out_in_one_trial_whatever_the_lag_and_a_little_noise(
+    lag, noise, seed, cell
+):
     arm = Arm("absolute", *lag, noise, seed, cell)
     probe = arm.trial(0)
     while not probe.known:
@@ -123,7 +126,9 @@ def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_bac
     seed=st.integers(0, 2**31),
     losses=st.lists(st.sampled_from([""] * 6 + ["telegram", "reply", "twice"]), min_size=60, max_size=160),
 )
-def test_whatever_is_lost_no_mode_is_taken_for_the_other_and_nobody_gets_far(mode, moves, lag, noise, seed, losses):
+def test_whatever_is_lost_no_mode_is_taken_for_the_other_and_nobody_gets_far(
+    mode, moves, lag, noise, seed, losses
+):
     arm = Arm(mode, *lag, noise, seed, moves=moves)
     missed = False
     for loss in losses:
@@ -262,8 +267,9 @@ def test_a_loss_far_from_a_pulse_costs_no_trial(at):
 
 
 def test_no_joint_is_displaced_by_more_than_a_tenth_of_its_tracking_tolerance():
-    narrow = GR.joints["a1"].model_copy(update={"tracking_tolerance_deg": 0.05})
-    robot = GR.model_copy(update={"joints": {**GR.joints, "a1": narrow}})
+    fields = GR.model_dump(exclude_unset=True)
+    fields["joints"]["a1"]["tracking_tolerance_deg"] = 0.05
+    robot = RobotDescription.model_validate(fields)
     probe = ModeProbe(robot, 0.012, 6, robot.home)
     total = np.zeros(9)
     for count in range(14):

@@ -165,11 +165,6 @@ class RobotServer:
         """(n,) setpoint that the KRC has: its own in a new session, until a reset takes it for ours."""
         return self._q_cmd if self._q_reset is None else self._q_reset
 
-    @property
-    def _held_for(self) -> ReasonCode | None:
-        """Why the robot is held: a mode that bars it stands before all else."""
-        return ReasonCode.RSI_MODE if self._phase is Phase.HELD and self._mode.bars else self._reason
-
     def _begin_session(self, q: Array, q_start: Array) -> None:
         if self._cycle > 0:
             self.counters["session_restarted"] += 1
@@ -226,9 +221,8 @@ class RobotServer:
             self._stop(ReasonCode.RSI_MODE)
         if self._mode.bars:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
-        at_rest = self._plan.step >= self._plan.brake_cycles
-        there = self._settling.is_near(self._q, self._held_at)
-        may_be_reset = self._phase is Phase.HELD and self._mode.known and at_rest and there
+        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(self._q, self._held_at)
+        may_be_reset = self._phase is Phase.HELD and self._mode.known and there
         if may_be_reset and supervision.resets > self._resets:
             self._q_cmd, self._q_reset = self._held_at, None
             self.motion_stop = False
@@ -283,6 +277,7 @@ class RobotServer:
         self._phase = next_phase(self._phase, event)
 
     def _publishable(self, measured: Measurement, time_s: float) -> ServerState:
+        barred = self._phase is Phase.HELD and self._mode.bars  # that stands before all else
         return ServerState(
             robot=self.robot,
             process=self.process,
@@ -297,7 +292,7 @@ class RobotServer:
             epoch=self._epoch,
             sequence=self._sequence,
             phase=self._phase,
-            reason=self._held_for,
+            reason=ReasonCode.RSI_MODE if barred else self._reason,
             resets=self._resets,
             inputs=dict(measured.inputs),
             outputs=self.outputs,
