@@ -52,6 +52,10 @@ def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch)
     for _ in range(50):
         stack.cycle()
     stack.reset("fr")
+    arm.krc.stop()
+    for _ in range(30):
+        stack.cycle()
+    assert arm.server.state.reason is ReasonCode.RSI_MODE  # a KRC that falls silent does not hide it
     arm.krc.restart("absolute")
     for _ in range(100):
         stack.cycle()

@@ -87,6 +87,7 @@ def test_it_is_offline_until_the_gate_is_heard():
     server = RobotServer(CELL, "fr", process=1)
     server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
     assert server.state.phase is Phase.OFFLINE
+    assert server.motion_stop is False
 
 
 def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
@@ -477,3 +478,114 @@ def test_told_to_end_it_brakes_first_and_rests_when_the_drives_have_caught_up(ri
         assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.SERVER_ENDED)
         rest += not any(state.dq)
     assert rest == LAG + 1
+
+
+def relative(rig, cycles):
+    """As many cycles of a KRC that adds corrections up; returns the phases."""
+    phases = []
+    for _ in range(cycles):
+        before = rig.q
+        phases.append(rig.cycle().phase)
+        rig.q = before + (rig.q - np.array(rig.server.state.q_cmd))
+    return phases
+
+
+@pytest.fixture
+def unprobed():
+    """A rig in the first cycle of a session, heard by no gate yet."""
+    rig = Rig.__new__(Rig)
+    rig.server, rig.q, rig.ipoc, rig.resets = RobotServer(CELL, "fr", process=1), FR.home.copy(), 1000, 0
+    rig.cycle(q_start=rig.q, gate=False)
+    return rig
+
+
+def test_before_the_mode_is_known_it_is_offline_and_takes_no_admission(unprobed):
+    for _ in range(PROBE_CYCLES - 1):
+        assert unprobed.cycle(unprobed.admission(STEP * 0.5)).phase is Phase.OFFLINE
+        assert unprobed.server.state.q_cmd == tuple(FR.home.tolist())
+    assert unprobed.cycle().phase is Phase.READY
+    assert unprobed.counters["admission_while_not_ready"] == PROBE_CYCLES - 1
+
+
+def test_a_krc_that_adds_corrections_up_is_held_from_the_first_and_obeys_no_reset(unprobed):
+    phases = relative(unprobed, PROBE_CYCLES + 1)
+    assert phases == [Phase.OFFLINE] * (PROBE_CYCLES - 1) + [Phase.HELD] * 2
+    for _ in range(3):
+        unprobed.resets += 1
+        relative(unprobed, 1)
+        state = unprobed.server.state
+        assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
+        assert state.resets == unprobed.resets  # taken for given
+    assert unprobed.counters["modes_refused"] == unprobed.counters["held_rsi_mode"] == 1
+    assert not unprobed.server.motion_stop
+    unprobed.server.krc_silent(99.0)
+    assert unprobed.server.state.reason is ReasonCode.RSI_MODE
+    unprobed.begin(unprobed.q)
+    assert unprobed.cycle().reason is ReasonCode.KRC_LOST  # no reset of before is obeyed now
+    unprobed.resets += 1
+    assert unprobed.cycle().phase is Phase.READY
+
+
+def test_a_krc_that_is_refused_before_a_gate_is_heard_is_held_once_it_is(unprobed):
+    for _ in range(PROBE_CYCLES):
+        before = unprobed.q
+        assert unprobed.cycle(gate=False).phase is Phase.OFFLINE
+        unprobed.q = before + (unprobed.q - np.array(unprobed.server.state.q_cmd))
+    assert unprobed.cycle().reason is ReasonCode.RSI_MODE
+
+
+def test_a_reset_that_is_asked_for_while_a_session_is_probed_is_obeyed_when_its_mode_is_known(rig):
+    rig.cycle(q_start=rig.q)
+    rig.resets += 1
+    for _ in range(PROBE_CYCLES - 1):
+        state = rig.cycle()
+        assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_reset_that_was_asked_for_while_nothing_was_seen_to_move_is_not_obeyed_some_day(rig):
+    rig.cycle(q_start=rig.q)
+    rig.resets += 1
+    for _ in range(PROBE_CYCLES + 1):
+        rig.q = FR.home
+        state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
+    while rig.server.detail:
+        assert rig.cycle().ipoc < 10_000
+    state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_session_within_the_probe_of_another_is_probed_from_its_beginning(rig):
+    rig.cycle(q_start=rig.q)
+    for _ in range(5):
+        rig.cycle()
+    rig.begin(rig.q)
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_robot_that_moves_though_its_correction_rests_is_told_to_end_the_motion(unprobed):
+    for count in range(1, 6):
+        unprobed.q = FR.home + count * np.deg2rad(0.05)
+        unprobed.cycle()
+    state = unprobed.server.state
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
+    assert unprobed.server.motion_stop
+    assert unprobed.counters["motion_stops"] == 1
+
+
+def test_told_to_end_within_a_pulse_it_undoes_it_before_it_is_at_rest(unprobed):
+    total = np.zeros(6)
+    for _ in range(4):
+        unprobed.cycle()
+        total = total + unprobed.q - FR.home
+    assert total.any()
+    while not unprobed.server.at_rest:
+        unprobed.server.end()
+        unprobed.cycle()
+        total = total + unprobed.q - FR.home
+        assert unprobed.ipoc < 10_000
+    np.testing.assert_allclose(total, 0.0, atol=1e-12)
