@@ -37,13 +37,17 @@ class Corrections:
 
     def begin_session(self, mode: Correction) -> None:
         """Start from no correction."""
-        self._relative = mode == "relative"
+        self.turn(mode)
         self._value = np.zeros(len(self._hold_on))
         self.total = np.zeros(len(self._hold_on))
         """(n,) sum of all corrections of this session [rad or m]."""
         self._stop = False
         self.stop_rose = False
         """The signal that ends the motion rose in the last cycle."""
+
+    def turn(self, mode: Correction) -> None:
+        """Take corrections as offsets or add them up, from now on."""
+        self._relative = mode == "relative"
 
     def take(self, reply: SensorTelegram | None) -> None:
         """Take the reply of a cycle, or None if there was none."""

@@ -328,6 +328,11 @@ class Krc:
         """Let the time stamp jump, forward or back."""
         self._ipoc = (self._ipoc + by) % IPOC_RANGE
 
+    def turn(self, correction: Correction) -> None:
+        """Take corrections otherwise from now on, within a session: no program does that."""
+        self.correction = correction
+        self._corrections.turn(correction)
+
     def forged(self, forgery: Forgery) -> bytes:
         """The telegram of a sender who knows this cycle's telegram."""
         report = self._report()

@@ -11,6 +11,7 @@
 | `{"op": "input", "name": "gripper_closed", "value": true}` | set a digital input |
 | `{"op": "fault", "link": "from_pc", "drop": 0.1}` | faults of the network: `to_pc`, `from_pc` or `both` ways |
 | `{"op": "fault", "freeze_cycles": 20}`, `{"op": "fault", "ipoc_shift_ms": -24}` | of the controller |
+| `{"op": "fault", "correction": "relative"}` | RSI adds corrections up from now on, or no longer: `"absolute"` |
 | `{"op": "fault", "forge": [{"ipoc_shift": 7000}, {"offset_deg": 1.4}]}` | others send, after each telegram, these |
 | `{"op": "fault"}` | no more faults |
 | `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
@@ -79,6 +80,7 @@ class _Fault(LinkFaults):
     link: Literal["to_pc", "from_pc", "both"] = "both"
     freeze_cycles: Annotated[int, Field(ge=0, le=100_000)] | None = None
     ipoc_shift_ms: Annotated[int, Field(gt=-(2**32), lt=2**32)] | None = None
+    correction: Correction | None = None
     forge: Annotated[tuple[Forgery, ...], Field(max_length=MAX_FORGERIES)] = ()
 
 
@@ -253,10 +255,12 @@ class Panel:
             self._krc.freeze(fault.freeze_cycles)
         if fault.ipoc_shift_ms is not None:
             self._krc.shift_ipoc(fault.ipoc_shift_ms)
+        if fault.correction is not None:
+            self._krc.turn(fault.correction)
         of_link = fault.model_dump(include=set(LinkFaults.model_fields))
         lasting = {*LinkFaults.model_fields, "forge"}
         if (
-            fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms"}
+            fault.model_fields_set & {"freeze_cycles", "ipoc_shift_ms", "correction"}
             and not fault.model_fields_set & lasting
         ):
             return

@@ -40,7 +40,8 @@ from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.outputs import Output as HliOutput
 from deltaq_services.hli.outputs import Sender, ToGuarded, ToOpen, ToSender
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.sim.answers import Output as SimOutput
 from deltaq_services.sim.core import Sim

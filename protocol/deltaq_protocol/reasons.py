@@ -47,6 +47,7 @@ class ReasonCode(StrEnum):
     SERVER_ENDED = "server_ended"
     REPLY_REFUSED = "reply_refused"
     TRACKING_ERROR = "tracking_error"
+    RSI_MODE = "rsi_mode"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
     NOT_AT_REST = "not_at_rest"
@@ -86,6 +87,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.SERVER_ENDED: "the Robot Server was ended",
     ReasonCode.REPLY_REFUSED: "the Robot Server's last check refused a correction, which was not sent",
     ReasonCode.TRACKING_ERROR: "the robot left its commanded path",
+    ReasonCode.RSI_MODE: "the KRC was not seen to take corrections as RSI_ON(#ABSOLUTE) does",
     ReasonCode.CAUSE_STANDS: "the cause of the hold persists",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",
 }

@@ -106,6 +106,7 @@ COUNTERS: tuple[Counted, ...] = (
         "heartbeats of a gate that has read another description of the cell",
     ),
     Counted(ROBOT_SERVER, "krc_silent", "times that the KRC sent nothing for longer than it may"),
+    Counted(ROBOT_SERVER, "modes_refused", "sessions of a KRC that does not take corrections as offsets"),
     Counted(
         ROBOT_SERVER,
         "motion_stops",

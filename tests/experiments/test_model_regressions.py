@@ -8,7 +8,8 @@ from deltaq_experiments.model.one_joint import ROBOT, one_joint_cell, one_joint_
 from deltaq_protocol.guarded import Request, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 
 
 class Pair:

@@ -14,7 +14,8 @@ from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Command, Plan, Request, ServerState, Supervision
 from deltaq_protocol.messages import Message, Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 
 # a service runs on where numpy warns of an overflow

@@ -11,7 +11,8 @@ from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 
 CELL = load_cell("lab")
 FR = CELL.robots["fr"]
@@ -19,6 +20,8 @@ EPOCH = 7
 STEP = FR.max_acceleration * CELL.cycle_s**2
 GATE_TIMEOUT = math.ceil(CELL.gate.gate_timeout_s / CELL.cycle_s)
 IDENTITY = str(content_identity(CELL))
+PROBE_CYCLES = 27
+"""What is left of a trial after a session's first cycle."""
 KRC_TIMEOUT = math.ceil(CELL.gate.krc_timeout_s / CELL.cycle_s)
 
 
@@ -30,7 +33,20 @@ class Rig:
         self.q = FR.home.copy()
         self.ipoc = 1000
         self.resets = 0
-        self.cycle(q_start=self.q)
+        self.begin(self.q)
+
+    def begin(self, q_start):
+        """A session begins, and its mode is found out."""
+        self.q = q_start
+        self.cycle(q_start=q_start)
+        self.probed()
+
+    def probed(self):
+        """The mode of a session is found out."""
+        for _ in range(PROBE_CYCLES):
+            assert self.server.detail == "finds out how the KRC takes corrections"
+            self.cycle()
+        assert self.server.detail == ""
 
     def cycle(self, admission=None, gate=True, stop=None, epoch=EPOCH, q_start=None, missed_last=False):
         self.ipoc += 12
@@ -75,6 +91,7 @@ def test_it_is_offline_until_the_gate_is_heard():
     server = RobotServer(CELL, "fr", process=1)
     server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
     assert server.state.phase is Phase.OFFLINE
+    assert server.motion_stop is False
 
 
 def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
@@ -159,7 +176,7 @@ def test_a_brake_that_is_too_short_is_not_taken(rig):
 
 def test_a_brake_that_ends_outside_the_limits_is_not_taken(rig):
     q_edge = FR.upper - STEP * 0.5
-    rig.cycle(q_start=q_edge)
+    rig.begin(q_edge)
     rig.resets += 1
     rig.cycle()
     rig.cycle(rig.admission(STEP))
@@ -167,7 +184,7 @@ def test_a_brake_that_ends_outside_the_limits_is_not_taken(rig):
 
 
 def test_outside_its_limits_it_may_come_back_but_not_go_further(rig):
-    rig.cycle(q_start=FR.upper + 0.1)
+    rig.begin(FR.upper + 0.1)
     rig.resets += 1
     rig.cycle()
     rig.cycle(rig.admission(STEP * 0.1))
@@ -286,12 +303,13 @@ def test_replies_may_be_missed_for_their_time_and_no_cycle_longer(rig):
 
 
 def test_replies_that_are_missed_from_the_first_telegram_on_count_too():
-    server = RobotServer(CELL, "fr", process=1)
-    alive = Supervision(robot="fr", epoch=EPOCH, cycle=0, cell=IDENTITY)
-    for count in range(KRC_TIMEOUT + 1):
+    dawm = load_cell("dawm")
+    server, home = RobotServer(dawm, "dawm", process=1), dawm.robots["dawm"].home
+    alive = Supervision(robot="dawm", epoch=EPOCH, cycle=0, cell=str(content_identity(dawm)))
+    for count in range(math.ceil(dawm.gate.krc_timeout_s / dawm.cycle_s) + 1):
         assert server.state is None or server.state.phase is Phase.READY
-        q_start = FR.home if count == 0 else None
-        server.cycle(Measurement(count, FR.home, q_start=q_start, missed_last=True), 0.0, None, alive)
+        q_start = home if count == 0 else None
+        server.cycle(Measurement(count, home, q_start=q_start, missed_last=True), 0.0, None, alive)
     assert server.state.phase is Phase.HELD
 
 
@@ -358,12 +376,14 @@ def test_every_further_session_is_counted(rig):
 def test_a_new_session_changes_no_setpoint_before_a_reset(rig):
     rig.run_up(3)
     before = rig.server.state
-    elsewhere = FR.home + 0.1
+    elsewhere = rig.q = FR.home + 0.1
     state = rig.cycle(q_start=elsewhere)
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
     assert (state.q_cmd, state.q_reset) == (before.q_cmd, tuple(elsewhere.tolist()))
     assert not any(state.dq)
     np.testing.assert_array_equal(rig.q, elsewhere)  # what the KRC has is what it is sent
+    rig.probed()
+    np.testing.assert_array_equal(rig.q, elsewhere)
     rig.resets += 1
     state = rig.cycle()
     assert (state.phase, state.q_cmd, state.q_reset) == (Phase.READY, tuple(elsewhere.tolist()), None)
@@ -383,7 +403,7 @@ def test_before_it_is_linked_the_newest_session_is_where_it_begins():
 
 
 def test_a_reset_waits_until_the_robot_is_where_it_was_sent(rig):
-    rig.cycle(q_start=FR.home + 0.1)
+    rig.begin(FR.home + 0.1)
     rig.resets += 1
     rig.q = FR.home + 0.1 + 1.01 * FR.tracking_tolerance
     assert rig.cycle().phase is Phase.HELD
@@ -464,3 +484,114 @@ def test_told_to_end_it_brakes_first_and_rests_when_the_drives_have_caught_up(ri
         assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.SERVER_ENDED)
         rest += not any(state.dq)
     assert rest == LAG + 1
+
+
+def relative(rig, cycles):
+    """As many cycles of a KRC that adds corrections up; returns the phases."""
+    phases = []
+    for _ in range(cycles):
+        before = rig.q
+        phases.append(rig.cycle().phase)
+        rig.q = before + (rig.q - np.array(rig.server.state.q_cmd))
+    return phases
+
+
+@pytest.fixture
+def unprobed():
+    """A rig in the first cycle of a session, heard by no gate yet."""
+    rig = Rig.__new__(Rig)
+    rig.server, rig.q, rig.ipoc, rig.resets = RobotServer(CELL, "fr", process=1), FR.home.copy(), 1000, 0
+    rig.cycle(q_start=rig.q, gate=False)
+    return rig
+
+
+def test_before_the_mode_is_known_it_is_offline_and_takes_no_admission(unprobed):
+    for _ in range(PROBE_CYCLES - 1):
+        assert unprobed.cycle(unprobed.admission(STEP * 0.5)).phase is Phase.OFFLINE
+        assert unprobed.server.state.q_cmd == tuple(FR.home.tolist())
+    assert unprobed.cycle().phase is Phase.READY
+    assert unprobed.counters["admission_while_not_ready"] == PROBE_CYCLES - 1
+
+
+def test_a_krc_that_adds_corrections_up_is_held_from_the_first_and_obeys_no_reset(unprobed):
+    phases = relative(unprobed, PROBE_CYCLES + 1)
+    assert phases == [Phase.OFFLINE] * (PROBE_CYCLES - 1) + [Phase.HELD] * 2
+    for _ in range(3):
+        unprobed.resets += 1
+        relative(unprobed, 1)
+        state = unprobed.server.state
+        assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
+        assert state.resets == unprobed.resets  # taken for given
+    assert unprobed.counters["modes_refused"] == unprobed.counters["held_rsi_mode"] == 1
+    assert not unprobed.server.motion_stop
+    unprobed.server.krc_silent(99.0)
+    assert unprobed.server.state.reason is ReasonCode.RSI_MODE
+    unprobed.begin(unprobed.q)
+    assert unprobed.cycle().reason is ReasonCode.KRC_LOST  # no reset of before is obeyed now
+    unprobed.resets += 1
+    assert unprobed.cycle().phase is Phase.READY
+
+
+def test_a_krc_that_is_refused_before_a_gate_is_heard_is_held_once_it_is(unprobed):
+    for _ in range(PROBE_CYCLES):
+        before = unprobed.q
+        assert unprobed.cycle(gate=False).phase is Phase.OFFLINE
+        unprobed.q = before + (unprobed.q - np.array(unprobed.server.state.q_cmd))
+    assert unprobed.cycle().reason is ReasonCode.RSI_MODE
+
+
+def test_a_reset_that_is_asked_for_while_a_session_is_probed_is_obeyed_when_its_mode_is_known(rig):
+    rig.cycle(q_start=rig.q)
+    rig.resets += 1
+    for _ in range(PROBE_CYCLES - 1):
+        state = rig.cycle()
+        assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_reset_that_was_asked_for_while_nothing_was_seen_to_move_is_not_obeyed_some_day(rig):
+    rig.cycle(q_start=rig.q)
+    rig.resets += 1
+    for _ in range(PROBE_CYCLES + 1):
+        rig.q = FR.home
+        state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
+    while rig.server.detail:
+        assert rig.cycle().ipoc < 10_000
+    state = rig.cycle()
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.KRC_LOST)
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_session_within_the_probe_of_another_is_probed_from_its_beginning(rig):
+    rig.cycle(q_start=rig.q)
+    for _ in range(5):
+        rig.cycle()
+    rig.begin(rig.q)
+    rig.resets += 1
+    assert rig.cycle().phase is Phase.READY
+
+
+def test_a_robot_that_moves_though_its_correction_rests_is_told_to_end_the_motion(unprobed):
+    for count in range(1, 6):
+        unprobed.q = FR.home + count * np.deg2rad(0.05)
+        unprobed.cycle()
+    state = unprobed.server.state
+    assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
+    assert unprobed.server.motion_stop
+    assert unprobed.counters["motion_stops"] == 1
+
+
+def test_told_to_end_within_a_pulse_it_undoes_it_before_it_is_at_rest(unprobed):
+    total = np.zeros(6)
+    for _ in range(4):
+        unprobed.cycle()
+        total = total + unprobed.q - FR.home
+    assert total.any()
+    while not unprobed.server.at_rest:
+        unprobed.server.end()
+        unprobed.cycle()
+        total = total + unprobed.q - FR.home
+        assert unprobed.ipoc < 10_000
+    np.testing.assert_allclose(total, 0.0, atol=1e-12)

@@ -216,14 +216,14 @@ def test_what_is_asked_of_a_new_server_in_its_first_cycle_is_answered_at_once(ri
     rig.restart_server("fr")
     rig.cycle()
     assert rig.state.cycle == 1
-    assert rig.request().reasons[0].code is ReasonCode.STOPPED
+    assert rig.request().reasons[0].code is ReasonCode.NOT_READY
 
 
 def test_a_robot_server_that_was_started_anew_is_held_until_a_reset(rig):
     rig.request()
     rig.cycle()
     rig.restart_server("fr")
-    for _ in range(10):
+    for _ in range(40):
         rig.cycle()
     assert (rig.state.phase, rig.state.reason) == (Phase.HELD, ReasonCode.SERVER_LOST)
     assert refused(rig.request()) is ReasonCode.STOPPED

@@ -5,7 +5,8 @@ from __future__ import annotations
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, Supervision
 from deltaq_protocol.messages import Verdict
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 
 CELL = CellModel.load("lab")
@@ -32,6 +33,9 @@ class Rig:
         self.said = []
         for _ in range(10):
             self.cycle()
+        for _ in range(30):  # their modes are found out
+            self.cycle()
+        assert not any(server.detail for server in self.servers.values())
 
     def cycle(self, offset=0.0):
         """One cycle; FR is measured `offset` rad away from where it is."""

@@ -136,7 +136,14 @@ class KrcSide:
         return self
 
     def begin(self):
-        """Cycle until the session is believed."""
+        """Cycle until the session is believed and, where it is, its mode known."""
         for _ in range(CONFIRMATIONS):
+            self.cycle()
+        return self.probed() if self.server.state else self
+
+    def probed(self):
+        """Cycle until the mode of the session is known."""
+        while self.server.detail:
+            assert self.server.detail == "finds out how the KRC takes corrections"
             self.cycle()
         return self

@@ -72,6 +72,14 @@ class Stack:
     def wait_until_at_rest(self):
         self.wait_for(lambda before, after, cycles: (before == after).all())
 
+    def ask(self, **request):
+        """Ask the emulated controller's panel, and be told that it did it."""
+        driver = self.cell.robots["fr"].driver
+        self._panel.sendto(json.dumps(request).encode(), (driver.address, driver.control_port))
+        answer = json.loads(self._panel.recv(65536))
+        assert answer["ok"], answer
+        return answer
+
     def kill(self, name):
         """`kill -9`, and the cycle of the robot in which it was sent."""
         cycle = self.emulator()["cycle"]

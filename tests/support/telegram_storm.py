@@ -15,6 +15,7 @@ from krc_side import FR, KRC, MAX_DV, KrcSide, telegram
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.rsi import TelegramError
+from deltaq_services.robot_server.mode_probe import PROBE_RAD
 
 _ANSWER = re.compile(
     rb'<Sen Type="ImFree"><AK ' + b" ".join(rb'A%d="(-?[0-9.]+)"' % i for i in range(1, 7)) + rb"/>.*"
@@ -26,7 +27,7 @@ _ROUNDING = 2e-8
 
 
 class UnexplainedError(AssertionError):
-    """A correction changed, and no admission, brake or new session of the true KRC is why."""
+    """A correction changed, and no admission, brake, probe or new session of the true KRC is why."""
 
 
 class Storm:
@@ -47,6 +48,7 @@ class Storm:
         self._course: list[np.ndarray] = []
         self._older = [self.krc.own()]
         self._forged_ipoc = 0
+        self._probes = False
         self._heard_s = self.krc.time_s
         self._kinds = (
             *[self._true] * 6,
@@ -74,7 +76,17 @@ class Storm:
         while self.telegrams < telegrams:
             if self.random.random() < 1e-4:
                 self._begin_anew()
+            if self.krc.server.detail and self.random.random() < 0.01:
+                self._calm_down()
             self.random.choice(self._kinds)()
+
+    def _calm_down(self) -> None:
+        """The wire is quiet for a while, so that the mode of the session is found out."""
+        if self.krc.server.motion_stop:
+            self._begin_anew()
+        for _ in range(150):
+            if self.krc.server.detail:
+                self._true()
 
     # --- the true KRC -------------------------------------------------------------------------------------
 
@@ -174,6 +186,7 @@ class Storm:
         self.telegrams += 1
         taken, cycles = krc.counters["admissions"], krc.counters["session_restarted"]
         before = krc.server._cycle
+        self._probes = bool(krc.server.detail)
         try:
             answer = krc.answer(datagram, admission)
         except TelegramError:
@@ -194,13 +207,15 @@ class Storm:
         assert match is not None
         correction = np.deg2rad([float(text) for text in match.groups()])
         moved = correction - self._last
-        if np.any(np.abs(moved) > _ROUNDING):
+        probed = self._probes and not np.any(np.abs(moved) > PROBE_RAD + _ROUNDING)
+        if not probed and np.any(np.abs(moved) > _ROUNDING):
             expected = self._course[0] if self._course and krc.server._cycle != before else np.zeros(6)
             if np.any(np.abs(moved - expected) > _ROUNDING) or np.any(np.abs(moved) > _MOST):
                 raise UnexplainedError(f"telegram {self.telegrams}: moved {moved}, explained {expected}")
         if krc.server._cycle != before and self._course and not krc.missed:
             self._course = self._course[1:]
-        self._last = correction
+        if not probed:  # it has to come back to where it was
+            self._last = correction
         told = _IPOC.search(answer)
         if told is not None and int(told[1]) == krc.ipoc:
             krc.correction = correction

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from deltaq_experiments.model.ledger import Property
 from deltaq_experiments.model.one_joint import ROBOT
 from deltaq_experiments.model.system import System
-from deltaq_protocol.guarded import Admission, Plan, Supervision, TrackerMemory
+from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
@@ -21,10 +22,10 @@ Array = NDArray[np.float64]
 
 
 class _TakesLate(RobotServer):
-    def _take(self, admission: Admission) -> bool:
-        if self.state is not None:
-            admission = admission.model_copy(update={"cycle": self.state.cycle})
-        return super()._take(admission)
+    def _take(self, admission: Admission, follows: ServerState | None) -> bool:
+        if follows is not None:
+            admission = admission.model_copy(update={"cycle": follows.cycle})
+        return super()._take(admission, follows)
 
 
 class LateIsTaken(System):

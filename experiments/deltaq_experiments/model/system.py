@@ -39,7 +39,8 @@ from deltaq_protocol.guarded import (
     Supervision,
 )
 from deltaq_protocol.messages import Message, Phase
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.answers import Output
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders

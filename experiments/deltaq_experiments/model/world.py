@@ -129,6 +129,7 @@ class _Key:
         world, inner = self._world, self._inner
         gate = world.gate.robots[ROBOT]
         waiting, silent = gate.waiting, gate.orders.cycles_without_hli
+        settling = inner["_settling"]
         return (
             world.turn,
             world.displaced,
@@ -138,8 +139,8 @@ class _Key:
             world.ledger,
             min(inner["_cycles_without_gate"], _PAST_TIMEOUT),
             min(inner["_cycles_missed"], _PAST_TIMEOUT),
-            inner["_cycles_at_rest"],
-            None if inner["_q_settled"] is None else self._q(inner["_q_settled"][0]),
+            settling.cycles_at_rest,
+            None if settling.q_settled is None else self._q(settling.q_settled[0]),
             inner["motion_stop"],
             self._resets[inner["_resets"]],
             self._state(world.server.state),

@@ -2,15 +2,15 @@
 
 Pure: no clock, no socket. One call of `cycle` is one telegram of the KRC. It takes what has arrived from the
 gate by then and returns at once the setpoint to send: the admitted increment, or the next step of the
-brake that was verified with the last one.
+brake that was verified with the last one. Before a robot on RSI may be ready in a session, a probe too small to be
+an increment finds out what its corrections do.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,27 +23,11 @@ from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.guards import Bounds, refusal
+from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.mode_probe import KinematicMode, Mode, ModeProbe, mode_of_session
+from deltaq_services.robot_server.settling import Settling
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """What a robot's driver reports at the start of a cycle.
-
-    Attributes:
-        ipoc: the KRC's stamp of this cycle.
-        q: (n,) measured configuration [rad or m].
-        q_start: (n,) setpoint that the KRC has in the session that begins; None while the session goes on.
-        missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
-        inputs: digital inputs by name.
-    """
-
-    ipoc: int
-    q: Array
-    q_start: Array | None = None
-    missed_last: bool = False
-    inputs: Mapping[str, bool] = field(default_factory=dict)
 
 
 class RobotServer:
@@ -68,17 +52,17 @@ class RobotServer:
         self.motion_stop = False
         self.counters: Counter[str] = Counter()
         self._bounds = Bounds.of(cell.robots[robot], cell.cycle_s)
-        self._tolerance = cell.robots[robot].tracking_tolerance
-        self._lag_cycles = math.ceil(cell.gate.servo_lag_s / cell.cycle_s)
+        lag_cycles = math.ceil(cell.gate.servo_lag_s / cell.cycle_s)
+        self._settling = Settling(cell.robots[robot].tracking_tolerance, lag_cycles)
+        self._new_mode = partial(mode_of_session, cell.robots[robot], cell.cycle_s, lag_cycles)
+        self._mode: ModeProbe | KinematicMode = KinematicMode()
         self._gate_timeout_cycles = math.ceil(cell.gate.gate_timeout_s / cell.cycle_s)
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        self._cycles_at_rest = 0
         self._q = np.zeros(0)
         self._q_cmd = np.zeros(0)
         self._q_reset: Array | None = None
-        self._q_settled: Array | None = None
         self._dq = np.zeros(0)
         self._plan = Plan(dq=(0.0,), brake_cycles=1, step=1)
         self._plan_dq = np.zeros(0)
@@ -93,14 +77,20 @@ class RobotServer:
 
     @property
     def state(self) -> ServerState | None:
-        """The state published after each cycle; None before the first. Made on demand: after the reply."""
-        self._make_state()
+        """What is published after each cycle; None before the first. Made when it is asked for: after the reply."""
+        if self._state is None and self._told is not None:
+            self._state = self._publishable(*self._told)
         return self._state
 
     @property
     def at_rest(self) -> bool:
-        """Whether the brake has ended and the drives have had the time to catch up."""
-        return self._cycles_at_rest > self._lag_cycles
+        """Whether the brake has ended, no probe is to be undone, and the drives have had the time to catch up."""
+        return self._settling.at_rest and self._mode.idle
+
+    @property
+    def detail(self) -> str:
+        """What is amiss with the session's mode, for people; empty if nothing is."""
+        return self._mode.detail
 
     def cycle(
         self,
@@ -121,11 +111,12 @@ class RobotServer:
             (n,) setpoint to send now [rad or m].
         """
         if measured.q_start is not None:
-            self._begin_session(measured.q_start)
-        self._make_state()  # the state that this cycle's admission follows
+            self._begin_session(measured.q, measured.q_start)
+        follows = self.state
         self._cycle += 1
         self._q = measured.q
         self._watch(measured.q)
+        self._probe(measured)
         self._supervise(supervision)
         if measured.missed_last:
             # the KRC still stands at the setpoint before: send the missed one again instead of a double step
@@ -135,31 +126,23 @@ class RobotServer:
                 self._stop(ReasonCode.KRC_LOST)
         else:
             self._cycles_missed = 0
-            self._advance(admission)
-        self._cycles_at_rest = 0 if self._dq.any() else min(self._cycles_at_rest + 1, self._lag_cycles + 1)
+            self._advance(admission, follows)
+        self._settling = self._settling.sent(bool(self._dq.any()))
         self._told, self._state = (measured, time_s), None
-        return self._held_at
+        return self._mode.added_to(self._held_at)
 
     def krc_silent(self, time_s: float) -> None:
         """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""
         self.counters["krc_silent"] += 1
-        state = self.state
-        if state is not None:
-            self._stop(ReasonCode.KRC_LOST)
-            if self._phase is Phase.HELD:
-                self._reason = ReasonCode.KRC_LOST  # of several causes this one is kept
-            # the KRC holds its last correction by now: the rest of a brake would set the robot in motion
-            self._dq = np.zeros_like(self._q_cmd)
-            self._rest()
-            self._state = state.model_copy(
-                update={
-                    "phase": self._phase,
-                    "reason": self._reason,
-                    "time_s": time_s,
-                    "dq": self._plan.dq,
-                    "plan": self._plan,
-                }
-            )
+        if self._told is None:
+            return
+        self._stop(ReasonCode.KRC_LOST)
+        if self._phase is Phase.HELD:
+            self._reason = ReasonCode.KRC_LOST  # of several causes this one stands
+        # the KRC has held its last correction by now: what is left of a brake would set the robot in motion
+        self._dq = np.zeros_like(self._q_cmd)
+        self._rest()
+        self._told, self._state = (self._told[0], time_s), None
 
     def reply_refused(self, q_sent: Array) -> None:
         """The last reply was not sent as decided: hold at the setpoint that was sent instead.
@@ -177,40 +160,49 @@ class RobotServer:
     def end(self) -> None:
         """Come to rest along the brake, and stay there: a signal ends this process."""
         self._stop(ReasonCode.SERVER_ENDED)
+        self._mode.end()
 
     @property
     def _held_at(self) -> Array:
         """(n,) setpoint that the KRC has: its own in a new session, until a reset adopts it."""
         return self._q_cmd if self._q_reset is None else self._q_reset
 
-    def _begin_session(self, q_start: Array) -> None:
+    def _begin_session(self, q: Array, q_start: Array) -> None:
         if self._cycle > 0:
             self.counters["session_restarted"] += 1
             self._stop(ReasonCode.KRC_LOST)
+            if self._reason is ReasonCode.RSI_MODE:
+                self._reason = ReasonCode.KRC_LOST  # that was the mode of the session before
         if self._phase is Phase.OFFLINE:
             self._q_cmd = q_start.copy()
         else:
             self._q_reset = q_start.copy()
         self._dq = np.zeros_like(q_start)
-        self._cycles_at_rest = 0
+        self._settling = self._settling.sent(moves=True)
         self._rest()
+        self._mode = self._new_mode(q)
 
     def _watch(self, q: Array) -> None:
         """Hold a robot that is not where it was sent though it has had the time, and end its motion if it goes on."""
-        if not self.at_rest:
-            self._q_settled = None
-            return
-        if self._q_settled is None:
-            self._q_settled = q
-        if self._is_near(q, self._held_at):
+        self._settling = self._settling.measured(q)
+        if not self._settling.at_rest or self._settling.is_near(q, self._held_at):
             return
         self._stop(ReasonCode.TRACKING_ERROR)
-        if not self.motion_stop and not self._is_near(q, self._q_settled):
+        if self._settling.goes_on(q):
+            self._end_motion()
+
+    def _end_motion(self) -> None:
+        if not self.motion_stop:
             self.motion_stop = True
             self.counters["motion_stops"] += 1
 
-    def _is_near(self, q: Array, other: Array) -> bool:
-        return bool((np.abs(q - other) <= self._tolerance).all())
+    def _probe(self, measured: Measurement) -> None:
+        known = self._mode.mode
+        self._mode.cycle(measured.q, measured.ipoc, measured.missed_last)
+        if self._mode.refused and known is Mode.UNKNOWN:
+            self.counters["modes_refused"] += 1
+        if self._mode.mode is Mode.ADRIFT:
+            self._end_motion()
 
     def _rest(self) -> None:
         self._plan_dq = np.zeros_like(self._q_cmd)
@@ -227,12 +219,17 @@ class RobotServer:
             self._stop(supervision.stop or ReasonCode.CELL_MISMATCH)
             return
         self._cycles_without_gate = 0
-        if self._phase is Phase.OFFLINE:
+        if self._phase is Phase.OFFLINE and (self._mode.known or self._mode.refused):
             self._epoch = supervision.epoch
             self._resets = supervision.resets  # these were given to an earlier process
             self._enter(Event.LINKED)
-        at_rest = self._plan.step >= self._plan.brake_cycles and self._is_near(self._q, self._held_at)
-        if self._phase is Phase.HELD and supervision.resets > self._resets and at_rest:
+        if self._mode.refused:
+            self._stop(ReasonCode.RSI_MODE)
+        if self._mode.bars:
+            self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
+        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(self._q, self._held_at)
+        may_be_reset = self._phase is Phase.HELD and self._mode.known and there
+        if may_be_reset and supervision.resets > self._resets:
             self._q_cmd, self._q_reset = self._held_at, None
             self.motion_stop = False
             self._resets = supervision.resets
@@ -247,8 +244,8 @@ class RobotServer:
             self._stop(supervision.stop)
         self.outputs.update({k: v for k, v in supervision.outputs.items() if k in self.outputs})
 
-    def _advance(self, admission: Admission | None) -> None:
-        if admission is not None and self._take(admission):
+    def _advance(self, admission: Admission | None, follows: ServerState | None) -> None:
+        if admission is not None and self._take(admission, follows):
             self._enter(Event.ADMITTED)
         else:
             self._plan = self._plan.model_copy(update={"step": self._plan.step + 1})
@@ -261,11 +258,11 @@ class RobotServer:
             self._rest()
             self._enter(Event.RESTED)
 
-    def _take(self, admission: Admission) -> bool:
-        if self._phase not in MAY_MOVE or self.state is None:
+    def _take(self, admission: Admission, follows: ServerState | None) -> bool:
+        if self._phase not in MAY_MOVE or follows is None:
             self.counters["admission_while_not_ready"] += 1
             return False
-        why = refusal(admission, self.state, self._bounds)
+        why = refusal(admission, follows, self._bounds)
         if why is not None:
             self.counters[why] += 1
             return False
@@ -285,11 +282,8 @@ class RobotServer:
     def _enter(self, event: Event) -> None:
         self._phase = next_phase(self._phase, event)
 
-    def _make_state(self) -> None:
-        if self._state is None and self._told is not None:
-            self._state = self._publishable(*self._told)
-
     def _publishable(self, measured: Measurement, time_s: float) -> ServerState:
+        barred = self._phase is Phase.HELD and self._mode.bars  # that stands before all else
         return ServerState(
             robot=self.robot,
             process=self.process,
@@ -304,7 +298,7 @@ class RobotServer:
             epoch=self._epoch,
             sequence=self._sequence,
             phase=self._phase,
-            reason=self._reason,
+            reason=ReasonCode.RSI_MODE if barred else self._reason,
             resets=self._resets,
             inputs=dict(measured.inputs),
             outputs=self.outputs,

@@ -10,7 +10,7 @@ from typing import Self
 from deltaq_cell.description import RsiDriver as RsiDescription
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
-from deltaq_services.robot_server.core import Measurement
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import Address, Peer, Sender
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 

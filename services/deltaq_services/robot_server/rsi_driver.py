@@ -19,7 +19,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.description import RsiDriver as RsiDescription
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
-from deltaq_services.robot_server.core import Measurement
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
 from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session

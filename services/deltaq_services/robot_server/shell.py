@@ -15,10 +15,11 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.description import RsiDriver as RsiDescription
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 from deltaq_services.process import ask_for_real_time
-from deltaq_services.robot_server.core import Measurement, RobotServer
+from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.link import Link
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _REAL_TIME_PRIORITY = 20
@@ -83,17 +84,21 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
                     krc.send(rsi.reply(q_cmd, server.outputs, ending.stop or server.motion_stop))
                     if rsi.fault is not None:
                         server.reply_refused(rsi.q_sent)
-                    link.publish(server.state, now_s, krc.detail)
+                    link.publish(server.state, now_s, _told(server.detail, krc.detail))
                     ending.cycle_passed()
                 elif now_s >= silent_s:
                     silent_s = now_s + silence_s
                     server.krc_silent(now_s)
-                    link.publish(server.state, now_s, f"KRC silent; {krc.detail}")
+                    link.publish(server.state, now_s, _told("KRC silent", server.detail, krc.detail))
                     ending.krc_silent()
                 else:
-                    link.publish(None, now_s, f"waiting for a position; {krc.detail}")
+                    link.publish(None, now_s, _told("waiting for a position", krc.detail))
     finally:
         link.close()
+
+
+def _told(*details: str) -> str:
+    return "; ".join(filter(None, details))
 
 
 def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:

@@ -125,6 +125,10 @@ class Orders:
             return ReasonCode.UNREACHABLE, f"no state from the Robot Server of {self._robot.name}"
         if self._krc_silent:
             return ReasonCode.CAUSE_STANDS, f"the KRC of {self._robot.name} is silent"
+        if state.reason is ReasonCode.RSI_MODE:
+            return ReasonCode.CAUSE_STANDS, (
+                f"the KRC of {self._robot.name} was not seen to take corrections as RSI_ON(#ABSOLUTE) does"
+            )
         if self.standing_stop is not None:
             return ReasonCode.NOT_AT_REST, f"{self._robot.name} is only now being stopped"
         if state.phase is Phase.HELD:

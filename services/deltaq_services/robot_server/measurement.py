@@ -1,0 +1,30 @@
+"""What a driver tells a Robot Server's core of its robot, once a cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a robot's driver reports at the start of a cycle.
+
+    Attributes:
+        ipoc: the KRC's stamp of this cycle.
+        q: (n,) measured configuration [rad or m].
+        q_start: (n,) setpoint that the KRC has in the session that begins; None while the session goes on.
+        missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
+        inputs: digital inputs by name.
+    """
+
+    ipoc: int
+    q: Array
+    q_start: Array | None = None
+    missed_last: bool = False
+    inputs: Mapping[str, bool] = field(default_factory=dict)

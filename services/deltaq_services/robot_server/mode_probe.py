@@ -1,0 +1,262 @@
+"""Finds out, before the first motion of a session, whether the KRC takes corrections as offsets or adds them up.
+
+A constant correction is a place where RSI is absolute, `RSI_ON(#ABSOLUTE)`, and a constant speed where it is relative.
+So each trial adds a short pulse to the setpoint, waits until the drives have followed, and then adds its negative:
+
+| the KRC | after the pulse | after its negative | area below the curve |
+| --- | --- | --- | --- |
+| is absolute | back where it was | back where it was | that of the pulse, and of its negative |
+| adds up | displaced by the pulse's sum | back where it was | is not looked at |
+| moves nothing | where it was | where it was | none |
+
+All that a trial adds sums up to zero, so it is undone whatever the KRC does with it, and no joint gets further than
+`PROBE_RAD` or `PROBE_M`. Drives smear a pulse, but linear ones of gain one keep its area, so that it does not matter
+how they lag as long as they are done within a window. A joint that sags, or is noisy, does not do the same with its
+sign turned in the second half; such a trial tells nothing, and there is another.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.description import RobotDescription, RsiDriver
+
+Array = NDArray[np.float64]
+
+PROBE_RAD = math.radians(0.03)
+PROBE_M = 0.03e-3
+"""Sum of a pulse: how far a KRC that adds up is displaced by it."""
+
+SHARE_OF_TOLERANCE = 0.1
+"""Of its tracking tolerance no joint is displaced by more. A robot may be that tolerance off its path without being
+held, so the distances that the gate keeps pay for it already."""
+
+ADRIFT = 3.0
+"""A joint this many times a pulse's sum away from where the session began is moving by itself."""
+
+_ADRIFT_CYCLES = 3
+"""Cycles in a row in which it has to be there: a single telegram may be a forged one."""
+
+_AT_REST = 3
+"""Samples at the end of a window that tell where the robot has come to rest."""
+
+_PAUSE_WINDOWS = 4
+"""Windows to wait after a trial that told nothing."""
+
+_BACK = 0.25
+"""Share of a pulse's sum by which a joint that is back where it was may be off."""
+
+_SEEN = 0.5
+"""Share of a pulse that has to be seen; and no more than the inverse of it."""
+
+_IPOC_WRAP = 2**32
+
+
+class Mode(StrEnum):
+    """How a KRC takes corrections."""
+
+    UNKNOWN = "unknown"
+    ABSOLUTE = "absolute"
+    RELATIVE = "relative"
+    """It adds them up."""
+    ADRIFT = "adrift"
+    """The robot moves though its correction rests."""
+
+
+_REMEDY = "nothing is driven in this session: let the program call RSI_ON(#ABSOLUTE), and start it again"
+
+
+class KinematicMode:
+    """The mode of a robot that is no KUKA: it is where it was sent, and nobody needs to find out."""
+
+    mode = Mode.ABSOLUTE
+    known = idle = True
+    refused = bars = False
+    detail = ""
+
+    def cycle(self, q: Array, ipoc: int, missed_last: bool) -> None:
+        """Nothing is to be learned."""
+
+    def added_to(self, setpoint: Array) -> Array:
+        """The setpoint as it is."""
+        return setpoint
+
+    def end(self) -> None:
+        """Nothing is to be undone."""
+
+
+class ModeProbe:
+    """The probe of one session.
+
+    Args:
+        robot: its joints.
+        cycle_s: sample time.
+        lag_cycles: cycles within which the drives are where they were sent.
+        q: (n,) measured where the session begins, at rest [rad or m].
+
+    Attributes:
+        mode: what was found out; it stays what it is once it is not unknown.
+        unseen: names of the joints that did not follow the last trial; empty before the first has ended.
+    """
+
+    def __init__(self, robot: RobotDescription, cycle_s: float, lag_cycles: int, q: Array) -> None:
+        self.mode = Mode.UNKNOWN
+        self.unseen: tuple[str, ...] = ()
+        self._joints = robot.joint_names
+        largest = np.array([PROBE_RAD if unit == "rad" else PROBE_M for unit in robot.units])
+        self._size = np.minimum(largest, SHARE_OF_TOLERANCE * robot.tracking_tolerance)
+        pulse = _pulse(self._size, robot.max_acceleration * cycle_s**2)
+        settling = np.zeros(lag_cycles + _AT_REST)
+        self._window = len(pulse) + len(settling)
+        self._course = np.concatenate([np.zeros(_AT_REST), pulse, settling, -pulse, settling, [0.0]])
+        self._offset = np.zeros_like(q)
+        self._q_start = q
+        self._adrift_cycles = 0
+        self._ended = False
+        self._ipoc: int | None = None
+        self._ipoc_step = _IPOC_WRAP
+        self._cycle = 0
+        self._samples: list[Array] = []
+        self._void = False
+
+    @property
+    def known(self) -> bool:
+        """Whether corrections are offsets, so that the robot may be driven."""
+        return self.mode is Mode.ABSOLUTE
+
+    @property
+    def refused(self) -> bool:
+        """Whether the mode is one in which no robot is driven."""
+        return self.mode in (Mode.RELATIVE, Mode.ADRIFT)
+
+    @property
+    def bars(self) -> bool:
+        """Whether the robot must not be driven now: the mode is refused, or did not show when it was probed."""
+        return self.refused or (not self.known and bool(self.unseen))
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is added, and nothing that was added is still to be undone."""
+        return self.mode is not Mode.UNKNOWN or self._cycle <= _AT_REST
+
+    @property
+    def detail(self) -> str:
+        """What is amiss and what helps, for people; empty if nothing is."""
+        if self.known:
+            return ""
+        if self.mode is Mode.RELATIVE:
+            return f"the KRC adds corrections up, as RSI_ON(#RELATIVE) does; {_REMEDY}"
+        if self.mode is Mode.ADRIFT:
+            return f"the robot moves though its correction rests, as with RSI_ON(#RELATIVE); {_REMEDY}"
+        if self.unseen:
+            return (
+                f"{', '.join(self.unseen)} did not follow a probe of how the KRC takes corrections, which goes on: are "
+                "the drives on, is RSI_MOVECORR confirmed, does the KRC send four decimals?"
+            )
+        return "finds out how the KRC takes corrections"
+
+    def cycle(self, q: Array, ipoc: int, missed_last: bool) -> None:
+        """One telegram of the session.
+
+        Args:
+            q: (n,) measured [rad or m].
+            ipoc: the KRC's stamp.
+            missed_last: the last reply did not reach the KRC.
+        """
+        lost = self._is_behind_a_gap(ipoc) or missed_last
+        if self.mode is not Mode.UNKNOWN:
+            return
+        if self._is_adrift(q):
+            self.mode = Mode.ADRIFT
+            return
+        if self._ended and self.idle:
+            return
+        if self._cycle >= 0:
+            # what did not reach the KRC in time it replaced by the value before, or by none
+            self._void |= lost and bool(self._course[max(self._cycle - 2, 0) : self._cycle].any())
+            self._samples.append(q)
+            self._offset = self._course[self._cycle] * self._size
+        self._cycle += 1
+        if self._cycle == len(self._course):
+            self._judge()
+
+    def added_to(self, setpoint: Array) -> Array:
+        """What to send in this cycle instead of a setpoint (n,) [rad or m]."""
+        return setpoint + self._offset if self.mode is Mode.UNKNOWN else setpoint
+
+    def end(self) -> None:
+        """Undo what was added, and add nothing more."""
+        self._ended = True
+
+    def _is_adrift(self, q: Array) -> bool:
+        away = bool((np.abs(q - self._q_start) > ADRIFT * self._size).any())
+        self._adrift_cycles = self._adrift_cycles + 1 if away else 0
+        return self._adrift_cycles >= _ADRIFT_CYCLES
+
+    def _is_behind_a_gap(self, ipoc: int) -> bool:
+        passed = 0 if self._ipoc is None else (ipoc - self._ipoc) % _IPOC_WRAP
+        self._ipoc = ipoc
+        self._ipoc_step = min(self._ipoc_step, passed or _IPOC_WRAP)
+        return passed > self._ipoc_step
+
+    def _judge(self) -> None:
+        if self._void:
+            self._cycle = 0
+        else:
+            seen = joint_modes(np.array(self._samples) / self._size, self._window)
+            unknown = [mode is Mode.UNKNOWN for mode in seen]
+            self.unseen = tuple(name for name, bad in zip(self._joints, unknown, strict=True) if bad)
+            if Mode.RELATIVE in seen:
+                self.mode = Mode.RELATIVE
+            elif not self.unseen:
+                self.mode = Mode.ABSOLUTE
+            self._cycle = -_PAUSE_WINDOWS * self._window
+        self._samples, self._void = [], False
+
+
+def mode_of_session(
+    robot: RobotDescription, cycle_s: float, lag_cycles: int, q: Array
+) -> ModeProbe | KinematicMode:
+    """What finds out the mode of a session that begins with the robot at `q`, see `ModeProbe`."""
+    if isinstance(robot.driver, RsiDriver):
+        return ModeProbe(robot, cycle_s, lag_cycles, q)
+    return KinematicMode()
+
+
+def joint_modes(samples: Array, window: int) -> list[Mode]:
+    """What each joint tells of its KRC.
+
+    Args:
+        samples: (3 + 2 window + 1, n) measured in each cycle of a trial, in units of the pulses' sums. The first value
+            of the pulse was sent in reply to sample 3, that of its negative a window later.
+        window: samples from the beginning of one pulse to that of the next.
+
+    Returns:
+        n modes, UNKNOWN where a joint agrees with neither.
+    """
+    begins = (_AT_REST + 1, _AT_REST + 1 + window)
+    rest = [samples[end - _AT_REST : end].mean(axis=0) for end in (*begins, begins[1] + window)]
+    steps = (rest[1] - rest[0], rest[1] - rest[2])
+    # above straight lines from rest to rest, so that a slow drift has no area
+    areas = [
+        sign * (samples[begin : begin + window].sum(axis=0) - window * (rest[half] + rest[half + 1]) / 2)
+        for half, (begin, sign) in enumerate(zip(begins, (1.0, -1.0), strict=True))
+    ]
+    adds_up = np.minimum(*steps) > _SEEN
+    back = np.maximum(np.abs(steps[0]), np.abs(steps[1])) < _BACK
+    follows = (np.minimum(*areas) > _SEEN) & (np.maximum(*areas) < 1 / _SEEN)
+    return [
+        Mode.RELATIVE if relative else Mode.ABSOLUTE if absolute else Mode.UNKNOWN
+        for relative, absolute in zip(adds_up, back & follows, strict=True)
+    ]
+
+
+def _pulse(size: Array, max_dv: Array) -> Array:
+    """A triangle whose sum is one, as short as joints of these sizes (n,) and limits of acceleration (n,) allow."""
+    # at its peak the speed turns from one step up to one step down: two steps, each of size / half**2
+    half = max(1, math.ceil(math.sqrt(float(np.max(2.0 * size / max_dv)))))
+    return (half - np.abs(np.arange(1 - half, half))) / half**2

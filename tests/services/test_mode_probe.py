@@ -1,0 +1,292 @@
+"""The probe of a session's mode: what it finds out, what it never takes for another, and how far it moves the robot."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltaq_cell.description import RobotDescription
+from deltaq_cell.load import load_cell
+from deltaq_services.robot_server.mode_probe import (
+    ADRIFT,
+    PROBE_M,
+    PROBE_RAD,
+    KinematicMode,
+    Mode,
+    ModeProbe,
+    mode_of_session,
+)
+
+LAB, LAB_4MS, DAWM = load_cell("lab"), load_cell("lab-4ms"), load_cell("dawm")
+GR = LAB.robots["gr"]
+LAG_S = LAB.gate.servo_lag_s
+SIZE = np.array([PROBE_M] * 3 + [PROBE_RAD] * 6)
+TRIAL = 28
+"""Cycles of a trial at 12 ms."""
+PAUSE = 4 * 12
+
+
+class Arm:
+    """A KRC and its drives: a dead time, a first-order lag, noise, and four decimals.
+
+    Attributes:
+        sent: every offset that was sent.
+        furthest: (n,) how far the drives got from where they stood [rad or m].
+    """
+
+    def __init__(self, mode="absolute", dead=1, share=0.7, noise=0.0, seed=0, cell=LAB, moves=True):
+        robot, cycle_s = cell.robots["gr"], cell.cycle_s
+        lag_cycles = round(LAG_S / cycle_s)
+        self.max_dv = robot.max_acceleration * cycle_s**2
+        self.mode, self.share, self.noise, self.moves = mode, share, noise, moves
+        self.random = np.random.default_rng(seed)
+        self.start, self.q = robot.home.copy(), robot.home.copy()
+        self.probe = ModeProbe(robot, cycle_s, lag_cycles, self.measured())
+        self.total, self.value = np.zeros(9), np.zeros(9)
+        self.delayed = deque([np.zeros(9)] * dead, maxlen=dead + 1)
+        self.ipoc = 2**32 - 100
+        self.sag = np.zeros(9)
+        self.sent, self.furthest = [], np.zeros(9)
+
+    def measured(self):
+        q = self.q + SIZE * self.noise * self.random.uniform(-1, 1, 9)
+        scale = np.where(SIZE == PROBE_M, 1e3, np.degrees(1.0))
+        return np.round(q * scale, 4) / scale
+
+    def move(self):
+        """The KRC takes the value that it has."""
+        self.total = self.total + self.value if self.mode == "relative" else self.value
+        self.delayed.append(self.total * self.moves)
+        self.q = self.q + self.share * (self.start + self.sag + self.delayed[0] - self.q)
+        self.furthest = np.maximum(self.furthest, np.abs(self.q - self.start - self.sag))
+        self.ipoc = (self.ipoc + 12) % 2**32
+
+    def cycle(self, missed_last=False, lose_reply=False):
+        self.probe.cycle(self.measured(), self.ipoc, missed_last)
+        sent = self.probe.added_to(np.zeros(9))
+        self.sent.append(sent)
+        if not lose_reply:
+            self.value = sent  # of a lost one it keeps the one before: HOLDON is 1
+        self.move()
+
+    def lose_telegram(self):
+        """A telegram gets lost, and so it has no reply."""
+        self.move()
+
+    def trial(self, cycles=TRIAL):
+        for _ in range(cycles):
+            self.cycle()
+        return self.probe
+
+
+LAGS = st.tuples(st.integers(0, 2), st.floats(0.7, 1.0))
+
+
+@settings(deadline=None, max_examples=60)
+@given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
+def test_an_absolute_krc_is_found_out_in_one_trial_whatever_the_lag_and_a_little_noise(
+    lag, noise, seed, cell
+):
+    arm = Arm("absolute", *lag, noise, seed, cell)
+    probe = arm.trial(0)
+    while not probe.known:
+        assert len(arm.sent) * cell.cycle_s < 0.35
+        arm.cycle()
+    assert (arm.furthest <= SIZE).all()
+    assert (probe.unseen, probe.detail, probe.refused, probe.bars) == ((), "", False, False)
+
+
+@settings(deadline=None, max_examples=60)
+@given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
+def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_back(lag, noise, seed, cell):
+    arm = Arm("relative", *lag, noise, seed, cell)
+    probe = arm.trial(0)
+    while probe.mode is Mode.UNKNOWN:
+        assert len(arm.sent) * cell.cycle_s < 0.35
+        arm.cycle()
+    assert probe.mode is Mode.RELATIVE
+    assert probe.refused
+    assert probe.bars
+    assert "adds corrections up" in probe.detail
+    assert "RSI_ON(#ABSOLUTE)" in probe.detail
+    assert (arm.furthest <= SIZE * 1.001).all()
+    arm.trial(30)
+    np.testing.assert_allclose(arm.q, arm.start, atol=1e-12)
+    assert not np.any(arm.sent[-30:])
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    mode=st.sampled_from(["absolute", "relative"]),
+    moves=st.booleans(),
+    lag=LAGS,
+    noise=st.floats(0, 0.2),
+    seed=st.integers(0, 2**31),
+    losses=st.lists(st.sampled_from([""] * 6 + ["telegram", "reply", "twice"]), min_size=60, max_size=160),
+)
+def test_whatever_is_lost_no_mode_is_taken_for_the_other_and_nobody_gets_far(
+    mode, moves, lag, noise, seed, losses
+):
+    arm = Arm(mode, *lag, noise, seed, moves=moves)
+    missed = False
+    for loss in losses:
+        if loss == "telegram":
+            arm.lose_telegram()
+            missed = True
+        arm.cycle(missed, lose_reply=loss == "reply")
+        missed = loss == "reply"
+    truth = {"absolute": Mode.ABSOLUTE, "relative": Mode.RELATIVE}[mode] if moves else Mode.UNKNOWN
+    assert arm.probe.mode in ({truth, Mode.UNKNOWN} | ({Mode.ADRIFT} if mode == "relative" else set()))
+    if mode == "absolute":
+        assert (arm.furthest <= SIZE).all()
+    else:
+        assert (arm.furthest <= (ADRIFT + 2) * SIZE).all()
+
+
+@pytest.mark.parametrize("cell", [LAB, LAB_4MS])
+def test_a_trial_sums_up_to_nothing_and_accelerates_no_joint_beyond_its_limit(cell):
+    arm = Arm(cell=cell)
+    arm.trial(90)
+    sent = np.array(arm.sent)
+    np.testing.assert_allclose(sent.sum(axis=0), 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.abs(sent).sum(axis=0), 2 * SIZE)
+    assert (np.abs(np.diff(sent, n=2, axis=0)) <= arm.max_dv * (1 + 1e-9)).all()
+
+
+def test_a_robot_that_does_not_move_is_probed_again_and_again_until_it_does():
+    arm = Arm(moves=False)
+    probe = arm.trial(TRIAL - 1)
+    assert (probe.unseen, probe.bars, probe.detail) == ((), False, "finds out how the KRC takes corrections")
+    arm.cycle()
+    assert probe.unseen == GR.joint_names
+    assert probe.detail.startswith("e1, e2, e3, a1, a2, a3, a4, a5, a6 did not follow a probe")
+    assert (probe.mode, probe.known, probe.refused, probe.bars) == (Mode.UNKNOWN, False, False, True)
+    for _ in range(PAUSE):
+        assert probe.idle
+        arm.cycle()
+        assert not arm.sent[-1].any()
+    arm.moves = True
+    assert arm.trial().known
+    assert not probe.bars
+
+
+def test_one_joint_that_does_not_follow_is_named_and_bars_the_robot():
+    arm = Arm()
+    arm.moves = np.array([1.0] * 8 + [0.0])
+    probe = arm.trial()
+    assert probe.unseen == ("a6",)
+    assert probe.bars
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.3, 4.0, 57.3])
+def test_a_joint_that_moves_another_way_or_amount_than_it_was_sent_is_not_absolute(factor):
+    arm = Arm()
+    arm.moves = np.array([1.0] * 8 + [factor])
+    assert not arm.trial(3 * TRIAL).known
+
+
+def test_one_relative_joint_is_enough_to_refuse():
+    arm = Arm()
+    relative = Arm("relative")
+    for _ in range(TRIAL):
+        arm.cycle()
+        relative.cycle()
+        arm.q[4] = relative.q[4]
+    assert arm.probe.mode is Mode.RELATIVE
+
+
+@pytest.mark.parametrize("cycle", [5, 10, 20])
+@pytest.mark.parametrize("sag", [0.8, -0.8])
+def test_a_robot_that_sags_once_is_taken_for_neither_and_probed_again(cycle, sag):
+    arm = Arm()
+    arm.trial(cycle)
+    arm.sag = sag * SIZE
+    probe = arm.trial(TRIAL - cycle)
+    assert probe.mode is Mode.UNKNOWN
+    arm.trial(PAUSE)
+    assert arm.trial().known
+
+
+def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_telegram():
+    arm = Arm()
+    for cycles in (1, 2):
+        arm.trial(1)
+        arm.sag = 1.1 * ADRIFT * SIZE
+        arm.q = arm.start + arm.sag
+        arm.trial(cycles)
+        assert arm.probe.mode is Mode.UNKNOWN
+        arm.sag = np.zeros(9)
+        arm.q = arm.start.copy()
+    arm.trial(1)
+    arm.sag = 1.1 * ADRIFT * SIZE
+    arm.q = arm.start + arm.sag
+    arm.trial(3)
+    assert arm.probe.mode is Mode.ADRIFT
+    assert (arm.probe.refused, arm.probe.bars, arm.probe.idle) == (True, True, True)
+    assert arm.probe.detail.startswith("the robot moves though its correction rests")
+
+
+@pytest.mark.parametrize("at", range(TRIAL))
+def test_told_to_end_it_undoes_a_pulse_and_begins_none(at):
+    arm = Arm("relative")
+    probe = arm.trial(at)
+    probe.end()
+    while not probe.idle:
+        arm.cycle()
+        assert len(arm.sent) <= TRIAL
+    begun = np.any(arm.sent)
+    arm.trial(100)
+    assert np.any(arm.sent) == begun == (at > 3)
+    np.testing.assert_allclose(np.sum(arm.sent, axis=0), 0.0, atol=1e-15)
+    np.testing.assert_allclose(arm.q, arm.start, atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [4, 5, 7, 16, 19])  # in reply to samples 3 to 5 and 15 to 17 there is a pulse
+@pytest.mark.parametrize("lost", ["reply", "telegram"])
+def test_a_trial_with_a_loss_near_a_pulse_is_judged_by_nobody_and_followed_by_another(lost, at):
+    arm = Arm(moves=False)
+    arm.trial(at)
+    if lost == "telegram":
+        arm.lose_telegram()
+        arm.cycle()
+    else:
+        arm.cycle(missed_last=True)
+    arm.trial(TRIAL - at - 1)
+    assert arm.probe.unseen == ()
+    arm.moves = True
+    assert arm.trial().known
+
+
+@pytest.mark.parametrize("at", [1, 8, 15, 27])
+def test_a_loss_far_from_a_pulse_costs_no_trial(at):
+    arm = Arm()
+    arm.trial(at)
+    arm.cycle(missed_last=True)
+    assert arm.trial(TRIAL - at - 1).known
+
+
+def test_no_joint_is_displaced_by_more_than_a_tenth_of_its_tracking_tolerance():
+    fields = GR.model_dump(exclude_unset=True)
+    fields["joints"]["a1"]["tracking_tolerance_deg"] = 0.05
+    robot = RobotDescription.model_validate(fields)
+    probe = ModeProbe(robot, 0.012, 6, robot.home)
+    total = np.zeros(9)
+    for count in range(14):
+        probe.cycle(robot.home, 12 * count, False)
+        total += probe.added_to(np.zeros(9))
+    assert np.degrees(total[3]) == pytest.approx(0.005)
+    assert np.degrees(total[4]) == pytest.approx(0.03)
+    assert (total <= 0.1 * robot.tracking_tolerance).all()
+
+
+def test_a_robot_that_is_no_kuka_has_no_mode_to_be_found_out():
+    dawm = DAWM.robots["dawm"]
+    mode = mode_of_session(dawm, 0.012, 1, dawm.home)
+    assert isinstance(mode, KinematicMode)
+    mode.cycle(dawm.home + 1.0, 0, True)
+    mode.end()
+    assert mode.added_to(dawm.home) is dawm.home
+    assert (mode.known, mode.refused, mode.bars, mode.idle, mode.detail) == (True, False, False, True, "")
+    assert isinstance(mode_of_session(GR, 0.012, 6, GR.home), ModeProbe)
