@@ -13,10 +13,22 @@ from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not carried out."""
 
+STOP_PERIOD_S = 0.1
+"""A stop that the gate has not answered is sent again after this: a session that broke carries nothing, and says nothing
+of it. The gate takes a stop as often as it comes."""
+
 _HINTS = {
     ReasonCode.CAUSE_STANDS: "remove the cause, then reset again",
     ReasonCode.NOT_AT_REST: "wait until the robot is at rest, then reset again",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class _Stop:
+    """A stop that the gate has not answered, and when it is sent again."""
+
+    command: Command
+    again_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +54,7 @@ class Commands:
         self._outdated_id = 0
         self._stop_id = 0
         self._awaited: dict[int, _Awaited] = {}
+        self._stops: dict[str | None, _Stop] = {}  # the newest of each robot, and of all robots
 
     def numbered(self, command: Command) -> Command:
         """A command for the gate that is known, with an id that none has had."""
@@ -53,9 +66,19 @@ class Commands:
     def sent(self, command: Command, sender: Sender | None, done: Message | None, time_s: float) -> None:
         """Await the answer to a command; `done`, if any, is what the sender is told when it was carried out."""
         self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
+        if command.kind == "stop":
+            self._stops[command.robot] = _Stop(command, time_s + STOP_PERIOD_S)
+
+    def stops_again(self, time_s: float) -> list[Output]:
+        """The stops that the gate still has not answered, whatever their senders have been told since."""
+        again = [stop for stop in self._stops.values() if time_s >= stop.again_s]
+        for stop in again:
+            self._stops[stop.command.robot] = replace(stop, again_s=time_s + STOP_PERIOD_S)
+        return [ToGuarded(topics.COMMAND, "", stop.command) for stop in again]
 
     def answered(self, reply: CommandReply) -> list[Output]:
         """Tell the sender of the command what became of it, or send it again as the gate wants it."""
+        self._stops = {robot: stop for robot, stop in self._stops.items() if stop.command.id != reply.id}
         asked = self._awaited.get(reply.id)
         if asked is not None and reply.epoch is not None and reply.newest_id is not None:
             self._learn(reply.epoch, reply.newest_id)
