@@ -14,8 +14,8 @@ REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not carried out."""
 
 STOP_PERIOD_S = 0.1
-"""A stop that the gate has not answered is sent again after this: a session that broke carries nothing, and says nothing
-of it. The gate takes a stop as often as it comes."""
+"""A stop that the gate has not answered is sent again after this: a session that broke carries nothing, and does not
+say so. The gate takes a stop as often as it comes."""
 
 _HINTS = {
     ReasonCode.CAUSE_STANDS: "remove the cause, then reset again",
