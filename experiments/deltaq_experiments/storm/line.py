@@ -27,6 +27,8 @@ _DATAGRAM_BYTES = 65_535
 _READ_A_TURN = 64
 _LOST, _OVERTAKEN, _TWICE = 0.0005, 0.0005, 0.01
 """Shares of the true telegrams."""
+_READABLE = 4096
+"""No longer datagram is a telegram."""
 _HURRY_S = 0.02
 """What the attacker catches up with at most: its datagrams are spread, so that the Robot Server's loop keeps up."""
 
@@ -38,7 +40,7 @@ class Line:
         server: where the Robot Server listens.
         forger: makes what is added.
         rate_hz: datagrams that are added a second.
-        on_passed: called with all under the KRC's address and each reply, before it is carried on.
+        on_passed: called with each telegram, forgery and reply, before it is carried on.
 
     Attributes:
         address: where the KRC has to send to.
@@ -81,15 +83,16 @@ class Line:
 
     def _carry(self) -> None:
         due_s = time.monotonic()
-        answers = self._senders[Sender.KRC]
+        of_server = list(self._senders.values())
         while not self._ended.is_set():
             attacking = self.forged < self.goal
             wait_s = max(0.0, due_s - time.monotonic()) if attacking else _HURRY_S
-            readable, _, _ = select.select([self._to_krc, answers], [], [], wait_s)
+            readable, _, _ = select.select([self._to_krc, *of_server], [], [], wait_s)
             if self._to_krc in readable:
                 self._carry_telegrams()
-            if answers in readable:
-                self._carry_replies(answers)
+            for sender, sock in self._senders.items():
+                if sock in readable:
+                    self._carry_replies(sock, sender)
             now_s = time.monotonic()
             if attacking and now_s >= due_s:
                 self._attack()
@@ -114,15 +117,18 @@ class Line:
                     self.sent["true twice"] += 1
                     self._send(Sender.KRC, telegram)
 
-    def _carry_replies(self, answers: socket.socket) -> None:
-        for reply, _ in _waiting(answers):
+    def _carry_replies(self, sock: socket.socket, sender: Sender) -> None:
+        """Whoever is answered, it is the Robot Server's setpoint that moves; the KRC gets what is meant for it."""
+        for reply, _ in _waiting(sock):
             self._on_passed(Passed(Kind.REPLY, reply))
-            if self._krc is not None:
+            if sender is Sender.KRC and self._krc is not None:
                 self._to_krc.sendto(reply, self._krc)
+            elif sender is not Sender.KRC:
+                self.sent[f"true reply to {sender}"] += 1
 
     def _attack(self) -> None:
         forgery = self._forger.forge()
-        if forgery is not None and forgery.sender is Sender.KRC:
+        if forgery is not None and len(forgery.datagram) <= _READABLE:
             self._on_passed(Passed(Kind.FORGERY, forgery.datagram))
         if forgery is not None and self._send(forgery.sender, forgery.datagram):
             self.sent[f"{forgery.kind}, from {forgery.sender}"] += 1

@@ -39,7 +39,7 @@ class Kind(Enum):
     TELEGRAM = 0
     """Of the KRC itself."""
     FORGERY = 1
-    """Of an attacker under the KRC's address."""
+    """Of an attacker."""
     REPLY = 2
 
 
