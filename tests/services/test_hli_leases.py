@@ -202,7 +202,9 @@ def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing() -> N
     assert bench.core.requests.on_connection_lost([("fr", former)], bench.now) == []
 
 
-def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted_and_its_robot_stopped_later() -> None:
+def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted_and_its_robot_stopped_later() -> (
+    None
+):
     bench = Bench().ready()
     bench.move(1)
     stop = only(Command, bench.core.on_tick(bench.now + 1.0))

@@ -32,6 +32,8 @@ from deltaq_services.robot_server.session import CONFIRMATIONS
 
 _ELSEWHERE = 3 * STEP
 """How far off a forged position is: no further than the joint could have moved [m]."""
+_MOVING_CYCLES = 5
+"""From the first session on: linked, ready, and three increments on its way."""
 _FAR = 1000 * IPOC_STEP
 _TOLD = 1e-12
 """What sums of powers of two lose [m]: nothing, but differences of decimals do."""
@@ -49,11 +51,21 @@ class AttackedSystem(System):
         self._attacks = attacks
 
     def start(self, faults: int) -> World:
-        """The moment in which the first session was believed; nobody was attacked before."""
-        world = replace(super().start(faults), line=new_line(self._description, self._attacks))
-        for _ in range(CONFIRMATIONS - 1):
-            world = replace(self._own(world, None, None), turn=Turn.TELEGRAM)
+        """A robot that moves, away from where its session began; nobody was attacked before."""
+        world = replace(super().start(faults), line=self._new_line())
+        for _ in range(CONFIRMATIONS + _MOVING_CYCLES):
+            admission = len(world.admissions) - 1 if world.new_admission else None
+            supervision = len(world.supervisions) - 1 if world.new_supervision else None
+            world = self._own(world, admission, supervision)
+            if world.turn is Turn.STATE:
+                world = self._take_states(world, -1)
+                *_, (_, _, request) = (move for move in self.hli(world) if move[0].startswith("request"))
+                world = request(world)
+            world = replace(world, turn=Turn.TELEGRAM)
         return world
+
+    def _new_line(self) -> RsiLine:
+        return new_line(self._description, self._attacks)
 
     def hli(self, world: World) -> Iterator[tuple[str, int, Act]]:
         """What the HLI can send: little, for what more there is `System` explores."""

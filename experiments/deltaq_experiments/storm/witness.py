@@ -45,10 +45,11 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Passed:
-    """A datagram that passed."""
+    """A datagram that passed, and when [ns]."""
 
     kind: Kind
     datagram: bytes
+    stamp_ns: int
 
 
 class Witness:
@@ -72,7 +73,7 @@ class Witness:
         self._taken = -1
 
     def judge(self, passed: Sequence[Passed], admissions: Sequence[Admission]) -> None:
-        """Judge a whole run; admissions are those of one gate, in any order.
+        """Judge a whole run, in the order of its stamps; admissions are those of one gate, in any order.
 
         Raises:
             UnexplainedError: at the first correction that is not explained.
@@ -82,7 +83,7 @@ class Witness:
         self._follows = np.array([admission.follows_q_cmd for admission in ordered])
         self._dq = np.array([admission.dq for admission in ordered])
         self._brake_cycles = [admission.brake_cycles for admission in ordered]
-        for one in passed:
+        for one in sorted(passed, key=lambda one: one.stamp_ns):
             match one.kind:
                 case Kind.REPLY:
                     self._reply(one.datagram)
