@@ -32,8 +32,8 @@ from deltaq_services.robot_server.session import CONFIRMATIONS
 
 _ELSEWHERE = 3 * STEP
 """How far off a forged position is: no further than the joint could have moved [m]."""
-_MOVING_CYCLES = 5
-"""From the first session on: linked, ready, and three increments on its way."""
+_MOVING_CYCLES = 4
+"""From the first session on: linked, and three increments on its way."""
 _FAR = 1000 * IPOC_STEP
 _TOLD = 1e-12
 """What sums of powers of two lose [m]: nothing, but differences of decimals do."""
@@ -91,6 +91,7 @@ class AttackedSystem(System):
             return
         yield "the KRC falls silent", 0, _attack(partial(self._own, a=None, s=None, sends=False))
         yield "the KRC begins a new session", 0, _attack(self._begins_anew)
+        yield "the KRC begins a new session elsewhere", 0, _attack(partial(self._begins_anew, off=_ELSEWHERE))
         yield "telegram, its reply lost", 0, _attack(partial(own, takes=False))
         yield "telegram, lost", 0, _attack(partial(own, arrives=False))
         yield "telegram, kept back", 0, _attack(partial(own, arrives=False, keeps_back=True))
@@ -110,7 +111,8 @@ class AttackedSystem(System):
         moved = following._replace(q=krc.stands + _ELSEWHERE, programmed=krc.programmed + _ELSEWHERE)
         yield "next telegram, programmed elsewhere", moved
         yield "far telegram", following._replace(ipoc=krc.ipoc + _FAR)
-        yield "far telegram, elsewhere", moved._replace(ipoc=krc.ipoc + _FAR)
+        at = krc.stands + _ELSEWHERE
+        yield "far telegram, elsewhere", Own(krc.ipoc + _FAR, at, at)
         if line.sent is not None:
             yield "last telegram again", line.sent
 
@@ -156,9 +158,9 @@ class AttackedSystem(System):
         # the brake is forgotten where it stands; what the KRC did not take of it, it may still take
         return replace(silent, ticks=world.ticks, line=line)
 
-    def _begins_anew(self, world: World) -> World:
+    def _begins_anew(self, world: World, off: float = 0.0) -> World:
         line = _line(world)
-        line = replace(line, krc=line.krc.begun_anew(), pending=())
+        line = replace(line, krc=line.krc.begun_anew(off), pending=())
         return self._own(replace(world, line=line), None, None)
 
     def _pose(self, world: World) -> World:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltaq_experiments.model.attacked import AttackedSystem
 from deltaq_experiments.model.ledger import Property
-from deltaq_experiments.model.one_joint import ROBOT, STEP
+from deltaq_experiments.model.one_joint import IPOC_STEP, ROBOT, STEP
 from deltaq_experiments.model.rsi_line import KRC_AT, RsiLine
 from deltaq_experiments.model.system import System
 from deltaq_protocol.guarded import Admission, Plan, Supervision, TrackerMemory
@@ -156,6 +156,10 @@ class _BelievesAtOnce(Session):
 
     def _confirmed(self, time_s: float) -> bool:
         return time_s >= 0.0
+
+    def believe(self, telegram: KrcTelegram, time_s: float) -> None:
+        super().believe(telegram, time_s)
+        self.step = IPOC_STEP  # which one telegram does not tell
 
 
 class OneTelegramIsBelieved(AttackedSystem):

@@ -26,7 +26,7 @@ def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[A
     newest: KrcTelegram | None = None if run is None else run.newest
     own = [one for one in (line.sent, line.overtaken) if one is not None]
     read = [one for one in (last, newest) if one is not None]
-    ipocs = [krc.ipoc, *(one.ipoc for one in (*own, *read))]
+    ipocs = [krc.ipoc, *(one.ipoc for one in own), *(one.ipoc for one in read)]
     if line.clock is not None:
         ipocs.append(line.clock)
     ipoc = ranks(ipocs, _IPOCS_APART * IPOC_STEP)

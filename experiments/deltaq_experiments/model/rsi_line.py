@@ -102,9 +102,9 @@ class Krc(NamedTuple):
             ipoc=self.ipoc + IPOC_STEP, answered=False, delay=self.delay + (not self.answered)
         )
 
-    def begun_anew(self) -> Krc:
-        """Its program started again, where the robot stands."""
-        return Krc(self.ipoc, programmed=self.stands)
+    def begun_anew(self, off: float) -> Krc:
+        """Its program started again, so far off where the robot stood [m]."""
+        return Krc(self.ipoc, programmed=self.stands + off)
 
 
 @dataclass(frozen=True, slots=True)
