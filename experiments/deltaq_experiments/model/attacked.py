@@ -28,12 +28,11 @@ from deltaq_experiments.model.system import System, copied
 from deltaq_experiments.model.world import KEPT, SentState, Turn, World
 from deltaq_services.robot_server.core import Measurement
 from deltaq_services.robot_server.peer import Address, Sender
-from deltaq_services.robot_server.session import CONFIRMATIONS
 
 _ELSEWHERE = 3 * STEP
 """How far off a forged position is: no further than the joint could have moved [m]."""
-_MOVING_CYCLES = 4
-"""From the first session on: linked, and three increments on its way."""
+_AWAY = 6 * STEP
+"""Where the robot has got to as the attacks begin: near enough to be taken for standing where it is programmed [m]."""
 _FAR = 1000 * IPOC_STEP
 _TOLD = 1e-12
 """What sums of powers of two lose [m]: nothing, but differences of decimals do."""
@@ -53,7 +52,7 @@ class AttackedSystem(System):
     def start(self, faults: int) -> World:
         """A robot that moves, away from where its session began; nobody was attacked before."""
         world = replace(super().start(faults), line=self._new_line())
-        for _ in range(CONFIRMATIONS + _MOVING_CYCLES):
+        while world.server.state is None or world.server.state.q_cmd[0] < _AWAY:
             admission = len(world.admissions) - 1 if world.new_admission else None
             supervision = len(world.supervisions) - 1 if world.new_supervision else None
             world = self._own(world, admission, supervision)

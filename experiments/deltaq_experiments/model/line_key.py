@@ -63,6 +63,7 @@ def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[A
         None if line.clock is None else (ipoc[line.clock], line.poses_at, line.posed),
         (session["belief"], session["step"], of_read(last), age(session["_time_s"])),
         None if run is None else (run.count, run.step, age(run.first_s), of_read(newest)),
+        tuple((of_array(earlier), of_array(earlier + there)) for earlier, there in inner["_earlier"]),
         (of_array(origin), None if sent is None else of_array(origin + sent), inner["_opened"]),
         (peer["address"], age(peer["_heard_s"])),
     )

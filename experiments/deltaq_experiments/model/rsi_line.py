@@ -187,4 +187,5 @@ def _copied(driver: RsiDriver) -> RsiDriver:
     """A driver that goes its own way; what it holds is replaced, never written to."""
     copied = copy.copy(driver)
     copied.session = copy.copy(driver.session)
+    copied._earlier = copy.copy(driver._earlier)
     return copied
