@@ -66,7 +66,9 @@ def test_what_tells_one_moment_of_the_wire_from_another_leaves_out_no_memory_of_
     line = AttackedSystem(1).start(0).line
     fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero", "_lower", "_upper"}
     of_one_call = {"unmoved", "fault", "detail", "_outputs"}
-    assert set(vars(line.driver)) == {"session", "_origin", "_sent", "_earlier", "_opened"} | fixed | of_one_call
+    assert (
+        set(vars(line.driver)) == {"session", "_origin", "_sent", "_earlier", "_opened"} | fixed | of_one_call
+    )
     told = {"belief", "step", "last", "_time_s", "_run"}
     fixed = {"_given_step", "_plausible", "_near", "_cycle_s", "_silence_s", "_silence_cycles", "_least_s"}
     assert set(vars(line.driver.session)) == told | fixed
