@@ -27,8 +27,8 @@ from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Se
 Array = NDArray[np.float64]
 
 _EARLIER = 64
-"""Sessions that are remembered with the correction that was sent last: another KRC may have been believed meanwhile, and
-one that comes back has its own correction still."""
+"""Sessions that are remembered with the correction that was sent last in them: a KRC that comes back after another was
+believed has its own correction still."""
 
 
 class RsiDriver:
