@@ -60,6 +60,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "dry_runs", "dry runs that were requested"),
     Counted(HLI, "contacts_switched", "requests to allow or forbid a contact"),
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
+    Counted(HLI, "stops_sent_again", "stops sent once more because the gate had not answered them"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),

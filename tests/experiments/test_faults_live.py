@@ -42,6 +42,13 @@ def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path)
     assert (row.reason, row.recovery) == (None, "by itself")
 
 
+def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_as_it_said_so(tmp_path):
+    faults = [fault_named("hli-clock-forward")]
+    (row,) = run_table(write_private_cell(tmp_path), "fr", faults=faults, live=True).rows
+    assert (row.good, row.phase, row.reason) == (True, "held", "controller_lost")
+    assert row.recovery == "reset"
+
+
 def test_clocks_cannot_be_set_without_a_compiler(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(NoCompilerError, match="leave out the faults of clocks"):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_experiments.model.attacked import AttackedSystem
 from deltaq_experiments.model.broken import BROKEN
 from deltaq_experiments.model.explore import explore
 from deltaq_experiments.model.ledger import Property
@@ -37,7 +38,8 @@ def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_t
     assert ended.returncode == 0, ended.stderr
     printed = json.loads(ended.stdout)
     cycles = "any number" if printed["complete"] else printed["cycles"]
-    row = f"| {printed['faults']} | {cycles} | {printed['states']} | {printed['moves']} |"
+    attacks = "" if printed["attacks"] is None else f"| {printed['attacks']} "
+    row = f"{attacks}| {printed['faults']} | {cycles} | {printed['states']} | {printed['moves']} |"
     assert row in PAGE.read_text(encoding="utf-8").splitlines()
 
 
@@ -53,6 +55,26 @@ def test_a_broken_system_is_found_out(broken):
     found = explore(broken.system(), broken.faults, cycles=10)
     assert found.counterexample is not None
     assert found.counterexample.violation.broken is broken.breaks
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize(("attacks", "faults", "cycles"), [(1, 0, 7), (2, 0, 5), (1, 1, 4)])
+def test_with_more_attacks_every_property_holds(attacks, faults, cycles):
+    assert explore(AttackedSystem(attacks), faults, cycles).counterexample is None
+
+
+def test_what_tells_one_moment_of_the_wire_from_another_leaves_out_no_memory_of_the_driver():
+    line = AttackedSystem(1).start(0).line
+    fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero", "_lower", "_upper"}
+    of_one_call = {"unmoved", "fault", "detail", "_outputs"}
+    assert (
+        set(vars(line.driver)) == {"session", "_origin", "_sent", "_earlier", "_opened"} | fixed | of_one_call
+    )
+    told = {"belief", "step", "last", "_time_s", "_run"}
+    fixed = {"_given_step", "_plausible", "_near", "_cycle_s", "_silence_s", "_silence_cycles", "_least_s"}
+    assert set(vars(line.driver.session)) == told | fixed
+    assert set(vars(line.peer)) == {"address", "_heard_s"} | {"stranger", "_krc_address", "_silence_s"}
 
 
 def test_a_counterexample_is_a_shortest_way():

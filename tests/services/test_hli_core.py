@@ -364,9 +364,16 @@ def test_a_stop_drops_the_increment_that_waits() -> None:
 def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unreachable() -> None:
     bench = Bench()
     bench.core.requests.on_stop(bench.client, bench.now)
-    assert bench.core.on_tick(bench.now + 0.49) == []
+    assert sent(Error, bench.core.on_tick(bench.now + 0.49)) == []
     assert only(Error, bench.core.on_tick(bench.now + 0.5)).code is ReasonCode.UNREACHABLE
     assert bench.core.counters["commands_unanswered"] == 1
+
+
+def test_of_stops_that_the_gate_does_not_answer_the_newest_of_each_robot_is_sent_again() -> None:
+    bench = Bench()
+    for _ in range(1000):
+        stop = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    assert sent(Command, bench.core.on_tick(bench.now + 0.1)) == [stop]
 
 
 def test_a_reply_that_comes_after_the_deadline_answers_nobody_twice() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from test_hli_core import Bench, only, refused, sent
 
-from deltaq_protocol.guarded import Command, Request
+from deltaq_protocol.guarded import Command, CommandReply, Request
 from deltaq_protocol.messages import Error, IoRequest, Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.outputs import Output
@@ -202,12 +202,32 @@ def test_a_connection_that_breaks_after_its_lease_was_taken_stops_nothing() -> N
     assert bench.core.requests.on_connection_lost([("fr", former)], bench.now) == []
 
 
-def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted() -> None:
+def test_a_lost_controller_that_the_gate_is_not_there_to_hear_of_is_counted_and_its_robot_stopped_later() -> (
+    None
+):
     bench = Bench().ready()
     bench.move(1)
-    bench.core.on_tick(bench.now + 1.0)
-    assert bench.core.on_tick(bench.now + 1.5) == []
+    stop = only(Command, bench.core.on_tick(bench.now + 1.0))
+    assert bench.core.on_tick(bench.now + 1.05) == []
+    assert sent(Command, bench.core.on_tick(bench.now + 1.1)) == [stop]
+    bench.now += 1.5
+    assert sent(Command, bench.core.on_tick(bench.now)) == [stop]  # given up by nobody, though counted
     assert bench.core.counters["commands_unanswered"] == 1
+    assert bench.core.counters["stops_sent_again"] == 2
+    bench.core.on_command_reply(CommandReply(id=stop.id, accepted=True))
+    assert bench.core.on_tick(bench.now + 60.0) == []
+
+
+def test_a_controller_that_has_its_lease_again_does_not_outlive_the_stop_that_its_silence_brought() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.now += 1.0
+    stop = only(Command, bench.core.on_tick(bench.now))  # lost on its way
+    assert bench.lease(client="octave").granted
+    bench.state(101)
+    bench.move(2, cycle=101)
+    bench.now += 0.1
+    assert sent(Command, bench.state(102)) == [stop]
 
 
 def test_an_hli_that_finds_the_time_of_day_set_back_goes_on_from_the_epochs_that_the_gate_knows() -> None:

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from krc_side import CELL, FR, KRC, KrcSide, telegram
+from krc_side import CELL, FR, KRC, MAX_DV, KrcSide, telegram
 
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -309,3 +309,25 @@ def test_what_is_no_telegram_is_an_error_and_changes_nothing(krc):
         krc.driver.read(b"<Rob Type='nobody'>", krc.time_s)
     assert krc.cycle() is not None
     assert krc.counters["session_restarted"] == 0
+
+
+def test_a_krc_that_comes_back_after_another_one_was_believed_still_has_its_correction():
+    krc = KrcSide().begin()
+    krc.cycle(krc.admission(0.5 * MAX_DV))
+    for _ in range(20):
+        krc.cycle()
+    kept = krc.correction.copy()
+    assert 0.0 < np.abs(kept / FR.tracking_tolerance).max() < 1.0  # it could be taken for none
+    krc.tick(100)
+    elsewhere = FR.home + 0.001
+    for count in range(CONFIRMATIONS):
+        krc.tick()
+        krc.answer(telegram(3_000_000 + 12 * count, elsewhere, elsewhere))
+    assert krc.counters["session_restarted"] == 1
+    krc.tick(100)
+    answers = [krc.cycle() for _ in range(2 * CONFIRMATIONS)]
+    assert krc.counters["session_restarted"] == 2
+    told = [answer for answer in answers if answer is not None]
+    assert len(told) > CONFIRMATIONS
+    for answer in told:
+        np.testing.assert_allclose(answer.correction, kept, atol=2e-8)

@@ -125,6 +125,15 @@ class AskPanel:
     request: Mapping[str, Any]
 
 
+class Bombard(StrEnum):
+    """Datagrams that somebody sends to the Robot Server beside its KRC, some in every cycle."""
+
+    OVERSIZED = "oversized"
+    """True telegrams with so much behind them that no telegram is so long."""
+    PORT_ZERO = "port 0"
+    """True telegrams from a port that nobody can be answered at."""
+
+
 @dataclass(frozen=True)
 class PressStop:
     """Somebody presses stop."""
@@ -143,5 +152,6 @@ Action = (
     | SetWallClock
     | BeginInThePast
     | AskPanel
+    | Bombard
     | PressStop
 )

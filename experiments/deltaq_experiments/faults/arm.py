@@ -9,11 +9,19 @@ from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
+from deltaq_experiments.faults.actions import Bombard
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Message
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.peer import Address, Peer, Sender
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+HERE = "127.0.0.1"
+OVERSIZE = 5000
+"""Bytes behind a telegram that make it longer than any."""
+_KRC: Address = (HERE, 1)
+_OTHER_PORT = 2
 
 
 class Life(Enum):
@@ -40,6 +48,7 @@ class VirtualArm:
         to_pc, from_pc: the wire between KRC and Robot Server.
         life: of the Robot Server's process.
         clock_s: what the Robot Server's clock is ahead.
+        bombard: what somebody sends to the Robot Server beside the KRC.
     """
 
     def __init__(
@@ -55,7 +64,9 @@ class VirtualArm:
         self.to_pc, self.from_pc = FaultyLink(seed), FaultyLink(seed + 1)
         self.panel = Panel(name, krc, self.to_pc, self.from_pc, CsvRecorder(krc.cycle_s, len(krc.sample.q)))
         self.clock_s = 0.0
+        self.bombard: Bombard | None = None
         self._begin, self._publish, self._krc_timeout_s = begin, publish, krc_timeout_s
+        self._others: list[tuple[bytes, Address]] = []
         self._sent_s, self._processes = 0.0, 0
         self.restart(0.0)
 
@@ -69,6 +80,7 @@ class VirtualArm:
         self.life = Life.RUNNING
         self._processes += 1
         self._server, self._rsi = self._begin(self._processes)
+        self._peer = Peer(None, self._krc_timeout_s)
         self._admission: Admission | None = None
         self._supervision: Supervision | None = None
         self._waiting: bytes | None = None
@@ -86,6 +98,7 @@ class VirtualArm:
         self._sent_s = now_s
         if telegram is not None:
             self.to_pc.put(now_s, telegram)
+            self._others = self._from_others(telegram)
 
     def take(self, message: Message) -> None:
         """The gate has spoken; of each kind the newest is kept, as a ring channel keeps it."""
@@ -103,6 +116,10 @@ class VirtualArm:
                 self._answer(datagram, now_s)
             elif self.life is Life.FROZEN:
                 self._waiting = datagram
+        others, self._others = self._others, []
+        for datagram, sender in others:
+            if self.life is Life.RUNNING:
+                self._answer(datagram, now_s, sender)
         for datagram in self.from_pc.take(now_s):
             self.krc.receive(datagram, now_s - self._sent_s)
 
@@ -113,13 +130,30 @@ class VirtualArm:
             self._server.krc_silent(now_s + self.clock_s)
             self._say()
 
-    def _answer(self, datagram: bytes, now_s: float) -> None:
+    def _from_others(self, telegram: bytes) -> list[tuple[bytes, Address]]:
+        """What others send right after the KRC, as `Strangers` do it live."""
+        forged = [
+            (self.krc.forged(forgery), (forgery.address, _OTHER_PORT)) for forgery in self.panel.forgeries
+        ]
+        match self.bombard:
+            case Bombard.OVERSIZED:
+                forged += [(telegram + b" " * OVERSIZE, (HERE, _OTHER_PORT))]
+            case Bombard.PORT_ZERO:
+                forged += [(telegram, (HERE, 0))]
+        return forged
+
+    def _answer(self, datagram: bytes, now_s: float, sender: Address = _KRC) -> None:
+        who = self._peer.judge(sender, now_s)
+        if who is not Sender.KRC:
+            self._server.counters[who] += 1
+            return
         self._waiting = None
         try:
             measured = self._rsi.read(datagram, now_s)
         except TelegramError:
             self._server.counters["telegrams_garbled"] += 1
             return
+        self._peer.believed(sender, now_s)
         if measured is None:
             if self._rsi.unmoved is not None:
                 self.from_pc.put(now_s, self._rsi.unmoved)

@@ -16,6 +16,7 @@ from deltaq_experiments.faults.actions import (
     Action,
     AskPanel,
     BeginInThePast,
+    Bombard,
     FillDisk,
     Freeze,
     Impair,
@@ -87,6 +88,8 @@ class Fault:
 
 
 _NO_MORE_FAULTS = {"op": "fault"}
+_STRANGER = "127.0.0.9"
+"""Another address than the emulated KRC's."""
 
 
 _BETWEEN_PROCESSES = (Link.CONTROLLER_HLI, Link.HLI_SIM, Link.HLI_SERVER, Link.SIM_SERVER)
@@ -134,6 +137,8 @@ def _datagrams() -> tuple[Fault, ...]:
         ("duplicating", "doubles half", LinkFaults(duplicate=0.5)),
         ("reordering", "lets 30 % be overtaken", LinkFaults(reorder=0.3)),
         ("garbling", "garbles 30 %", LinkFaults(corrupt=0.3)),
+        ("truncating", "cuts the end off 30 %", LinkFaults(truncate=0.3)),
+        ("misspelling", "makes another digit of one in 30 %", LinkFaults(flip=0.3)),
     )
     return tuple(
         Fault(f"{link}-{kind}", f"a relay on RSI's wire {what}", Impair(link, faults))
@@ -195,14 +200,38 @@ CATALOGUE: tuple[Fault, ...] = (
     _wire("krc-duplicating", "half of all telegrams and replies come twice", duplicate=0.5),
     _wire("krc-reordering", "30 % of all telegrams and replies are overtaken", reorder=0.3),
     _wire("krc-garbled", "30 % of the KRC's telegrams are garbled", link="to_pc", corrupt=0.3),
+    _wire("krc-truncated", "30 % of the KRC's telegrams lose their end", link="to_pc", truncate=0.3),
+    _wire("krc-digits", "in 30 % of the KRC's telegrams one digit is another", link="to_pc", flip=0.3),
     _wire("krc-replies-garbled", "30 % of the replies are garbled", link="from_pc", corrupt=0.3),
     Fault("krc-hiccup", "the KRC is silent for 8 cycles", AskPanel({"op": "fault", "freeze_cycles": 8})),
     Fault("krc-silent", "the KRC is silent for 40 cycles", AskPanel({"op": "fault", "freeze_cycles": 40})),
     Fault("krc-ipoc-back", "the IPOC leaps 24 ms back", AskPanel({"op": "fault", "ipoc_shift_ms": -24})),
     Fault("krc-ipoc-gap", "the IPOC leaps 240 ms ahead", AskPanel({"op": "fault", "ipoc_shift_ms": 240})),
+    _wire(
+        "krc-forged",
+        "a stranger sends a session far ahead, and the robot 1.4° off",
+        forge=[
+            {"address": _STRANGER, "ipoc_shift": 60_000},
+            {"address": _STRANGER, "offset_deg": 1.4},
+            {"address": _STRANGER, "ipoc_shift": 60_000, "offset_deg": 1.4, "programmed_too": True},
+        ],
+    ),
+    _wire(
+        "krc-second",
+        "a second KRC sends from another port, its robot 1.4° off",
+        forge=[{"ipoc_shift": 60_000, "offset_deg": 1.4, "programmed_too": True}],
+    ),
+    Fault("krc-oversized", "somebody sends datagrams longer than any telegram", Bombard.OVERSIZED),
+    Fault("krc-port-zero", "somebody sends telegrams from port 0", Bombard.PORT_ZERO),
     Fault("krc-restarted", "the program on the KRC is started again", AskPanel({"op": "restart"})),
     Fault("krc-stopped", "stop at the KRC's pendant", AskPanel({"op": "stop"})),
     Fault("krc-drives-off", "the drives are switched off", AskPanel({"op": "drives", "on": False})),
+    Fault(
+        "krc-relative",
+        "the program is started again with RSI_ON(#RELATIVE)",
+        AskPanel({"op": "restart", "correction": "relative"}),
+        {"op": "restart", "correction": "absolute"},
+    ),
 )
 """Every fault, from the operator's hand through the processes and wires to the robot's controller."""
 

@@ -9,11 +9,13 @@ import subprocess
 import sys
 import time
 
+from deltaq_cell.description import RsiDriver
 from deltaq_deploy.running import connect
 from deltaq_deploy.services import Role
 from deltaq_experiments.faults.actions import (
     AskPanel,
     BeginInThePast,
+    Bombard,
     FillDisk,
     Freeze,
     Impair,
@@ -24,6 +26,7 @@ from deltaq_experiments.faults.actions import (
     SetWallClock,
     StepClock,
 )
+from deltaq_experiments.faults.bombard import Bomber
 from deltaq_experiments.faults.catalogue import Fault
 from deltaq_experiments.faults.clocks import Clocks, SettableClocks
 from deltaq_experiments.faults.live_cell import MovingCell
@@ -48,6 +51,7 @@ class Injector:
     def __init__(self, running: MovingCell, loaded: LoadedCell, robot: str) -> None:
         self._running, self._loaded, self._robot = running, loaded, robot
         self._reader: subprocess.Popen[str] | None = None
+        self._bomber: Bomber | None = None
 
     def prepare(self, fault: Fault) -> None:
         """Do beforehand what takes a while: buffers of a client that reads nothing have to run full."""
@@ -80,6 +84,11 @@ class Injector:
             case Impair(_, faults) | ImpairStream(_, faults):
                 assert self._running.relay is not None  # `Place.of` says where one has to stand
                 self._running.relay.impair(faults)
+            case Bombard():
+                driver = self._loaded.model.description.robots[self._robot].driver
+                assert isinstance(driver, RsiDriver)  # `LoadedCell.load` has seen to that
+                self._bomber = Bomber(fault.action, (driver.address, driver.port))
+                self._bomber.__enter__()
             case FillDisk():
                 full = (_FULL_BYTES, _FULL_BYTES)
                 resource.prlimit(self._pid(Process.RECORDER), resource.RLIMIT_FSIZE, full)
@@ -105,6 +114,9 @@ class Injector:
             case Impair() | ImpairStream():
                 assert self._running.relay is not None  # it was impaired
                 self._running.relay.lift()
+            case Bombard():
+                assert self._bomber is not None  # it was started
+                self._bomber.__exit__()
             case ReadNothing():
                 assert self._reader is not None  # it was started
                 self._reader.kill()

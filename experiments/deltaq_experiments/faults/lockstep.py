@@ -14,6 +14,7 @@ from deltaq_emulator.states import KrcState
 from deltaq_experiments.faults.actions import (
     AskPanel,
     BeginInThePast,
+    Bombard,
     Freeze,
     Impair,
     Kill,
@@ -165,6 +166,8 @@ class _Run:
                 self.arm.clock_s = by_s
             case AskPanel(request):
                 self._ask_panel(request)
+            case Bombard():
+                self.arm.bombard = fault.action
             case PressStop():
                 stack.stop()
 
@@ -188,7 +191,7 @@ class _Run:
         stack = self.stack
         for wire in stack.wires.values():
             wire.link.faults = LinkFaults()
-        stack.controller.misbehaviour = None
+        stack.controller.misbehaviour = self.arm.bombard = None
         stack.clock_s = self.arm.clock_s = 0.0
         if fault.lift is not None:
             self._ask_panel(fault.lift)

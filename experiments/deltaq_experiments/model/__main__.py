@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 
+from deltaq_experiments.model.attacked import AttackedSystem
 from deltaq_experiments.model.broken import BROKEN
 from deltaq_experiments.model.explore import Exploration, explore
 from deltaq_experiments.model.ledger import Property
@@ -25,28 +26,40 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--cycles", type=int, default=40, help="largest number of the robot's cycles on one path"
     )
+    parser.add_argument(
+        "--attacks",
+        type=int,
+        help="largest number of attacks on RSI's wire on one path; includes RSI's own code",
+    )
     broken = {one.system.__name__: one.system for one in BROKEN}
     parser.add_argument("--broken", choices=sorted(broken), help="explore a system that is broken on purpose")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     given = parser.parse_args(arguments)
-    system = broken[given.broken]() if given.broken else System()
+    system = _system(given.attacks) if given.broken is None else broken[given.broken]()
     progress = None if given.json else _tell
     found = explore(system, given.faults, given.cycles, progress)
-    print(json.dumps(_fields(found, given.faults)) if given.json else _text(found, given.faults))
+    print(
+        json.dumps(_fields(found, given.faults, given.attacks)) if given.json else _text(found, given.faults)
+    )
     return 0 if found.counterexample is None else 1
+
+
+def _system(attacks: int | None) -> System:
+    return System() if attacks is None else AttackedSystem(attacks)
 
 
 def _tell(cycle: int, states: int) -> None:
     print(f"cycle {cycle:3d}: {states} states", file=sys.stderr, flush=True)
 
 
-def _fields(found: Exploration, faults: int) -> dict[str, object]:
+def _fields(found: Exploration, faults: int, attacks: int | None) -> dict[str, object]:
     example = found.counterexample
     return {
         "states": found.states,
         "moves": found.moves,
         "cycles": found.cycles,
         "faults": faults,
+        "attacks": attacks,
         "complete": found.complete,
         "holds": example is None,
         "properties": {one.name.lower(): one.value for one in Property},

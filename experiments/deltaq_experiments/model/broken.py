@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_experiments.model.attacked import AttackedSystem
 from deltaq_experiments.model.ledger import Property
-from deltaq_experiments.model.one_joint import ROBOT
+from deltaq_experiments.model.one_joint import IPOC_STEP, ROBOT, STEP
+from deltaq_experiments.model.rsi_line import KRC_AT, RsiLine
 from deltaq_experiments.model.system import System
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.peer import Address, Peer, Sender
+from deltaq_services.robot_server.session import Belief, Judgement, Kind, Session
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
@@ -115,6 +121,78 @@ class AdmissionIsForgotten(System):
         return self._sim_with(_ForgetsAdmissions, Orders)
 
 
+class _TakesSessions(RobotServer):
+    def _begin_session(self, q: Array, q_start: Array) -> None:
+        super()._begin_session(q, q_start)
+        if self._q_reset is not None:
+            self._q_cmd, self._q_reset = self._q_reset, None
+
+
+class SessionIsTakenInAnyPhase(AttackedSystem):
+    """A new session moves the setpoint to where it begins, without a reset."""
+
+    def _new_server(self, process: int) -> RobotServer:
+        return _TakesSessions(self._description, ROBOT, process)
+
+
+class _LooksAtNoSender(Peer):
+    def judge(self, sender: Address, now_s: float) -> Sender:
+        super().judge(sender, now_s)
+        return Sender.KRC
+
+
+class SenderIsNotLookedAt(AttackedSystem):
+    """Datagrams of anybody are read."""
+
+    def _new_line(self) -> RsiLine:
+        line = super()._new_line()
+        return replace(line, peer=_LooksAtNoSender(KRC_AT[0], self._description.gate.krc_timeout_s))
+
+
+class _BelievesAtOnce(Session):
+    def judge(self, telegram: KrcTelegram, time_s: float) -> Judgement:
+        if self._kind(telegram, time_s)[0] is Kind.FOREIGN:
+            self.belief = Belief.DOUBTED
+        return super().judge(telegram, time_s)
+
+    def _confirmed(self, time_s: float) -> bool:
+        return time_s >= 0.0
+
+    def believe(self, telegram: KrcTelegram, time_s: float) -> None:
+        super().believe(telegram, time_s)
+        self.step = IPOC_STEP  # which one telegram does not tell
+
+
+class OneTelegramIsBelieved(AttackedSystem):
+    """One telegram that does not belong to the session is enough for another."""
+
+    def _new_line(self) -> RsiLine:
+        line = super()._new_line()
+        believing = copy.copy(line.driver.session)
+        believing.__class__ = _BelievesAtOnce
+        line.driver.session = believing
+        return line
+
+
+class _GoesOnFromMissed(RobotServer):
+    def cycle(
+        self,
+        measured: Measurement,
+        time_s: float,
+        admission: Admission | None = None,
+        supervision: Supervision | None = None,
+    ) -> Array:
+        self._q_cmd = self._q_cmd + STEP * (measured.missed_last and bool(self._dq.any()))
+        return super().cycle(measured, time_s, admission, supervision)
+
+
+class MissedReplyIsMadeUpFor(AttackedSystem):
+    """The Robot Server makes up for a reply that the KRC did not get."""
+
+    def _new_server(self, process: int) -> RobotServer:
+        return _GoesOnFromMissed(self._description, ROBOT, process)
+
+
 @dataclass(frozen=True, slots=True)
 class Broken:
     """One broken system, the property it breaks, and how many faults it takes to see it."""
@@ -131,5 +209,9 @@ BROKEN: tuple[Broken, ...] = (
     Broken(MissedReplyIsForgotten, Property.CERTIFIED, 1),
     Broken(SilentGateIsIgnored, Property.NOTICED, 2),
     Broken(AdmissionIsForgotten, Property.KNOWN, 1),
+    Broken(SessionIsTakenInAnyPhase, Property.CERTIFIED, 0),
+    Broken(SenderIsNotLookedAt, Property.UNHEARD, 0),
+    Broken(OneTelegramIsBelieved, Property.EXPLAINED, 0),
+    Broken(MissedReplyIsMadeUpFor, Property.CERTIFIED, 0),
 )
 """Every broken system."""

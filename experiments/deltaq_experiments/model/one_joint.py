@@ -33,6 +33,9 @@ KRC_TIMEOUT_CYCLES = 1
 HLI_TIMEOUT_CYCLES = 1
 LAG_CYCLES = 2
 
+IPOC_STEP = 8
+"""By how much the IPOC grows in a cycle."""
+
 _URDF = """
 <robot name="slide">
   <link name="base"/>
@@ -60,7 +63,14 @@ def one_joint_cell() -> CellDescription:
     robot = {
         "model": "one joint",
         "server": "tcp/127.0.0.1:7451",
-        "driver": {"kind": "kinematic"},
+        "driver": {
+            "kind": "rsi",
+            "address": "127.0.0.1",
+            "port": 49152,
+            "krc_address": "127.0.0.1",
+            "krc": "krc4",
+            "ethernet_xml": "never read",
+        },
         "joints": {"x": joint},
     }
     gate = {

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 from deltaq_experiments.model.ledger import Ledger
+from deltaq_experiments.model.line_key import line_key
 from deltaq_experiments.model.one_joint import (
     GATE_TIMEOUT_CYCLES,
     HLI_TIMEOUT_CYCLES,
@@ -14,8 +15,13 @@ from deltaq_experiments.model.one_joint import (
     ROBOT,
     STEP,
 )
+from deltaq_experiments.model.ranks import ranks
+from deltaq_experiments.model.rsi_line import RsiLine
 from deltaq_protocol.guarded import Admission, GateMemory, ServerState, Supervision
 from deltaq_services.robot_server.core import RobotServer
+
+KEPT = 2
+"""Messages of a kind that may be under way at once; older ones are lost for good."""
 
 _CYCLES_APART = 4
 """Cycle numbers further apart than this are told apart, but not by how much: no age that is judged is greater."""
@@ -66,6 +72,7 @@ class World:
         states, admissions, supervisions: in flight, newest last.
         new_admission, new_supervision: the newest was sent since the last telegram.
         ledger: what is owed.
+        line: RSI's wire, where it is one that may be attacked.
     """
 
     server: RobotServer
@@ -81,6 +88,7 @@ class World:
     new_admission: bool
     new_supervision: bool
     ledger: Ledger
+    line: RsiLine | None = None
 
     def key(self) -> tuple[Any, ...]:
         """What tells this moment from others, apart from the faults left.
@@ -114,15 +122,15 @@ class _Key:
         cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
         if gate.waiting is not None:
             cycles.append(gate.waiting.cycle)
-        self._cycle = _ranks(cycles, _CYCLES_APART)
+        self._cycle = ranks(cycles, _CYCLES_APART)
         sequences = [0, world.gate.sequence, *(s.sequence for s in states)]
         for admission in admissions:
             sequences += [admission.sequence, admission.follows_sequence]
-        self._sequence = _ranks(sequences, 1)
+        self._sequence = ranks(sequences, 1)
         resets = [0, gate.orders.resets, self._inner["_resets"], *(s.resets for s in states)]
-        self._resets = _ranks([*resets, *(sent.message.resets for sent in world.supervisions)], 2)
-        self._process = _ranks([s.process for s in states], 1)
-        self._time = _ranks([round(s.time_s) for s in states], 1)
+        self._resets = ranks([*resets, *(sent.message.resets for sent in world.supervisions)], 2)
+        self._process = ranks([s.process for s in states], 1)
+        self._time = ranks([round(s.time_s) for s in states], 1)
         self._place = world.server.state.q_cmd[0] if world.server.state is not None else world.q
 
     def of_world(self) -> tuple[Any, ...]:
@@ -161,6 +169,7 @@ class _Key:
                 (sent.message.epoch, sent.message.stop, self._resets[sent.message.resets], sent.order_of_stop)
                 for sent in world.supervisions
             ),
+            None if world.line is None else line_key(world.line, world.ticks, self._q),
         )
 
     def _q(self, value: float) -> int:
@@ -195,14 +204,3 @@ class _Key:
             admission.follows_dq,
             admission.dq,
         )
-
-
-def _ranks(numbers: list[int], apart: int) -> dict[int, int]:
-    """Numbers by their order and their distance, distances above `apart` taken for equal."""
-    ranks: dict[int, int] = {}
-    rank, last = 0, None
-    for number in sorted(set(numbers)):
-        rank += 0 if last is None else min(number - last, apart)
-        ranks[number] = rank
-        last = number
-    return ranks

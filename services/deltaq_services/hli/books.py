@@ -68,15 +68,16 @@ class Books:
         return None
 
     def tick(self, time_s: float) -> list[Output]:
-        """Let leases and commands run out."""
+        """Let leases and commands run out, and send again what stops the gate has not answered."""
         outputs: list[Output] = []
         for lease in self.leases.expired(time_s):
             self.counters["leases_expired"] += 1
             outputs += self._told_of_expiry(lease) + self.holder_lost(lease, time_s)
         late, answers = self.commands.overdue(time_s)
         self.counters["commands_unanswered"] += late
-        outputs += answers
-        return outputs
+        stops = self.commands.stops_again(time_s)
+        self.counters["stops_sent_again"] += len(stops)
+        return [*outputs, *answers, *stops]
 
     def learn_epoch(self, verdict: Verdict) -> list[Output]:
         """Where the gate knows of a greater epoch than was ever granted here, end what is numbered below it."""

@@ -13,6 +13,10 @@ from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
 
+STOP_PERIOD_S = 0.1
+"""A stop that the gate has not answered is sent again after this: a session that broke carries nothing, and does not
+say so. The gate takes a stop as often as it comes."""
+
 _HINTS = {
     ReasonCode.CAUSE_STANDS: "remove the cause, then reset again",
     ReasonCode.NOT_AT_REST: "wait until the robot is at rest, then reset again",
@@ -35,6 +39,14 @@ def _unconfirmed(command: Command) -> str:
         case _:
             what = ""
     return f"{command.kind} is not confirmed: the gate did not answer within {REPLY_DEADLINE_S:g} s{what}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Stop:
+    """A stop that the gate has not answered, and when it is sent again."""
+
+    command: Command
+    again_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +73,7 @@ class Commands:
         self._outdated_id = 0
         self._stop_id = 0
         self._awaited: dict[int, _Awaited] = {}
+        self._stops: dict[str | None, _Stop] = {}  # the newest of each robot, and of all robots
 
     def numbered(self, command: Command) -> Command:
         """A command for the known gate, with an unused id."""
@@ -72,9 +85,19 @@ class Commands:
     def sent(self, command: Command, sender: Sender | None, done: Message | None, time_s: float) -> None:
         """Await the answer to a command; `done`, if any, goes to the sender when it was carried out."""
         self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
+        if command.kind == "stop":
+            self._stops[command.robot] = _Stop(command, time_s + STOP_PERIOD_S)
+
+    def stops_again(self, time_s: float) -> list[Output]:
+        """The stops that the gate still has not answered, whatever their senders have been told since."""
+        again = [stop for stop in self._stops.values() if time_s >= stop.again_s]
+        for stop in again:
+            self._stops[stop.command.robot] = replace(stop, again_s=time_s + STOP_PERIOD_S)
+        return [ToGuarded(topics.COMMAND, "", stop.command) for stop in again]
 
     def answered(self, reply: CommandReply) -> list[Output]:
         """Answer the sender of the command, or send the command again as the gate requires."""
+        self._stops = {robot: stop for robot, stop in self._stops.items() if stop.command.id != reply.id}
         asked = self._awaited.get(reply.id)
         if asked is not None and reply.epoch is not None and reply.newest_id is not None:
             self.learn(reply.epoch, reply.newest_id)

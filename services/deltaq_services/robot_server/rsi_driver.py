@@ -9,7 +9,7 @@ Only the setpoint moves the robot: any other answer repeats the correction that 
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -25,6 +25,10 @@ from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
 from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session
 
 Array = NDArray[np.float64]
+
+_EARLIER = 64
+"""Sessions that are remembered with the correction that was sent last in them: a KRC that comes back after another was
+believed has its own correction still."""
 
 
 class RsiDriver:
@@ -64,6 +68,7 @@ class RsiDriver:
         self._upper: list[float] = []
         self._zero = np.zeros(codec.joints)
         self._sent: Array | None = None
+        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=_EARLIER)
         self._opened = False
         self._outputs: Mapping[str, bool] = {}
 
@@ -156,6 +161,8 @@ class RsiDriver:
         assert telegram.q is not None  # asked only of telegrams with a position
         self.session.believe(telegram, time_s)
         self._opened, self.detail = False, ""
+        if self._origin is not None and self._sent is not None:
+            self._earlier.append((self._origin, self._sent))
         self._sent = kept
         self._origin = telegram.q - kept if telegram.q_programmed is None else telegram.q_programmed
         self._lower = np.maximum(np.array(self._plausible.lower) - self._origin, -self._widest).tolist()
@@ -171,11 +178,14 @@ class RsiDriver:
             return self._zero if anew else None
         if sent is None:
             return self._zero if _equal(q, programmed) else q - programmed
-        off_sent = float(np.max(np.abs(q - programmed - sent) / self._near))
         off_programmed = float(np.max(np.abs(q - programmed) / self._near))
-        same_place = self._origin is not None and _equal(programmed, self._origin)
-        if same_place and off_sent <= min(1.0, off_programmed):
-            return sent
+        sessions = [*self._earlier] if self._origin is None else [*self._earlier, (self._origin, sent)]
+        for origin, sent_there in reversed(sessions):
+            if _equal(programmed, origin):
+                off_sent = float(np.max(np.abs(q - programmed - sent_there) / self._near))
+                if off_sent <= min(1.0, off_programmed):
+                    return sent_there
+                break
         return self._zero if off_programmed <= 1.0 else None
 
     def _implausible(self, telegram: KrcTelegram, why: str) -> None:

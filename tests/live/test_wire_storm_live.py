@@ -1,0 +1,34 @@
+"""A storm on RSI's wire of real processes: each correction is an admission, its brake, or the last one again."""
+
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.storm.run import run_storm
+
+pytestmark = pytest.mark.live
+
+RATE_HZ = 2000.0
+
+
+def storm(folder, telegrams):
+    report = run_storm(LoadedCell.load(write_private_cell(folder)), "fr", telegrams, RATE_HZ)
+    assert report.unexplained is None
+    assert report.forged == telegrams
+    assert report.server["telegrams_garbled"] > telegrams / 50
+    assert report.server["telegrams_second_krc"] > telegrams / 4
+    return report
+
+
+def test_no_datagram_of_twenty_thousand_moves_a_robot_that_a_controller_moves(tmp_path):
+    report = storm(tmp_path, 20_000)
+    assert report.replies["by an admission"] > 10
+    assert report.replies["by a brake"] > 0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+def test_no_datagram_of_a_million_moves_a_robot_that_a_controller_moves(tmp_path):
+    report = storm(tmp_path, 1_000_000)
+    assert report.replies["by an admission"] > 1000
+    assert report.replies["sessions"] > 1
