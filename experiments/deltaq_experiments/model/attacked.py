@@ -14,7 +14,7 @@ from functools import partial
 from deltaq_experiments.model import course
 from deltaq_experiments.model.gate_side import Act
 from deltaq_experiments.model.ledger import Property, Telegram, Violation
-from deltaq_experiments.model.one_joint import FASTEST, IPOC_STEP, ROBOT, STEP
+from deltaq_experiments.model.one_joint import FASTEST, IPOC_STEP, ROBOT, STEP, one_joint_cell
 from deltaq_experiments.model.rsi_line import (
     KRC_AT,
     SECOND_AT,
@@ -48,6 +48,7 @@ class AttackedSystem(System):
     def __init__(self, attacks: int = 1) -> None:
         super().__init__()
         self._attacks = attacks
+        self._line_description = one_joint_cell(rsi=True)
 
     def start(self, faults: int) -> World:
         """A robot that moves, away from where its session began; nobody was attacked before."""
@@ -64,7 +65,7 @@ class AttackedSystem(System):
         return world
 
     def _new_line(self) -> RsiLine:
-        return new_line(self._description, self._attacks)
+        return new_line(self._line_description, self._attacks)
 
     def hli(self, world: World) -> Iterator[tuple[str, int, Act]]:
         """What the HLI can send: little, for what more there is `System` explores."""
@@ -249,7 +250,7 @@ class AttackedSystem(System):
 
     def _server_crash(self, world: World) -> World:
         line = _line(world)
-        driver, peer = new_program(self._description)
+        driver, peer = new_program(self._line_description)
         crashed = super()._server_crash(world)
         return replace(crashed, line=replace(line, driver=driver, peer=peer, heard=world.ticks))
 

@@ -50,8 +50,23 @@ _URDF = """
 """
 
 
-def one_joint_cell() -> CellDescription:
-    """The description of the cell."""
+_RSI = {
+    "kind": "rsi",
+    "address": "127.0.0.1",
+    "port": 49152,
+    "krc_address": "127.0.0.1",
+    "krc": "krc4",
+    "ethernet_xml": "never read",
+}
+
+
+def one_joint_cell(rsi: bool = False) -> CellDescription:
+    """The description of the cell.
+
+    Args:
+        rsi: the robot has a KRC. Without one there is no mode to probe, which takes more cycles than are explored
+            and is tested by itself.
+    """
     joint = {
         "home_m": 0.0,
         "lower_m": -1.0,
@@ -63,14 +78,7 @@ def one_joint_cell() -> CellDescription:
     robot = {
         "model": "one joint",
         "server": "tcp/127.0.0.1:7451",
-        "driver": {
-            "kind": "rsi",
-            "address": "127.0.0.1",
-            "port": 49152,
-            "krc_address": "127.0.0.1",
-            "krc": "krc4",
-            "ethernet_xml": "never read",
-        },
+        "driver": _RSI if rsi else {"kind": "kinematic"},
         "joints": {"x": joint},
     }
     gate = {
