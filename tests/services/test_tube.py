@@ -1,6 +1,7 @@
 """The tube holds every configuration a lagging robot can be in."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +71,13 @@ def test_division_ends_at_what_no_drive_resolves_and_where_a_strip_is_as_wide_as
     assert Strip(np.zeros(2), np.full(2, 1e-8), np.zeros(2)).halves() == ()
     assert Strip(np.zeros(2), np.full(2, 1e-3), np.full(2, 2e-3)).halves() == ()
     assert len(Strip(np.zeros(2), np.full(2, 1e-3), np.zeros(2)).halves()) == 2
+
+
+@pytest.mark.parametrize("last", [3, 8, 9])
+def test_halving_loses_no_window_and_repeats_none(last):
+    points = np.random.default_rng(0).normal(size=(10, 2))
+    leaves = windows_of(Windows(points, 2, 2, last))
+    assert [(leaf.first, leaf.last) for leaf in leaves] == [(window, window) for window in range(2, last + 1)]
 
 
 @settings(max_examples=40, deadline=None)
