@@ -48,6 +48,28 @@ def test_a_robot_at_rest_has_one_point_and_one_window():
     assert piece.first == piece.last
 
 
+def test_a_branch_that_stands_has_no_setpoints_to_come():
+    assert Branch(np.zeros(2), 3, -1).setpoints(np.ones(2)).shape == (0, 2)
+    assert Branch(np.ones(2), 3, 2).setpoints(np.ones(2)).shape == (0, 2)
+
+
+@pytest.mark.parametrize("measured", [None, np.array([0.1, 0.2])])
+def test_windows_begin_now_and_end_when_the_drives_have_caught_up_with_the_last_setpoint(measured):
+    history, cycles = np.tile([1.0, 2.0], (LAG, 1)), 3
+    past = LAG if measured is None else LAG + 1
+    still = tube(history, Branch(np.zeros(2), 1, 1), LAG, None if measured is None else history[0])
+    assert (still.first, still.last) == (past - 1, past - 1)
+    moving = tube(history, Branch(np.full(2, 0.01), cycles, -1), LAG, measured)
+    assert (moving.first, moving.last) == (past - 1, past + cycles - 1 + LAG)
+
+
+def test_a_single_window_and_windows_along_one_line_are_divided_along_their_strip():
+    around_a_corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.1]])
+    line = np.linspace([0.0, 0.0], [1.0, 2.0], 9)
+    for windows in (Windows(around_a_corner, 2, 2, 2), Windows(line, 2, 2, 8)):
+        assert [type(half) for half in windows.halves()] == [Strip, Strip]
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_strip_and_its_halves_hold_every_mean_of_its_points(seed):
