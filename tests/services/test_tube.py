@@ -89,6 +89,28 @@ def test_the_strip_of_points_on_a_line_is_the_line():
     np.testing.assert_allclose(strip.middle, [1.0, 0.5])
 
 
+@pytest.mark.parametrize("offset", [-10.0, 0.0, 10.0])
+def test_a_strip_lies_along_the_longest_way_and_is_as_wide_as_points_aside_or_beyond_its_ends_need(offset):
+    points = np.array([[0.0, 0.0], [1.0, 4.0], [1.5, 2.0], [-1.5, 0.1]])
+    start, end, aside, beyond = points + np.array([offset, 0.0])
+    wide = Strip.around(np.array([start, end, aside]))
+    np.testing.assert_allclose(np.abs(wide.direction), [0.5, 2.0])
+    t = (aside - (start + end) / 2) @ wide.direction / (wide.direction @ wide.direction)
+    out = aside - (start + end) / 2 - t * wide.direction
+    np.testing.assert_allclose(wide.middle, (start + end) / 2 + out / 2, atol=1e-12)
+    np.testing.assert_allclose(wide.deviation, np.abs(out) / 2, atol=1e-12)
+    longer = Strip.around(np.array([start, end, beyond]))  # its foot on the line is beyond the start
+    np.testing.assert_allclose(longer.middle, (start + end) / 2 + (beyond - start) / 2, atol=1e-12)
+    np.testing.assert_allclose(longer.deviation, np.abs(beyond - start) / 2, atol=1e-12)
+
+
+def test_the_halves_of_a_strip_lie_behind_one_another_and_are_as_wide():
+    first, second = Strip(np.array([5.0, 1.0]), np.array([2.0, 0.0]), np.array([0.0, 0.1])).halves()
+    np.testing.assert_array_equal([first.middle, second.middle], [[4.0, 1.0], [6.0, 1.0]])
+    np.testing.assert_array_equal([first.direction, second.direction], [[1.0, 0.0]] * 2)
+    np.testing.assert_array_equal([first.deviation, second.deviation], [[0.0, 0.1]] * 2)
+
+
 def test_division_ends_at_what_no_drive_resolves_and_where_a_strip_is_as_wide_as_long():
     assert Strip(np.zeros(2), np.full(2, 1e-8), np.zeros(2)).halves() == ()
     assert Strip(np.zeros(2), np.full(2, 1e-3), np.full(2, 2e-3)).halves() == ()
