@@ -6,6 +6,7 @@ missing test; an explanation of a mutant that does not survive is out of date. E
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -42,13 +43,21 @@ class Mutant:
         return "\n".join([f"{self.file}: {self.function}", *(f"    {line}" for line in self.change)])
 
 
-def stage() -> None:
-    """Lay out packages side by side, since mutmut takes the name of a module from its path."""
+def stage(modules: Sequence[str]) -> None:
+    """Lay out packages side by side, since mutmut takes the name of a module from its path.
+
+    Args:
+        modules: of which mutants are made, which takes a while; of all in the settings if none is given.
+    """
     shutil.rmtree(STAGE, ignore_errors=True)
     for package, source_root in PACKAGES.items():
         shutil.copytree(source_root / package, STAGE / package, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "tests", STAGE / "tests", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy2(ROOT / "pyproject.toml", STAGE)
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    if modules:
+        files = json.dumps([f"{module.replace('.', '/')}.py" for module in modules])
+        settings = re.sub(r"^only_mutate = \[.*?^\]", f"only_mutate = {files}", settings, flags=re.M | re.S)
+    (STAGE / "pyproject.toml").write_text(settings, encoding="utf-8")
 
 
 def mutmut(*arguments: str) -> str:
@@ -100,7 +109,7 @@ def _bare(signed: list[str]) -> tuple[str, ...]:
 
 def main(jobs: int, modules: Sequence[str]) -> int:
     """Make mutants of some modules, or of all, judge them and compare; returns the exit status."""
-    stage()
+    stage(modules)
     patterns = [f"{module}.x*" for module in modules]
     subprocess.run([MUTMUT, "run", "--max-children", str(jobs), *patterns], cwd=STAGE, check=True)
     judged = {name: verdict for name, verdict in verdicts().items() if verdict != "not checked"}

@@ -83,6 +83,21 @@ def test_each_part_of_a_path_that_comes_near_twice_is_looked_at():
         assert certify("fr", beside, ("gr", path_near)).holds is False
 
 
+@pytest.mark.parametrize("end_clear", [0.005, 0.1])
+@pytest.mark.parametrize("turn", [0.4, -0.4])
+def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(turn, end_clear):
+    """Another joint goes further, one way or the other, so that the end that is too near is divided first or last."""
+    turned, rolled = one_joint("fr", 0, turn), one_joint("gr", 8, turn)
+    low, clear = LOW - one_joint("fr", 1, 0.004), LOW - one_joint("fr", 1, end_clear)
+    assert certify("fr", path(low, clear + turned)).holds is True
+    assert certify("fr", path(LOW, clear + turned)).holds is False
+    beside = standing("fr", FR_BESIDE_GR)
+    near, far = NEAR - one_joint("gr", 4, 0.004), NEAR - one_joint("gr", 4, end_clear)
+    assert certify("gr", path(near, far + rolled), ("fr", beside)).holds is True
+    assert certify("gr", path(NEAR, far + rolled), ("fr", beside)).holds is False
+    assert certify("fr", beside, ("gr", path(NEAR, far + rolled))).holds is False
+
+
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(order):
     folded = np.array((0.202, -0.063, 2.412, -1.8, -1.435, -1.305))  # the camera at its own base

@@ -28,6 +28,8 @@ GATE = CELL.description.gate
 SLOW = GATE.retreat_speed * LIMITS["fr"].max_dq
 OUT = one_joint("fr", 1, -SLOW[1])
 FLOOR = "fr/link_3 structure/floor"
+BESIDE_THE_TIE = np.array((-1.931, 0.393, -0.18636, 1.8635, 0.65283, -1.6266))
+"""Where the camera and a little of link 5 are too near to the structure's eastern tie."""
 
 
 def find(robot, request, others=(), at_most=1.0, violations=None):
@@ -96,6 +98,38 @@ def test_a_retreat_that_has_begun_goes_on_without_a_rest():
     assert find(moving, -OUT, violations=known)[0] == 0.0
     nearer_before = in_motion("fr", above_the_floor(-1e-3), 0.5 * OUT)
     assert find(nearer_before, OUT, violations=known)[0] == 0.0  # its drives may still be there
+
+
+def test_what_is_admitted_begins_where_the_brake_goes_on_and_not_beyond_it():
+    known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
+    inwards = -0.2 * OUT
+    moving = in_motion("fr", above_the_floor(-1e-3), inwards)
+    assert find(moving, inwards, violations=known)[0] == 1.0
+    assert find(moving, inwards + 2 * moving.brake(), violations=known)[0] == 0.0
+
+
+def test_a_violation_lasts_until_the_drives_have_left_it_too():
+    known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
+    leaving = in_motion("fr", above_the_floor(4e-3), 0.5 * OUT)
+    assert find(leaving, OUT, violations=known)[0] == 1.0
+    assert known.kept_m(frozenset(FLOOR.split())) is not None
+
+
+def test_a_violation_ends_as_soon_as_its_pair_is_shown_to_have_room_though_the_robot_moves_along():
+    known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
+    along = in_motion("fr", above_the_floor(3e-3), one_joint("fr", 0, LIMITS["fr"].max_dq[0] / 2))
+    find(along, OUT, violations=known)
+    assert known.memory() == ()
+
+
+def test_of_two_pairs_that_are_too_near_the_one_that_was_measured_is_told_while_the_robot_moves():
+    both = told(find(at_rest("fr", BESIDE_THE_TIE), OUT)[1])
+    assert sorted(both) == ["fr/link_5 structure/tie_east", "fr/tool_camera structure/tie_east"]
+    moving = in_motion("fr", BESIDE_THE_TIE, one_joint("fr", 5, 1e-6))
+    for measured in both:
+        known = Violations()
+        known.stands(frozenset(measured.split()), 0.0, STOP_M)
+        assert told(find(moving, OUT, violations=known)[1]) == [measured]
 
 
 def test_a_brake_faster_than_retreat_has_to_end_first():

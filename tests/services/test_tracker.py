@@ -101,6 +101,40 @@ def test_of_many_processes_the_last_sixteen_that_ended_are_remembered(tracker):
     assert tracker.memory().ended_processes == tuple(range(1, 17))
 
 
+def is_displaced(tracker, cycles, travel, dq):
+    """Whether a setpoint is displaced that is `travel` further on when it is heard again, all joints alike."""
+    tracker.observe(state(10, 0.1))
+    tracker.observe(state(10 + cycles, 0.1 + travel, dq=(dq,) * 6))
+    return tracker.displaced
+
+
+def test_a_setpoint_that_its_increment_has_brought_on_is_not_displaced(tracker):
+    assert not is_displaced(tracker, 1, 0.001, 0.001)
+
+
+@pytest.mark.parametrize(("travel", "dq"), [(0.0011, 0.001), (0.001, -0.001), (-0.001, 0.0)])
+def test_a_setpoint_is_displaced_by_any_other_travel_than_its_increment(tracker, travel, dq):
+    assert is_displaced(tracker, 1, travel, dq)
+
+
+def test_a_setpoint_that_stands_though_an_increment_was_sent_is_not_displaced(tracker):
+    assert not is_displaced(tracker, 1, 0.0, 0.001)  # the KRC missed the reply
+
+
+@pytest.mark.parametrize("unseen", [1, 2, 5])
+def test_in_cycles_that_were_not_heard_a_setpoint_may_have_gone_as_far_as_the_slowest_joint_can(
+    tracker, unseen
+):
+    slowest = float(np.min(FR.max_velocity)) * CYCLE_S
+    assert not is_displaced(tracker, 1 + unseen, 0.001 + (1 + 5e-7) * unseen * slowest, 0.001)
+
+
+@pytest.mark.parametrize("unseen", [1, 2, 5])
+def test_in_cycles_that_were_not_heard_a_setpoint_cannot_have_gone_further(tracker, unseen):
+    slowest = float(np.min(FR.max_velocity)) * CYCLE_S
+    assert is_displaced(tracker, 1 + unseen, 0.001 + 1.001 * unseen * slowest, 0.001)
+
+
 def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tracker):
     tracker.observe(state(1))
     for cycle, (sent, followed) in enumerate([(2, 1), (3, 1), (4, 4)], start=2):
@@ -130,6 +164,30 @@ def test_until_a_state_confirms_it_an_admission_is_a_second_course(tracker):
     braking, admitted = tracker.tubes()
     np.testing.assert_allclose(first_joint(braking), [0.1, 0.102, 0.103])
     np.testing.assert_allclose(first_joint(admitted), [0.1, 0.11, 0.115])
+
+
+def test_the_tubes_of_setpoints_hold_every_course_and_not_where_the_robot_is_measured(tracker):
+    for cycle in range(1, LAG + 1):
+        tracker.observe(state(cycle, 0.1, 0.7, plan=Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)))
+    tracker.in_flight = admission(2, dq=0.01, brake_cycles=2)
+    assert [list(first_joint(tube)) for tube in tracker.tubes_of_setpoints()] == [
+        pytest.approx([0.1] * LAG + [0.102, 0.103]),
+        pytest.approx([0.1] * LAG + [0.11, 0.115]),
+    ]
+    assert {tube.lag for tube in tracker.tubes_of_setpoints()} == {LAG}
+
+
+def test_a_robot_stands_still_while_it_is_at_rest_and_nothing_is_on_its_way_to_it(tracker):
+    for cycle in range(1, LAG + 1):
+        tracker.observe(state(cycle, 0.1))
+        assert tracker.stands_still() is (cycle == LAG)
+    tracker.in_flight = admission(2)
+    assert tracker.at_rest()
+    assert not tracker.stands_still()
+
+
+def test_a_tracker_is_of_one_robot_with_its_units(tracker):
+    assert (tracker.name, tracker.units) == ("fr", FR.units)
 
 
 def test_the_tube_begins_with_as_many_setpoints_as_the_drives_lag(tracker):
