@@ -20,7 +20,7 @@ from quadprog import solve_qp
 
 from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_tasks import Tasks
-from deltaq_controllers.compiled import compiled
+from deltaq_cell.compiled import compiled
 
 Array = NDArray[np.float64]
 
