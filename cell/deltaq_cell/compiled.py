@@ -1,4 +1,4 @@
-"""Functions compiled to machine code, so that a law or a gate costs its arithmetic and not what Python takes to call numpy.
+"""Functions compiled to machine code, so that they cost their arithmetic and not what Python takes to call numpy.
 
 They stay Python, typed and tested as such: with `NUMBA_DISABLE_JIT=1` they run as they stand. The machine code is
 kept on disk. Whether it is out of date numba tells by the file of a function, but not by the files of the functions

@@ -2,8 +2,8 @@
 
 It answers what `deltaq_cell.proximity` does, pair by pair: the first look with bodies inflated by their travel, and for
 what that leaves open the planes of the second and third look. Balls and boxes leave most pairs out, planes between the
-bodies at the middle nearly all others (`deltaq_cell.kernel_gap`): a pair is left out only by a lower bound, rounding taken
-off, that exceeds what is asked.
+bodies at the middle nearly all others (`deltaq_cell.kernel_gap`): a pair is left out only by a lower bound, rounding
+taken off, that exceeds what is asked.
 """
 
 from __future__ import annotations

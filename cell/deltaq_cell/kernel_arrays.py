@@ -73,7 +73,8 @@ class Placed(NamedTuple):
         corners: (bodies, k, 3) [m].
         axis: (bodies, 3).
         centre: (bodies, 3) of balls and boxes [m].
-        arms: (bodies, joints) greatest distances of points from the axes [m/rad or m/m]; of joints that do not move zero.
+        arms: (bodies, joints) greatest distances of points from the axes, zero where the strip has no width
+            [m/rad or m/m].
         travel: (bodies,) bound of the way of any point within the strip [m].
     """
 
@@ -91,7 +92,7 @@ class Placed(NamedTuple):
 
 
 class Body(NamedTuple):
-    """One body where it is placed: its corners, widened by a ball and by a disc across its axis (`deltaq_cell.extents`).
+    """One body where it is placed: corners, widened by a ball and by a disc across its axis (`deltaq_cell.extents`).
 
     Attributes:
         corners: (k, 3), of which the first `count` are its own [m].

@@ -29,7 +29,13 @@ def body_at(cell: Anatomy, placed: Placed, number: int) -> Body:
     """A body where it is placed."""
     axis = placed.axis[number]
     return Body(
-        placed.corners[number], cell.count[number], axis[0], axis[1], axis[2], cell.disc[number], cell.ball[number]
+        placed.corners[number],
+        cell.count[number],
+        axis[0],
+        axis[1],
+        axis[2],
+        cell.disc[number],
+        cell.ball[number],
     )
 
 

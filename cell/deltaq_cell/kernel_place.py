@@ -1,6 +1,7 @@
 """The kernel's kinematics: where a robot's bodies are, and how far they can travel within a strip of joint space.
 
-The same as `deltaq_cell.bodies` and pinocchio say. A body travels at most `sum_j half_j * r_j` (`deltaq_cell.proximity`).
+The same as `deltaq_cell.bodies` and pinocchio say. A body travels at most `sum_j half_j * r_j`
+(`deltaq_cell.proximity`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,13 @@ from deltaq_cell.kernel_arrays import Anatomy, Array, Placed
 
 @compiled
 def place(
-    cell: Anatomy, placed: Placed, joints: tuple[int, int], bodies: tuple[int, int], q: Array, half: Array, along: Array
+    cell: Anatomy,
+    placed: Placed,
+    joints: tuple[int, int],
+    bodies: tuple[int, int],
+    q: Array,
+    half: Array,
+    along: Array,
 ) -> float:
     """Place one robot at the middle `q` (n,) of a strip; returns the greatest travel of its bodies [m].
 
@@ -88,10 +95,18 @@ def _place_body(cell: Anatomy, placed: Placed, body: int) -> None:
     if joint < 0:
         return  # it stands where it stood
     for row in range(3):
-        a, b, c = placed.rotation[joint, row, 0], placed.rotation[joint, row, 1], placed.rotation[joint, row, 2]
+        a, b, c = (
+            placed.rotation[joint, row, 0],
+            placed.rotation[joint, row, 1],
+            placed.rotation[joint, row, 2],
+        )
         shift = placed.translation[joint, row]
         for corner in range(cell.count[body]):
-            x, y, z = cell.corners[body, corner, 0], cell.corners[body, corner, 1], cell.corners[body, corner, 2]
+            x, y, z = (
+                cell.corners[body, corner, 0],
+                cell.corners[body, corner, 1],
+                cell.corners[body, corner, 2],
+            )
             placed.corners[body, corner, row] = a * x + b * y + c * z + shift
         axis, middle = cell.axis[body], cell.middle[body]
         placed.axis[body, row] = a * axis[0] + b * axis[1] + c * axis[2]
@@ -109,7 +124,11 @@ def _arm(cell: Anatomy, placed: Placed, body: int, joint: int) -> float:
     vx, vy, vz, wx, wy, wz = column[0], column[1], column[2], column[3], column[4], column[5]
     most = 0.0
     for corner in range(cell.count[body]):
-        x, y, z = placed.corners[body, corner, 0], placed.corners[body, corner, 1], placed.corners[body, corner, 2]
+        x, y, z = (
+            placed.corners[body, corner, 0],
+            placed.corners[body, corner, 1],
+            placed.corners[body, corner, 2],
+        )
         a = wy * z - wz * y + vx
         b = wz * x - wx * z + vy
         c = wx * y - wy * x + vz

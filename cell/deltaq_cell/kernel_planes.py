@@ -129,6 +129,8 @@ def _motion(cell: Anatomy, placed: Placed, body: int, other: int, twist: Array) 
         if cell.moved_by[body, joint] and not cell.moved_by[other, joint]:
             half = placed.half[joint]
             turns = half if cell.revolute[joint] else 0.0
-            blur += arms[joint] * placed.deviation[joint] + half * (arms[joint] + travel) * (before + 0.5 * turns)
+            blur += arms[joint] * placed.deviation[joint] + half * (arms[joint] + travel) * (
+                before + 0.5 * turns
+            )
             before += turns
     return blur, slides

@@ -1,4 +1,4 @@
-"""The point of a simplex that is nearest to the origin, after Ericson, Real-Time Collision Detection (2005), ch. 5.1."""
+"""The point of a simplex that is nearest to the origin, after Ericson, Real-Time Collision Detection (2005), 5.1."""
 
 from __future__ import annotations
 
@@ -36,7 +36,11 @@ def towards_origin(simplex: Array, count: int, is_outside: bool) -> Point:
     kept = 0
     for row in range(4):
         if held >> row & 1:
-            simplex[kept, 0], simplex[kept, 1], simplex[kept, 2] = simplex[row, 0], simplex[row, 1], simplex[row, 2]
+            simplex[kept, 0], simplex[kept, 1], simplex[kept, 2] = (
+                simplex[row, 0],
+                simplex[row, 1],
+                simplex[row, 2],
+            )
             kept += 1
     return kept, x, y, z
 

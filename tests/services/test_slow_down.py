@@ -16,8 +16,8 @@ from gate_bench import (
 from gate_rig import CELL, Rig
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.load import CellError, load_cell
 from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_cell.load import CellError, load_cell
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.gate import Gate
