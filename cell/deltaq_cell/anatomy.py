@@ -56,7 +56,7 @@ def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -
         moved_by=moved_by,
         robot=owner.astype(np.int64),
         corners=corners,
-        count=np.array([_own(points) for points in corners], dtype=np.int64),
+        corner_count=np.array([_own(points) for points in corners], dtype=np.int64),
         axis=np.concatenate([extent.axis for extent in extents]),
         disc=np.concatenate([extent.disc for extent in extents]),
         ball=np.concatenate([extent.ball for extent in extents]),

@@ -1,8 +1,8 @@
 """`deltaq_cell.proximity` in machine code: the same questions and answers, several times quicker.
 
-Where bodies are, how far they travel and which of them have room is the kernel's (`deltaq_cell.kernel`); coal measures the
-tightest pair that is told. `Proximity` says the same in plain words, and tests hold the one against the other: what they
-show differs by no more than coal's iterations are off, 2e-6 m.
+Where bodies are, how far they travel and which of them have room is the kernel's (`deltaq_cell.kernel`); coal measures
+the tightest pair that is told. `Proximity` says the same in plain words, and tests hold the one against the other: what
+they show differs by no more than coal's iterations are off, 2e-6 m.
 """
 
 from __future__ import annotations

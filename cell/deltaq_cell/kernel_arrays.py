@@ -31,7 +31,7 @@ class Anatomy(NamedTuple):
         moved_by: (bodies, joints) which joints move which body.
         robot: (bodies,) number of the robot that it belongs to, -1 for the structure.
         corners: (bodies, k, 3) in the frames of the carriers [m].
-        count: (bodies,) how many corners are a body's own.
+        corner_count: (bodies,) how many corners are a body's own.
         axis: (bodies, 3) across which the discs lie, in the frames of the carriers.
         disc: (bodies,) radii, zero for bodies without [m].
         ball: (bodies,) radii, zero for bodies without [m].
@@ -51,7 +51,7 @@ class Anatomy(NamedTuple):
     moved_by: Bits
     robot: Indices
     corners: Array
-    count: Indices
+    corner_count: Indices
     axis: Array
     disc: Array
     ball: Array
@@ -95,8 +95,8 @@ class Body(NamedTuple):
     """One body where it is placed: corners, widened by a ball and by a disc across its axis (`deltaq_cell.extents`).
 
     Attributes:
-        corners: (k, 3), of which the first `count` are its own [m].
-        count: of them.
+        corners: (k, 3), of which the first `corner_count` are its own [m].
+        corner_count: of them.
         axis_x: with y and z the unit vector across which the disc lies.
         axis_y: likewise.
         axis_z: likewise.
@@ -105,7 +105,7 @@ class Body(NamedTuple):
     """
 
     corners: Array
-    count: int
+    corner_count: int
     axis_x: float
     axis_y: float
     axis_z: float

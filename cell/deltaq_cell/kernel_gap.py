@@ -30,7 +30,7 @@ def body_at(cell: Anatomy, placed: Placed, number: int) -> Body:
     axis = placed.axis[number]
     return Body(
         placed.corners[number],
-        cell.count[number],
+        cell.corner_count[number],
         axis[0],
         axis[1],
         axis[2],
@@ -90,7 +90,7 @@ def farthest(body: Body, x: float, y: float, z: float) -> tuple[float, float, fl
     """The point of a body, without its ball, that is farthest along (x, y, z)."""
     corners = body.corners
     best, most = 0, -math.inf
-    for corner in range(body.count):
+    for corner in range(body.corner_count):
         reach = corners[corner, 0] * x + corners[corner, 1] * y + corners[corner, 2] * z
         if reach > most:
             best, most = corner, reach

@@ -101,7 +101,7 @@ def _place_body(cell: Anatomy, placed: Placed, body: int) -> None:
             placed.rotation[joint, row, 2],
         )
         shift = placed.translation[joint, row]
-        for corner in range(cell.count[body]):
+        for corner in range(cell.corner_count[body]):
             x, y, z = (
                 cell.corners[body, corner, 0],
                 cell.corners[body, corner, 1],
@@ -123,7 +123,7 @@ def _arm(cell: Anatomy, placed: Placed, body: int, joint: int) -> float:
     column = placed.columns[joint]
     vx, vy, vz, wx, wy, wz = column[0], column[1], column[2], column[3], column[4], column[5]
     most = 0.0
-    for corner in range(cell.count[body]):
+    for corner in range(cell.corner_count[body]):
         x, y, z = (
             placed.corners[body, corner, 0],
             placed.corners[body, corner, 1],
@@ -133,4 +133,4 @@ def _arm(cell: Anatomy, placed: Placed, body: int, joint: int) -> float:
         b = wz * x - wx * z + vy
         c = wx * y - wy * x + vz
         most = max(most, a * a + b * b + c * c)
-    return math.sqrt(most) + cell.disc[body] + cell.ball[body]
+    return float(math.sqrt(most) + cell.disc[body] + cell.ball[body])

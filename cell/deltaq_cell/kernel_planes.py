@@ -96,7 +96,7 @@ def _reach(
     ay += t * (nz * wx - nx * wz)
     az += t * (nx * wy - ny * wx)
     corners, most = body.corners, -math.inf
-    for corner in range(body.count):
+    for corner in range(body.corner_count):
         most = max(most, corners[corner, 0] * ax + corners[corner, 1] * ay + corners[corner, 2] * az)
     if body.disc > 0.0:
         along = body.axis_x * ax + body.axis_y * ay + body.axis_z * az
@@ -104,7 +104,7 @@ def _reach(
         most += body.disc * math.sqrt(x * x + y * y + z * z)
     if body.ball > 0.0:
         most += body.ball * math.sqrt(ax * ax + ay * ay + az * az)
-    return most + t * (nx * twist[0] + ny * twist[1] + nz * twist[2])
+    return float(most + t * (nx * twist[0] + ny * twist[1] + nz * twist[2]))
 
 
 @compiled

@@ -102,4 +102,4 @@ def _is_behind(simplex: Array, i: int, j: int, k: int, other: int) -> bool:
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     of_origin = -(nx * ax + ny * ay + nz * az)
     of_other = nx * (simplex[other, 0] - ax) + ny * (simplex[other, 1] - ay) + nz * (simplex[other, 2] - az)
-    return of_origin * of_other > 0.0 and abs(of_other) > 1e-12
+    return bool(of_origin * of_other > 0.0 and abs(of_other) > 1e-12)

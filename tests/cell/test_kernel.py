@@ -114,7 +114,7 @@ def test_a_robot_is_placed_where_the_readable_code_has_it(cell, reference, proxi
     separation, where = reference._separation, proximity._where
     moved = separation._half > 0.0
     np.testing.assert_allclose(where.arms[:, moved], separation._arms[:, moved], atol=1e-12)
-    for body, count in enumerate(proximity._anatomy.count):
+    for body, count in enumerate(proximity._anatomy.corner_count):
         theirs = separation._corners[body]
         np.testing.assert_allclose(where.corners[body, :count], theirs[:count], atol=1e-12)
         assert {tuple(row) for row in theirs} == {tuple(row) for row in theirs[:count]}
