@@ -216,10 +216,10 @@ def test_what_fails_can_be_looked_at_again(cell, proximity):
     for _ in range(30):
         placed((proximity,), strips(cell, random))
         for (listed,) in lists(proximity):
-            failing = proximity.look(listed, 1e-5).failing if listed else []
+            failing = proximity.look(listed, 0.3).failing if listed else []
             if failing:
                 seen += 1
-                again = proximity.look(failing, 1e-5)
+                again = proximity.look(failing, 0.3)
                 assert names(again.failing) == names(failing)
                 assert failing.numbers.tolist() == [
                     number
