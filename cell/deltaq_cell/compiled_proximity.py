@@ -33,13 +33,22 @@ class PairedGroups(list[Group]):
 
     Attributes:
         numbers: (pairs,) of the pairs among all.
-        group: (pairs,) index of the group that each belongs to.
+        group: (pairs,) index of the group that each belongs to, in `of`.
         pairs: what the kernel is given.
+        of: the groups that the pairs are of; those that are none of these groups have no active pair.
     """
 
-    def __init__(self, groups: Sequence[Group], numbers: Indices, group: Indices, pairs: Pairs) -> None:
+    def __init__(
+        self,
+        groups: Sequence[Group],
+        numbers: Indices,
+        group: Indices,
+        pairs: Pairs,
+        of: Sequence[Group] | None = None,
+    ) -> None:
         super().__init__(groups)
         self.numbers, self.group, self.pairs = numbers, group, pairs
+        self.of = self if of is None else of
 
 
 class CompiledProximity(Proximity):
@@ -170,14 +179,8 @@ class CompiledProximity(Proximity):
 
 def _part(listed: PairedGroups, open_: Indices) -> PairedGroups:
     """The groups of some pairs of a list, each with all its pairs."""
-    failing = np.zeros(len(listed), dtype=bool)
+    failing = np.zeros(len(listed.of), dtype=bool)
     failing[listed.group[open_]] = True
-    kept, chosen = np.flatnonzero(failing), np.flatnonzero(failing[listed.group])
-    group = np.cumsum(failing)[listed.group[chosen]] - 1
-    pairs = Pairs(
-        listed.pairs.first[chosen],
-        listed.pairs.second[chosen],
-        listed.pairs.stop_m[chosen],
-        listed.pairs.active[chosen],
-    )
-    return PairedGroups([listed[index] for index in kept.tolist()], listed.numbers[chosen], group, pairs)
+    groups = [listed.of[index] for index in np.flatnonzero(failing).tolist()]
+    pairs = listed.pairs._replace(active=listed.pairs.active & failing[listed.group])
+    return PairedGroups(groups, listed.numbers, listed.group, pairs, listed.of)
