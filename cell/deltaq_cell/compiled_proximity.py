@@ -18,6 +18,7 @@ from deltaq_cell.group import Group, Nearest
 from deltaq_cell.kernel import NONE, look
 from deltaq_cell.kernel_arrays import Pairs
 from deltaq_cell.kernel_place import place
+from deltaq_cell.kernel_strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.proximity import Look, Proximity
 
@@ -91,6 +92,7 @@ class CompiledProximity(Proximity):
             self.place(name, q, np.zeros_like(q))
         for listed in (*self.alone.values(), *self.between.values()):
             self.look(listed, 0.0)  # so that no decision waits for the machine code
+        strip_around(self._q[None])
 
     def place(
         self,
