@@ -35,6 +35,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt hatchling editables
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  --no-build-isolation -e '.[dev]'
+	$(BIN)/python -m deltaq_cell
 	$(BIN)/python -m deltaq_controllers.camera
 	touch $@
 

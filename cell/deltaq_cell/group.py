@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Bits = NDArray[np.bool_]
 Names = frozenset[frozenset[str]]
 
 
@@ -40,7 +41,12 @@ class Group:
         bodies: pinocchio geometry objects on one link.
         against: the others.
         never: pairs of names that are left out.
-        stop_distance_m: least distance that the pairs have to keep.
+        stop_distance_m: what the pairs have to keep.
+
+    Attributes:
+        pairs: the bodies of each.
+        active: (pairs,) whether each is measured now, False for those that were left out.
+        stop_distance_m: as given.
     """
 
     def __init__(
@@ -55,7 +61,7 @@ class Group:
                 if frozenset((first.name, second.name)) not in never:
                     self.pairs.append((first, second))
                     self.geometry.addCollisionPair(pin.CollisionPair(index[first.name], index[second.name]))
-        self._left_out: set[int] = set()
+        self.active: Bits = np.ones(len(self.pairs), dtype=bool)
         self.data = self.geometry.createData()
         make_reproducible(self.data)
 
@@ -73,23 +79,21 @@ class Group:
     @property
     def is_empty(self) -> bool:
         """Whether every pair has been left out."""
-        return len(self._left_out) == len(self.pairs)
+        return not self.active.any()
 
     def leave_out(self, index: int) -> None:
-        """Leave a pair out from now on."""
-        self._left_out.add(index)
+        """Measure a pair no longer."""
+        self.active[index] = False
         self.data.deactivateCollisionPair(index)
 
     def take_in(self, index: int) -> None:
         """Measure a pair again."""
-        self._left_out.discard(index)
+        self.active[index] = True
         self.data.activateCollisionPair(index)
 
     def measured(self) -> dict[int, Nearest]:
-        """Every pair that is not left out, by index, as `least` measured it; for the rare case that needs all."""
-        return {
-            index: self._measured(index) for index in range(len(self.pairs)) if index not in self._left_out
-        }
+        """Every pair that is not left out, by index, as `least` measured it; for the rare case that asks for all."""
+        return {index: self._measured(index) for index in np.flatnonzero(self.active).tolist()}
 
     def nearer(self, distance_m: float) -> tuple[list[int], Array, Array]:
         """Pairs whose swept distance is below `distance_m`, as `least` measured them.
@@ -99,7 +103,7 @@ class Group:
         """
         indices, distances, normals = [], [], []
         for index, result in enumerate(self.data.distanceResults):
-            if result.min_distance < distance_m and index not in self._left_out:
+            if result.min_distance < distance_m and self.active[index]:
                 first, second = self.pairs[index]
                 radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
                 indices.append(index)

@@ -14,7 +14,7 @@ again with a plane between them (`deltaq_cell.separation`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -214,6 +214,13 @@ class Proximity:
             return Look([], False, None, 0.0)
         return Look(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
 
+    def measured(self, groups: Iterable[Group]) -> Iterator[Group]:
+        """The same groups, each with all its pairs measured where the robots are placed now."""
+        for group in groups:
+            if not group.is_empty:
+                self.least(group)
+                yield group
+
     def pair(self, group: Group, index: int) -> Group:
         """One pair of a group as a group of its own, whose stop distance is the caller's to set.
 
@@ -252,11 +259,11 @@ class Proximity:
         room_m = distance_m - min(group.stop_distance_m for group in groups)
         near = [
             (group, item)
-            for group in self.look(groups, room_m).failing
+            for group in self.measured(self.look(groups, room_m).failing)
             for item in group.measured().values()
             if item.distance_m < distance_m
         ]
-        J = self._placed[robot].J
+        J = self._jacobian(robot)
         found = []
         for group, item in near:
             first, second = item.points_m
@@ -285,6 +292,10 @@ class Proximity:
         kept = self._separation.keeps(numbers, normals, distances, asked)
         group_kept = np.logical_and.reduceat(kept, np.cumsum([0, *counts[:-1]]))
         return [group for group, is_kept in zip(groups, group_kept, strict=True) if not is_kept], False
+
+    def _jacobian(self, robot: str) -> Array:
+        """(6, n) geometric Jacobian of a robot at the world's origin where it is placed, linear rows first."""
+        return self._placed[robot].J
 
     def _move(self, robot: str, q: Array, half: Array, direction: Array) -> _Placed:
         bodies, places = self._bodies[robot], self._slices[robot]

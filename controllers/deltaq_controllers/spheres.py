@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.compiled import compiled
 from deltaq_controllers.kinematics import placement_views
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.compiled import compiled
+from deltaq_cell.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
-"""Compiling controllers before anything runs that their compiler could delay.
+"""Compiling the gate and the controllers before anything runs that their compiler could make late.
 
-A camera law takes numba up to a minute on a small machine. Beside a running cell, services would share
-their cores with a compiler for that minute, and the controller would be missing.
+The gate's kernel takes numba half a minute on a small machine, a camera law up to a minute. Beside a running cell that
+is a minute in which services share their cores with a compiler, and in which the gate or the controller is not there.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from deltaq_deploy.launcher import LaunchError
 from deltaq_deploy.warden import Warden
 
+GATE_COMPILER = ("-m", "deltaq_cell")
 COMPILER = ("-m", "deltaq_controllers.camera")
 COMPILES = "compiling "
 """Beginning of a line about a function that is being compiled."""
@@ -26,19 +27,19 @@ NOWHERE = "no folder for machine code can be written to: every start recompiles;
 def compiled_ahead(
     controllers: Sequence[str], tell: Callable[[str], None], on_function: Callable[[str], None]
 ) -> Iterator[None]:
-    """Compile camera controllers in a process that ends before the block; within the block nobody compiles them again.
+    """Have the gate and camera controllers compiled, by processes that end with it; within the block nobody does again.
 
     Args:
-        controllers: names of camera controllers that come with the project.
-        tell: called with messages for the user.
+        controllers: names of camera controllers that come with the project, if any are to run.
+        tell: called with what the user has to know.
         on_function: called with the name of each function before it is compiled; never if all are kept from before.
 
     Raises:
         LaunchError: if they cannot be compiled, with the compiler's last words.
     """
-    from deltaq_controllers.machine_code import folder
+    from deltaq_cell.machine_code import folder, package_of
 
-    if folder():
+    if all(folder(package_of(name)) for name in ("deltaq_cell", "deltaq_controllers")):
         _compile(controllers, on_function)
         yield
         return
@@ -62,7 +63,13 @@ def compiled_ahead(
 
 
 def _compile(controllers: Sequence[str], on_function: Callable[[str], None]) -> None:
-    command = [sys.executable, *COMPILER, *controllers]
+    _run(GATE_COMPILER, "the gate's kernel", on_function)
+    if controllers:
+        _run((*COMPILER, *controllers), "the camera's controllers", on_function)
+
+
+def _run(arguments: Sequence[str], what: str, on_function: Callable[[str], None]) -> None:
+    command = [sys.executable, *arguments]
     said: list[str] = []
     # in its own session: Ctrl-C on the terminal reaches the waiting program, which ends it from here
     with (
@@ -90,4 +97,4 @@ def _compile(controllers: Sequence[str], on_function: Callable[[str], None]) -> 
             raise
     if compiler.returncode:
         words = "\n".join(f"  {line}" for line in said if not line.startswith(COMPILES))
-        raise LaunchError(f"the camera's controllers could not be compiled:\n{words}")
+        raise LaunchError(f"{what} could not be compiled:\n{words}")

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import track
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_experiments.retreat_situations import Situation, situation
 from deltaq_experiments.retreat_stage import Stage
@@ -67,7 +67,7 @@ class RetreatAttack:
 
     def __init__(self, cell_name: str = "lab") -> None:
         self._cell = CellModel.load(cell_name)
-        self._proximity = Proximity(self._cell)
+        self._proximity = CompiledProximity(self._cell)
         self._oracle = ClearanceOracle(self._cell)
         self._stops_m = self._oracle.stop_distances_m
 

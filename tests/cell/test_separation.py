@@ -6,6 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.extents import Extents
 from deltaq_cell.proximity import Proximity
 from deltaq_cell.structure import structure_geometry
@@ -16,9 +17,9 @@ def cell(request):
     return CellModel.load(request.param)
 
 
-@pytest.fixture(scope="module")
-def proximity(cell):
-    return Proximity(cell)
+@pytest.fixture(scope="module", params=[Proximity, CompiledProximity])
+def proximity(request, cell):
+    return request.param(cell)
 
 
 def configuration(robot, random):

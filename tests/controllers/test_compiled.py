@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltaq_controllers.compiled import folder_of
+from deltaq_cell.machine_code import folder_of, package_of
 
 LAW = """
 import numpy as np
@@ -122,6 +122,21 @@ def test_where_the_code_cannot_be_written_to_what_was_installed_is_copied_to_the
     kept = Path(folder_of(package, cache))
     assert kept == cache / "deltaq" / installed.name
     assert (kept / "law.nbi").read_text() == "machine code"
+
+
+def test_what_a_function_is_given_is_part_of_its_code(tmp_path: Path) -> None:
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "law.py").write_text(ONE)
+    first = folder_of(package, tmp_path)
+    (package / "arrays.py").write_text("class Placed(NamedTuple):\n    q: int\n")
+    assert folder_of(package, tmp_path) != first
+
+
+def test_machine_code_is_kept_by_package_and_that_of_a_script_beside_the_decorator() -> None:
+    assert package_of("deltaq_controllers.camera.law").name == "deltaq_controllers"
+    assert package_of("deltaq_cell.kernel").name == "deltaq_cell"
+    assert package_of("__main__").name == package_of("no_such_module").name == "deltaq_cell"
 
 
 def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None:

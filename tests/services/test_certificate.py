@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.limits import Limits
@@ -22,7 +22,7 @@ def cell():
 
 @pytest.fixture(scope="module")
 def proximity(cell):
-    return Proximity(cell)
+    return CompiledProximity(cell)
 
 
 @pytest.fixture(scope="module")

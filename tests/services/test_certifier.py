@@ -15,7 +15,7 @@ from gate_bench import (
     with_room,
 )
 
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.tube import Windows
 
@@ -146,7 +146,7 @@ def test_a_path_that_was_divided_names_the_pair_of_the_first_look():
 
 def test_pairs_that_are_left_out_are_neither_judged_nor_told():
     low, gr = standing("fr", LOW), standing("gr", HOME["gr"])
-    proximity = Proximity(CELL)
+    proximity = CompiledProximity(CELL)
 
     def certify_low():
         return Certifier(proximity).certify("fr", low, [("gr", gr)])

@@ -16,8 +16,8 @@ from gate_bench import (
 from gate_rig import CELL, Rig
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.load import CellError, load_cell
-from deltaq_cell.proximity import Proximity
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.gate import Gate
@@ -47,7 +47,7 @@ def with_band(folder, distance_m):
 def test_within_the_band_approach_is_slowed_in_proportion_to_the_room_and_parting_is_not(tmp_path, robot):
     rig = Rig(CellModel.load(with_band(tmp_path, BAND_M)))
     model, cycle_s = CELL.robots[robot], CELL.description.cycle_s
-    proximity, random = Proximity(CELL), np.random.default_rng(4)
+    proximity, random = CompiledProximity(CELL), np.random.default_rng(4)
     aim, slowed = np.zeros(model.n), 0
     for cycle in range(150):
         if cycle % 30 == 0:
@@ -89,7 +89,7 @@ def test_a_band_inside_the_stop_distance_is_refused_with_value_and_bound(tmp_pat
 
 def test_the_loss_of_distance_is_that_of_a_small_motion():
     cell = CELL
-    proximity, random = Proximity(cell), np.random.default_rng(2)
+    proximity, random = CompiledProximity(cell), np.random.default_rng(2)
     checked = 0
     for name, robot in cell.robots.items():
         q = robot.home + random.uniform(-0.05, 0.05, robot.n)

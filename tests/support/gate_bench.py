@@ -6,7 +6,7 @@ import numpy as np
 from gate_rig import CELL
 from small_cell import server_state
 
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol.guarded import Plan
 from deltaq_services.sim.limits import Limits
@@ -14,7 +14,7 @@ from deltaq_services.sim.tracker import Tracker
 
 LAG = 6
 STOP_M = CELL.description.gate.stop_distance_m
-PROXIMITY = Proximity(CELL)
+PROXIMITY = CompiledProximity(CELL)
 ORACLE = ClearanceOracle(CELL)
 LIMITS = {name: Limits.of(robot, CELL.description.cycle_s) for name, robot in CELL.description.robots.items()}
 HOME = {name: robot.home for name, robot in CELL.robots.items()}

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
-from deltaq_controllers.machine_code import folder, is_complete, mark_complete
+from deltaq_cell.machine_code import folder, is_complete, mark_complete
+
+_PACKAGE = Path(__file__).parents[1]
 
 
 def main() -> int:
@@ -21,11 +24,11 @@ def main() -> int:
         help="controllers to compile, all if none is named; others are left alone",
     )
     names: list[str] = parser.parse_args().names
-    where = folder()
-    if names and all(is_complete(where, name) for name in names):
+    where = folder(_PACKAGE)
+    if names and all(is_complete(where, name, _PACKAGE) for name in names):
         return 0
     for name in compile_ahead(names):
-        mark_complete(where, name)
+        mark_complete(where, name, _PACKAGE)
     return 0
 
 
@@ -33,9 +36,9 @@ def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     """Make the controllers of these names for the lab cell, all if there is none; returns which they were."""
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
+    from deltaq_cell.compiled import told_of_compiling
     from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
     from deltaq_controllers.camera.scene import Scene
-    from deltaq_controllers.compiled import told_of_compiling
 
     chosen = [name for name in NAMES if not names or name in names]
     scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr", latency_s=0.06)

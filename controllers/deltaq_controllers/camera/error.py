@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.compiled import compiled
+from deltaq_cell.compiled import compiled
 from deltaq_controllers.vectors import components, cross, distance
 
 Array = NDArray[np.float64]

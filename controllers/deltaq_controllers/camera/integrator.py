@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.compiled import compiled
+from deltaq_cell.compiled import compiled
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], Array]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.compiled import compiled
+from deltaq_cell.compiled import compiled
 from deltaq_controllers.spheres import Spheres, placed
 from deltaq_controllers.vectors import cross, distance
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.neighbours import Near
-from deltaq_controllers.compiled import compiled
 from deltaq_controllers.limits import IncrementLimits
 
 Array = NDArray[np.float64]

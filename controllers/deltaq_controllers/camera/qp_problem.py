@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from quadprog import solve_qp
 
+from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_tasks import Tasks
-from deltaq_controllers.compiled import compiled
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.compiled import compiled
 from deltaq_controllers.kinematics import Kinematics, joints_that_move
 from deltaq_controllers.spheres import Spheres, placed
 from deltaq_controllers.vectors import distance

@@ -30,7 +30,7 @@ def progress_bar(text: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def shown_compiled_ahead(controllers: Sequence[str]) -> Iterator[None]:
-    """Compile camera controllers before the block, and show it on standard error: a line, and what is compiled now.
+    """Compile the gate and camera controllers before the block; standard error shows a line, and what is compiled now.
 
     Raises:
         LaunchError: if they cannot be compiled.
@@ -47,7 +47,9 @@ def shown_compiled_ahead(controllers: Sequence[str]) -> Iterator[None]:
 
     def show(function: str) -> None:
         if not progress.tasks[task].visible:
-            output.print("compiling the camera's controller; only the first start does, for up to a minute")
+            output.print(
+                "compiling the gate and what else is compiled; only the first start does, for up to two minutes"
+            )
         progress.update(task, description=function, visible=True)
 
     with ExitStack() as stack:

@@ -20,11 +20,13 @@ def up(
     record: Annotated[str, typer.Option(metavar="FILE", help="Also record to this MCAP file.")] = "",
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
+    from contextlib import nullcontext
     from functools import partial
 
     from deltaq_cell.find import find_cell
     from deltaq_cell.load import load_cell
     from deltaq_deploy.cli.console import console, prefixed_log
+    from deltaq_deploy.cli.progress import shown_compiled_ahead
     from deltaq_deploy.launcher import Launcher
     from deltaq_deploy.real import refuse_unreal
     from deltaq_deploy.rest import bring_to_rest
@@ -42,7 +44,8 @@ def up(
     output = console()
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
-    with launcher:
+    has_gate = any(service.role is Role.SIM for service in services)
+    with shown_compiled_ahead([]) if has_gate else nullcontext(), launcher:
         launcher.start()
         log("deltaq", f"cell {description.cell} is up: {', '.join(service.name for service in services)}")
         if "hli" in launcher.ready:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.identity import content_identity
-from deltaq_cell.proximity import Proximity
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import (
     Admission,
@@ -76,7 +76,7 @@ class Sim:
         self.taken = 0
         self._receipt = first_receipt(self.fingerprint, epoch)
         self.counters: Counter[str] = Counter()
-        self._proximity = Proximity(cell)
+        self._proximity = CompiledProximity(cell)
         self.robots = {
             name: GatedRobot(name, robot, description.gate, cycle_s)
             for name, robot in description.robots.items()

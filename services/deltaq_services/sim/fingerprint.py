@@ -28,8 +28,8 @@ _CODE = (
 )
 """Packages and modules that decide."""
 
-_LIBRARIES = ("coal", "pin", "numpy")
-"""Libraries whose arithmetic verdicts depend on."""
+_LIBRARIES = ("coal", "pin", "numpy", "numba", "llvmlite")
+"""Libraries whose arithmetic verdicts depend on, and those that compile it."""
 
 _ELSEWHERE = {"hli", "sim", "tcp_address", "tcp_port", "lease_s"}
 _ELSEWHERE_OF_ROBOT = {"server", "driver", "servo_lag", "camera", "model"}

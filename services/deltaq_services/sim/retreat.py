@@ -124,7 +124,7 @@ class Retreat:
         between = None if other is None else self._proximity.between[robot, other.name]
         groups = self._proximity.alone[robot] if between is None else between
         failing = self._proximity.look(groups, NUMERICAL_TOLERANCE_M).failing if groups else []
-        for group in failing:
+        for group in self._proximity.measured(failing):
             for index in group.nearer(group.stop_distance_m + NUMERICAL_TOLERANCE_M)[0]:
                 yield _Near(group, index, other)
 

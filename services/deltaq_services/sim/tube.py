@@ -15,6 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.kernel_strip import strip_around
+
 Array = NDArray[np.float64]
 
 _SHORTEST = 1e-7
@@ -64,17 +66,7 @@ class Strip:
     @classmethod
     def around(cls, points: Array) -> Strip:
         """A strip along the longest way between any of the points, (k, n) [rad or m], that holds their hull."""
-        low, high = points.min(axis=0), points.max(axis=0)
-        widest = np.argmax(high - low)
-        start, end = points[np.argmin(points[:, widest])], points[np.argmax(points[:, widest])]
-        middle, direction = (start + end) / 2, (end - start) / 2
-        length = direction @ direction
-        if length == 0.0:
-            return cls(middle, direction, direction)
-        t = np.clip((points - middle) @ direction / length, -1.0, 1.0)
-        aside = points - middle - t[:, None] * direction
-        low, high = aside.min(axis=0), aside.max(axis=0)
-        return cls(middle + (low + high) / 2, direction, (high - low) / 2)
+        return cls(*strip_around(points))
 
     def strip(self) -> Strip:
         """Itself."""

@@ -9,6 +9,7 @@ import shutil
 import sys
 from contextlib import suppress
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 
@@ -21,7 +22,8 @@ def folder_of(package: Path, users_cache: Path) -> str:
         The folder; empty if neither can be written to: then every process recompile.
     """
     sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
-    version = hashlib.sha256(b"".join(source for source in sources if b"\n@compiled" in source)).hexdigest()
+    compiled = [source for source in sources if b"\n@compiled" in source or b"(NamedTuple)" in source]
+    version = hashlib.sha256(b"".join(compiled)).hexdigest()
     installed = package / "__pycache__" / f"compiled-{version[:16]}"
     if _can_be_written(installed):
         return str(installed)
@@ -34,26 +36,33 @@ def folder_of(package: Path, users_cache: Path) -> str:
     return str(own) if _can_be_written(own) else ""
 
 
-def folder() -> str:
-    """The folder of this package, as `folder_of` finds it now."""
-    return folder_of(Path(__file__).parent, _users_cache())
+def package_of(module: str) -> Path:
+    """The folder of the package that a module is in, by name; of a script, that of this package."""
+    found = find_spec(module.partition(".")[0]) if module != "__main__" else None
+    origin = found.origin if found is not None and found.submodule_search_locations else None
+    return Path(origin or __file__).parent
 
 
-def is_complete(where: str, name: str) -> bool:
-    """Whether all that `name` needs was compiled for this machine."""
-    return bool(where) and _mark(where, name).exists()
+def folder(package: Path) -> str:
+    """The folder of a package, as `folder_of` finds it now."""
+    return folder_of(package, _users_cache())
 
 
-def mark_complete(where: str, name: str) -> None:
-    """Remember that all that `name` needs was compiled for this machine."""
+def is_complete(where: str, name: str, package: Path) -> bool:
+    """Whether all that `name` of a package needs was compiled for this machine."""
+    return bool(where) and _mark(where, name, package).exists()
+
+
+def mark_complete(where: str, name: str, package: Path) -> None:
+    """Remember that all that `name` of a package needs was compiled for this machine."""
     if where:
-        with suppress(OSError):  # then the next start checks it again
-            _mark(where, name).touch()
+        with suppress(OSError):  # then it is looked at again at the next start
+            _mark(where, name, package).touch()
 
 
-def _mark(where: str, name: str) -> Path:
-    """A file whose name changes with all that makes numba recompile: code, versions, the processor."""
-    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py"))]
+def _mark(where: str, name: str, package: Path) -> Path:
+    """A file whose name changes with all that makes numba compile anew: code, versions, the processor."""
+    sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
     processor = [platform.machine(), platform.processor()]
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

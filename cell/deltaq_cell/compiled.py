@@ -1,37 +1,39 @@
-"""Functions compiled to machine code, so that a law costs its arithmetic and not Python's overhead of calling numpy.
+"""Functions compiled to machine code, so that they cost their arithmetic and not what Python takes to call numpy.
 
 They stay Python, typed and tested as such: with `NUMBA_DISABLE_JIT=1` they run as they stand. The machine code is
-kept on disk. numba checks whether it is out of date by the file of a function, but not by the files of the functions
-that it calls; so it is kept in a folder named after the sources of all compiled functions.
+kept on disk. Whether it is out of date numba tells by the file of a function, but not by the files of the functions
+that it calls; so it is kept in a folder named after the sources of all compiled functions of its package.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
 
-from deltaq_controllers.machine_code import folder, folder_of
+from deltaq_cell.machine_code import folder, package_of
 
-__all__ = ["compiled", "folder_of", "told_of_compiling"]
+__all__ = ["compiled", "told_of_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Decorate a function of numbers, arrays and named tuples of them, which calls none but such functions.
+    """Decorate a function of numbers, arrays and named tuples of them, which calls none but such of its package.
 
     It is compiled at its first call with arguments of new types, or found where an earlier process left it. Numbers
     are as numpy has them: a division by zero is infinite.
     """
     users_own = numba.config.CACHE_DIR
-    # numba reads its folder while it decorates, and other packages may want theirs elsewhere
-    numba.config.CACHE_DIR = _FOLDER
+    kept = _folder(function.__module__)
+    # numba asks for its folder while it decorates, and others may want theirs elsewhere
+    numba.config.CACHE_DIR = kept
     try:
-        return cast(Function, numba.njit(cache=bool(_FOLDER), error_model="numpy")(function))
+        return cast(Function, numba.njit(cache=bool(kept), error_model="numpy")(function))
     finally:
         numba.config.CACHE_DIR = users_own
 
@@ -54,4 +56,6 @@ def told_of_compiling(tell: Callable[[str], None]) -> Iterator[None]:
         yield
 
 
-_FOLDER = folder()
+@cache
+def _folder(module: str) -> str:
+    return folder(package_of(module))

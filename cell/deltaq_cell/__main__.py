@@ -1,0 +1,36 @@
+"""Compile the gate's kernel: `python -m deltaq_cell`, so that no start of a cell need.
+
+Prints a line for each function that it compiles, and does nothing where all of them are kept from an earlier run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deltaq_cell.machine_code import folder, is_complete, mark_complete
+
+_PACKAGE = Path(__file__).parent
+
+
+def main() -> int:
+    """Make a cell's bodies once, which compiles what looking at them needs."""
+    where = folder(_PACKAGE)
+    if not is_complete(where, "gate", _PACKAGE):
+        compile_ahead()
+        mark_complete(where, "gate", _PACKAGE)
+    return 0
+
+
+def compile_ahead() -> None:
+    """Place and look at the bodies of the lab cell."""
+    # what is heavy is imported only where something is left to do
+    from deltaq_cell.cell_model import CellModel
+    from deltaq_cell.compiled import told_of_compiling
+    from deltaq_cell.compiled_proximity import CompiledProximity
+
+    with told_of_compiling(lambda function: print(f"compiling {function}", flush=True)):
+        CompiledProximity(CellModel.load("lab"))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,120 @@
+"""Fills the kernel's arrays from a cell's model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from deltaq_cell.bodies import Bodies
+from deltaq_cell.extents import Extents, corners_of
+from deltaq_cell.kernel_arrays import Anatomy, Array, Findings, Placed
+
+
+def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -> Anatomy:
+    """What stays of a cell.
+
+    Args:
+        model: pinocchio's, of all robots.
+        structure: bodies that stand; they come first.
+        robots: the bodies of each robot, in the order of the model.
+    """
+    joints = model.nv
+    rotation, translation = np.zeros((joints, 3, 3)), np.zeros((joints, 3))
+    for joint in range(joints):
+        rotation[joint] = model.jointPlacements[joint + 1].rotation
+        translation[joint] = model.jointPlacements[joint + 1].translation
+    axes, revolute = _axes(model)
+    standing = len(structure)
+    bodies = [*structure, *(item for robot in robots for item in robot.objects)]
+    extents = [Extents(structure)] if standing else []
+    extents += [robot.extents for robot in robots]
+    most = max(extent.corners.shape[1] for extent in extents)
+    corners = np.concatenate([_padded(extent.corners, most) for extent in extents])
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
+    box = np.zeros((len(bodies), 3))
+    if standing:
+        around = np.stack([corners_of(body) for body in structure])
+        low, high = around.min(axis=1), around.max(axis=1)
+        middle[:standing], box[:standing] = (low + high) / 2, (high - low) / 2
+    owner = np.repeat(np.arange(-1, len(robots)), [standing, *(len(robot.objects) for robot in robots)])
+    slices = [robot.slice_q for robot in robots]
+    moved_by = np.zeros((len(bodies), joints), dtype=bool)
+    for number, robot in enumerate(robots):
+        moved_by[owner == number, robot.slice_q] = robot.moved_by
+    return Anatomy(
+        parent=np.array([model.parents[joint] - 1 for joint in range(1, joints + 1)], dtype=np.int64),
+        rotation=rotation,
+        translation=translation,
+        joint_axis=axes,
+        revolute=revolute,
+        carrier=np.array([int(body.parentJoint) - 1 for body in bodies], dtype=np.int64),
+        first_joint=np.array([0, *(item.start for item in slices)], dtype=np.int64)[owner + 1],
+        last_joint=np.array([0, *(item.stop for item in slices)], dtype=np.int64)[owner + 1],
+        moved_by=moved_by,
+        robot=owner.astype(np.int64),
+        corners=corners,
+        corner_count=np.array([_own(points) for points in corners], dtype=np.int64),
+        axis=np.concatenate([extent.axis for extent in extents]),
+        disc=np.concatenate([extent.disc for extent in extents]),
+        ball=np.concatenate([extent.ball for extent in extents]),
+        middle=middle,
+        radius=np.concatenate([np.zeros(standing), *(robot.radii for robot in robots)]),
+        box=box,
+    )
+
+
+def placed_at_first(cell: Anatomy) -> Placed:
+    """Bodies as they are before any robot was placed: those that stand are where they stand."""
+    bodies, joints = cell.moved_by.shape
+    return Placed(
+        rotation=np.zeros((joints, 3, 3)),
+        translation=np.zeros((joints, 3)),
+        columns=np.zeros((joints, 6)),
+        half=np.zeros(joints),
+        deviation=np.zeros(joints),
+        direction=np.zeros(joints),
+        corners=cell.corners.copy(),
+        axis=cell.axis.copy(),
+        centre=cell.middle.copy(),
+        arms=np.zeros((bodies, joints)),
+        travel=np.zeros(bodies),
+    )
+
+
+def findings(pairs: int) -> Findings:
+    """Room for what a look at that many pairs leaves behind."""
+    return Findings(
+        room_m=np.zeros(pairs),
+        travel_m=np.zeros(pairs),
+        at_most_m=np.zeros(pairs),
+        normal=np.zeros((pairs, 3)),
+        open=np.zeros(pairs, dtype=bool),
+        simplex=np.zeros((4, 3)),
+        twist=np.zeros((2, 6)),
+    )
+
+
+def _axes(model: Any) -> tuple[Array, Any]:
+    """Unit vectors of the joints' axes (joints, 3) in their own frames, and which joints are revolute (joints,)."""
+    data = model.createData()
+    J = pin.computeJointJacobians(model, data, pin.neutral(model))
+    revolute = J[3:].any(axis=0)
+    in_world = np.where(revolute, J[3:], J[:3]).T
+    rotations = np.array([data.oMi[joint].rotation for joint in range(1, model.njoints)]).reshape(-1, 3, 3)
+    axes = np.einsum("jki,jk->ji", rotations, in_world)
+    return axes / np.linalg.norm(axes, axis=1)[:, None], revolute
+
+
+def _padded(corners: Array, most: int) -> Array:
+    """The same corners, the first repeated until each body has `most`."""
+    missing = most - corners.shape[1]
+    return np.concatenate([corners, np.repeat(corners[:, :1], missing, axis=1)], axis=1)
+
+
+def _own(corners: Array) -> int:
+    """How many corners come before the first one is repeated."""
+    repeated = np.all(corners == corners[0], axis=1)
+    return int(np.flatnonzero(~repeated)[-1]) + 1 if not repeated.all() else 1

@@ -1,0 +1,188 @@
+"""`deltaq_cell.proximity` in machine code: the same questions and answers, several times quicker.
+
+Where bodies are, how far they travel and which of them have room is the kernel's (`deltaq_cell.kernel`); coal measures
+the tightest pair that is told. `Proximity` says the same in plain words, and tests hold the one against the other: what
+they show differs by no more than coal's iterations are off, 2e-6 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.group import Group, Nearest
+from deltaq_cell.kernel import NONE, look
+from deltaq_cell.kernel_arrays import Pairs
+from deltaq_cell.kernel_place import place
+from deltaq_cell.kernel_strip import strip_around
+from deltaq_cell.meter import Meter
+from deltaq_cell.proximity import Look, Proximity
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_OVERLAP_M = 1e-6
+"""Bodies that are nearer may be in one another; the kernel does not tell how far."""
+
+
+class PairedGroups(list[Group]):
+    """Groups with the pairs of them that are to be looked at; not to be changed.
+
+    Attributes:
+        numbers: (pairs,) of the pairs among all.
+        group: (pairs,) index of the group that each belongs to, in `of`.
+        pairs: what the kernel is given.
+        of: the groups that the pairs are of; those that are none of these groups have no active pair.
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[Group],
+        numbers: Indices,
+        group: Indices,
+        pairs: Pairs,
+        of: Sequence[Group] | None = None,
+    ) -> None:
+        super().__init__(groups)
+        self.numbers, self.group, self.pairs = numbers, group, pairs
+        self.of = self if of is None else of
+
+
+class CompiledProximity(Proximity):
+    """All bodies of a cell, placed and looked at by the kernel."""
+
+    def __init__(self, cell: CellModel) -> None:
+        super().__init__(cell)
+        bodies = [*cell.structure, *(item for robot in self._bodies.values() for item in robot.objects)]
+        numbers = {body.name: number for number, body in enumerate(bodies)}
+        groups = [group for groups in (*self.alone.values(), *self.between.values()) for group in groups]
+        pairs = np.array(
+            [[numbers[body.name] for body in pair] for group in groups for pair in group.pairs],
+            dtype=np.int64,
+        ).reshape(-1, 2)
+        self._first, self._second = pairs[:, 0].copy(), pairs[:, 1].copy()
+        self._anatomy = anatomy_of(self.model, cell.structure, list(self._bodies.values()))
+        self._where = placed_at_first(self._anatomy)
+        self._ranges: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {}
+        first = len(cell.structure)
+        for name, robot in self._bodies.items():
+            joints = robot.slice_q.start, robot.slice_q.stop
+            self._ranges[name] = joints, (first, first + len(robot.objects))
+            first += len(robot.objects)
+        self._meter = Meter(self.model, bodies, pairs)
+        self._active = np.ones(len(pairs), dtype=bool)
+        start = 0
+        for group in groups:
+            group.active = self._active[start : start + len(group.pairs)]
+            start += len(group.pairs)
+        self.alone = {name: self._listed(groups) for name, groups in self.alone.items()}
+        self.between = {names: self._listed(groups) for names, groups in self.between.items()}
+        self._found = findings(max(len(pairs), 1))
+        self._strips: dict[str, tuple[Array, Array, Array]] = {}
+        self._told: dict[str, bytes] = {}
+        self._greatest: dict[str, float] = {}
+        self._moved: set[str] = set()
+        self._is_measured = False
+        for name, (joints, _) in self._ranges.items():
+            q = self._q[joints[0] : joints[1]]
+            self.place(name, q, np.zeros_like(q))
+        for listed in (*self.alone.values(), *self.between.values()):
+            self.look(listed, 0.0)  # so that no decision waits for the machine code
+        strip_around(self._q[None])
+
+    def place(
+        self,
+        robot: str,
+        q: Array,
+        half: Array,
+        direction: Array | None = None,
+        among_themselves: bool = True,  # noqa: ARG002 the kernel needs no bodies of their own for it
+    ) -> float:
+        """Place a robot in a strip, as `Proximity.place` has it; for all groups always."""
+        along = np.zeros_like(half) if direction is None else direction
+        told = q.tobytes() + half.tobytes() + along.tobytes()
+        if self._told.get(robot) == told:
+            return self._greatest[robot]
+        self._told[robot] = told
+        strip = self._strips[robot] = q.copy(), half.copy(), along.copy()
+        joints, bodies = self._ranges[robot]
+        self._q[joints[0] : joints[1]] = q
+        greatest = self._greatest[robot] = place(self._anatomy, self._where, joints, bodies, *strip)
+        self._moved.add(robot)
+        self._is_measured = False
+        return greatest
+
+    def least(self, group: Group) -> float:
+        """Least swept distance of a group [m] where the robots have been placed, as coal measures it."""
+        for name in sorted(self._moved):
+            super().place(name, *self._strips[name])
+        self._moved.clear()
+        return super().least(group)
+
+    def look(self, groups: Sequence[Group], room_m: float) -> Look:
+        """Find the groups with less than `room_m` beyond their stop distance, and the tightest pair of all.
+
+        Args:
+            groups: one of this object's own lists, what a look found failing, or a few of their groups; not empty.
+            room_m: what is asked for beyond each stop distance [m].
+        """
+        listed = groups if isinstance(groups, PairedGroups) else self._paired(groups)
+        if not listed.numbers.size:
+            return Look([], False, None, 0.0)
+        tightest, too_near = look(self._anatomy, self._where, listed.pairs, room_m, self._found)
+        if tightest == NONE:
+            return Look([], False, None, 0.0)
+        open_ = np.flatnonzero(self._found.open[: listed.numbers.size])
+        told = self._measure(listed, tightest)
+        if too_near:
+            overlapping = open_[self._found.at_most_m[open_] < _OVERLAP_M]
+            others = [self._measure(listed, index) for index in overlapping.tolist()]
+            told = min(told, *others, key=lambda item: item[0].swept_m - item[1]) if others else told
+        return Look(_part(listed, open_) if open_.size else [], too_near, *told)
+
+    def _listed(self, groups: Sequence[Group]) -> PairedGroups:
+        """One of this object's own lists, whose groups are numbered one after the other."""
+        paired = self._paired(groups)
+        first = int(paired.numbers[0]) if groups else 0
+        active = self._active[
+            first : first + len(paired.numbers)
+        ]  # what is left out of a group is left out here
+        return PairedGroups(groups, paired.numbers, paired.group, paired.pairs._replace(active=active))
+
+    def _paired(self, groups: Sequence[Group]) -> PairedGroups:
+        counts = [len(group.pairs) for group in groups]
+        starts = [self._numbers[group] - sum(counts[:index]) for index, group in enumerate(groups)]
+        numbers = np.repeat(np.array(starts, dtype=np.int64), counts) + np.arange(sum(counts))
+        pairs = Pairs(
+            self._first[numbers],
+            self._second[numbers],
+            np.repeat(np.array([group.stop_distance_m for group in groups]), counts),
+            np.concatenate([group.active for group in groups]) if groups else np.empty(0, dtype=bool),
+        )
+        return PairedGroups(groups, numbers, np.repeat(np.arange(len(groups)), counts), pairs)
+
+    def _measure(self, listed: PairedGroups, index: int) -> tuple[Nearest, float]:
+        """Measure a pair, by its index in a list that was looked at; and its stop distance [m]."""
+        if not self._is_measured:
+            self._meter.place(self._q)
+            self._is_measured = True
+        nearest = self._meter.measure(int(listed.numbers[index]), float(self._found.travel_m[index]))
+        return nearest, float(listed.pairs.stop_m[index])
+
+    def _jacobian(self, robot: str) -> Array:
+        first, last = self._ranges[robot][0]
+        J: Array = self._where.columns[first:last].T
+        return J
+
+
+def _part(listed: PairedGroups, open_: Indices) -> PairedGroups:
+    """The groups of some pairs of a list, each with all its pairs."""
+    failing = np.zeros(len(listed.of), dtype=bool)
+    failing[listed.group[open_]] = True
+    groups = [listed.of[index] for index in np.flatnonzero(failing).tolist()]
+    pairs = listed.pairs._replace(active=listed.pairs.active & failing[listed.group])
+    return PairedGroups(groups, listed.numbers, listed.group, pairs, listed.of)

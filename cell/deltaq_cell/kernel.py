@@ -1,0 +1,114 @@
+"""The gate's kernel: one look at many pairs of bodies, in machine code and without allocating.
+
+It answers what `deltaq_cell.proximity` does, pair by pair: the first look with bodies inflated by their travel, and for
+what that leaves open the planes of the second and third look. Balls and boxes leave most pairs out, planes between the
+bodies at the middle nearly all others (`deltaq_cell.kernel_gap`): a pair is left out only by a lower bound, rounding
+taken off, that exceeds what is asked.
+"""
+
+from __future__ import annotations
+
+import math
+
+from deltaq_cell.compiled import compiled
+from deltaq_cell.kernel_arrays import Anatomy, Findings, Pairs, Placed
+from deltaq_cell.kernel_gap import ROUNDING_M, body_at, gap
+from deltaq_cell.kernel_planes import keeps
+
+NONE = -1
+"""The tightest of no pairs."""
+
+
+@compiled
+def look(cell: Anatomy, placed: Placed, pairs: Pairs, room_m: float, found: Findings) -> tuple[int, bool]:
+    """Find the pairs that are not shown to have `room_m` beyond their stop distance.
+
+    Args:
+        cell: what stays.
+        placed: where the robots are.
+        pairs: what is looked at.
+        room_m: what is asked for [m].
+        found: is written to; its `open` tells the pairs.
+
+    Returns:
+        Index of the pair with the least swept distance beyond its stop distance, and whether an open pair
+        has not got its room even at the middle of the strip. Then no planes are looked for.
+    """
+    nearest = _screen(cell, placed, pairs, found)
+    if nearest == NONE:
+        return NONE, False
+    # the one whose ball is nearest has often the least room, so that the others need not be measured to the end
+    tightest, least, any_open = NONE, math.inf, False
+    for step in range(-1, len(pairs.first)):
+        index = nearest if step < 0 else step
+        enough = max(room_m, least)
+        if step == nearest or found.room_m[index] > enough:
+            continue
+        first, second = pairs.first[index], pairs.second[index]
+        one, other = body_at(cell, placed, first), body_at(cell, placed, second)
+        kept = pairs.stop_m[index] + found.travel_m[index]
+        normal = found.normal[index]
+        lower, upper, x, y, z = gap(one, other, normal[0], normal[1], normal[2], enough + kept, found.simplex)
+        normal[0], normal[1], normal[2] = x, y, z
+        found.at_most_m[index] = upper
+        if tightest == NONE or upper - kept < least:
+            tightest, least = index, upper - kept
+        if lower - kept < room_m:
+            found.open[index] = any_open = True
+    return tightest, any_open and _separate(cell, placed, pairs, room_m, found)
+
+
+@compiled
+def _screen(cell: Anatomy, placed: Placed, pairs: Pairs, found: Findings) -> int:
+    """Bound the room of every pair by the balls and boxes around its bodies; returns the one with the least.
+
+    What balls do not touch is left as a direction from first to second, to begin a search with.
+    """
+    robot, radius, box, centre = cell.robot, cell.radius, cell.box, placed.centre
+    travel, arms, half, moved_by = placed.travel, placed.arms, placed.half, cell.moved_by
+    nearest, least = NONE, math.inf
+    for index in range(len(pairs.first)):
+        found.open[index] = False
+        if not pairs.active[index]:
+            found.room_m[index] = math.inf
+            continue
+        one, other = pairs.first[index], pairs.second[index]
+        if robot[one] != robot[other]:
+            swept = travel[one] + travel[other]
+        else:
+            swept = 0.0
+            for joint in range(cell.first_joint[one], cell.last_joint[one]):
+                # a joint that moves both leaves their distance as it is
+                if moved_by[one, joint] != moved_by[other, joint]:
+                    swept += half[joint] * (arms[one, joint] + arms[other, joint])
+        square = 0.0
+        for k in range(3):
+            way = centre[other, k] - centre[one, k]
+            beyond = abs(way) - box[one, k] - box[other, k]
+            found.normal[index, k] = 0.0 if beyond <= 0.0 else math.copysign(beyond, way)
+            square += found.normal[index, k] ** 2
+        if square == 0.0:
+            for k in range(3):
+                found.normal[index, k] = centre[other, k] - centre[one, k]
+        distance = math.sqrt(square) - radius[one] - radius[other] - ROUNDING_M
+        found.travel_m[index] = swept
+        found.room_m[index] = distance - swept - pairs.stop_m[index]
+        if nearest == NONE or found.room_m[index] < least:
+            nearest, least = index, found.room_m[index]
+    return nearest
+
+
+@compiled
+def _separate(cell: Anatomy, placed: Placed, pairs: Pairs, room_m: float, found: Findings) -> bool:
+    """Close the open pairs that planes keep apart, unless one is too near at the middle; returns whether one is."""
+    for index in range(len(pairs.first)):
+        if found.open[index] and found.at_most_m[index] < pairs.stop_m[index] + room_m:
+            return True
+    for index in range(len(pairs.first)):
+        if found.open[index]:
+            first, second, asked_m = pairs.first[index], pairs.second[index], pairs.stop_m[index] + room_m
+            at_most_m = found.at_most_m[index]
+            found.open[index] = not keeps(
+                cell, placed, first, second, found.normal[index], at_most_m, asked_m, found.twist
+            )
+    return False

@@ -1,0 +1,151 @@
+"""What the gate's kernel knows of a cell: arrays that are filled once, and arrays that are written over and over.
+
+Bodies are those of all robots and of the structure, joints those of all robots, each in the order of the cell. All
+lengths are in m, angles in rad, and everything that is placed is in the world.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Bits = NDArray[np.bool_]
+
+
+class Anatomy(NamedTuple):
+    """What of a cell stays as it is.
+
+    Attributes:
+        parent: (joints,) the joint before each, -1 for none.
+        rotation: (joints, 3, 3) of each joint's frame in that of the joint before, at q = 0.
+        translation: (joints, 3) likewise [m].
+        joint_axis: (joints, 3) unit vectors in the joints' own frames.
+        revolute: (joints,) False for prismatic ones.
+        carrier: (bodies,) the joint that carries each, -1 for what stands still.
+        first_joint: (bodies,) of the robot that it belongs to; of the structure zero.
+        last_joint: (bodies,) one more than the last joint of that robot; of the structure zero.
+        moved_by: (bodies, joints) which joints move which body.
+        robot: (bodies,) number of the robot that it belongs to, -1 for the structure.
+        corners: (bodies, k, 3) in the frames of the carriers [m].
+        corner_count: (bodies,) how many corners are a body's own.
+        axis: (bodies, 3) across which the discs lie, in the frames of the carriers.
+        disc: (bodies,) radii, zero for bodies without [m].
+        ball: (bodies,) radii, zero for bodies without [m].
+        middle: (bodies, 3) of the ball around a body, or of the box around one that stands [m].
+        radius: (bodies,) of that ball, zero for a box [m].
+        box: (bodies, 3) half edges of that box along the world's axes, zero for a ball [m].
+    """
+
+    parent: Indices
+    rotation: Array
+    translation: Array
+    joint_axis: Array
+    revolute: Bits
+    carrier: Indices
+    first_joint: Indices
+    last_joint: Indices
+    moved_by: Bits
+    robot: Indices
+    corners: Array
+    corner_count: Indices
+    axis: Array
+    disc: Array
+    ball: Array
+    middle: Array
+    radius: Array
+    box: Array
+
+
+class Placed(NamedTuple):
+    """Where the robots of a cell are, each somewhere in a strip of joint space.
+
+    Attributes:
+        rotation: (joints, 3, 3) of the joints' frames.
+        translation: (joints, 3) [m].
+        columns: (joints, 6) of the geometric Jacobian at the world's origin, linear first.
+        half: (joints,) half-widths of the strip, |direction| + deviation.
+        deviation: (joints,) how far the strip is wide.
+        direction: (joints,) along which it lies.
+        corners: (bodies, k, 3) [m].
+        axis: (bodies, 3).
+        centre: (bodies, 3) of balls and boxes [m].
+        arms: (bodies, joints) greatest distances of points from the axes, zero where the strip has no width
+            [m/rad or m/m].
+        travel: (bodies,) bound of the way of any point within the strip [m].
+    """
+
+    rotation: Array
+    translation: Array
+    columns: Array
+    half: Array
+    deviation: Array
+    direction: Array
+    corners: Array
+    axis: Array
+    centre: Array
+    arms: Array
+    travel: Array
+
+
+class Body(NamedTuple):
+    """One body where it is placed: corners, widened by a ball and by a disc across its axis (`deltaq_cell.extents`).
+
+    Attributes:
+        corners: (k, 3), of which the first `corner_count` are its own [m].
+        corner_count: of them.
+        axis_x: with y and z the unit vector across which the disc lies.
+        axis_y: likewise.
+        axis_z: likewise.
+        disc: radius, zero without [m].
+        ball: radius, zero without [m].
+    """
+
+    corners: Array
+    corner_count: int
+    axis_x: float
+    axis_y: float
+    axis_z: float
+    disc: float
+    ball: float
+
+
+class Pairs(NamedTuple):
+    """Pairs of bodies to be looked at.
+
+    Attributes:
+        first: (pairs,) number of the one body.
+        second: (pairs,) number of the other.
+        stop_m: (pairs,) what they have to keep [m].
+        active: (pairs,) whether they are looked at now.
+    """
+
+    first: Indices
+    second: Indices
+    stop_m: Array
+    active: Bits
+
+
+class Findings(NamedTuple):
+    """What a look leaves behind, for as many pairs as a list may have.
+
+    Attributes:
+        room_m: (pairs,) lower bounds of swept distance beyond stop distance, good enough to decide [m].
+        travel_m: (pairs,) how far both bodies travel together [m].
+        at_most_m: (pairs,) upper bounds of the distance at the middle, of pairs that were searched [m].
+        normal: (pairs, 3) from first to second body, unit vectors of pairs that were searched.
+        open: (pairs,) whether a pair has not been shown to have the room asked for.
+        simplex: (4, 3) of the search between two bodies.
+        twist: (2, 6) of two bodies over the strip.
+    """
+
+    room_m: Array
+    travel_m: Array
+    at_most_m: Array
+    normal: Array
+    open: Bits
+    simplex: Array
+    twist: Array

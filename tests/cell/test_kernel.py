@@ -1,0 +1,287 @@
+"""The kernel against the readable code and against coal: nothing is left out that should not be."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from own_robot import write_cell, write_package
+
+from deltaq_cell import compiled_proximity, kernel
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_cell.proximity import Proximity
+
+TOLERANCE_M = 2e-6
+"""What the kernel's search and coal's may differ by."""
+
+
+@pytest.fixture(scope="module", params=["lab", "lab-4ms", "dawm", "three robots"])
+def cell(request, tmp_path_factory):
+    if request.param != "three robots":
+        return CellModel.load(request.param)
+    folder = tmp_path_factory.mktemp("circle")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_PACKAGE_PATH", str(folder / "ws"))
+        write_package(folder / "ws")
+        return CellModel.load(write_cell(folder, robots=3))
+
+
+@pytest.fixture(scope="module")
+def reference(cell):
+    return Proximity(cell)
+
+
+@pytest.fixture(scope="module")
+def proximity(cell):
+    return CompiledProximity(cell)
+
+
+def strips(cell, random):
+    """Middle, half-widths and direction for each robot: at rest, along a line, or a box; near home or anywhere."""
+    drawn = {}
+    for name, robot in cell.robots.items():
+        spread = random.choice([0.1, 0.3, 1.0]) * random.uniform(-1, 1, robot.n)
+        q = np.clip(robot.home + spread * (robot.upper - robot.lower), robot.lower, robot.upper)
+        length, width = 10.0 ** random.uniform(-3, -0.5), 10.0 ** random.uniform(-4, -1.5)
+        direction = random.uniform(-1, 1, robot.n) * length * (random.uniform() < 0.8)
+        half = np.abs(direction) + random.uniform(0, width, robot.n) * (random.uniform() < 0.8)
+        drawn[name] = q, half, direction
+    return drawn
+
+
+def placed(proximities, drawn):
+    for proximity in proximities:
+        for name, strip in drawn.items():
+            proximity.place(name, *strip)
+
+
+def lists(*proximities):
+    """The groups of each list, in the one and the other."""
+    for key in proximities[0].alone:
+        yield tuple(item.alone[key] for item in proximities)
+    for key in proximities[0].between:
+        yield tuple(item.between[key] for item in proximities)
+
+
+def seeded(examples):
+    def decorated(test):
+        quiet = [HealthCheck.function_scoped_fixture]
+        return settings(max_examples=examples, deadline=None, suppress_health_check=quiet)(
+            given(st.integers(0, 2**32 - 1))(test)
+        )
+
+    return decorated
+
+
+def room_of(look):
+    return look.tightest.swept_m - look.stop_distance_m
+
+
+def names(groups):
+    return {group.pairs[0][0].name + group.pairs[0][1].name for group in groups}
+
+
+@seeded(25)
+def test_a_look_finds_what_the_readable_code_finds(cell, reference, proximity, seed):
+    random = np.random.default_rng(seed)
+    placed((reference, proximity), strips(cell, random))
+    room_m = float(random.choice([1e-5, 0.01, 0.1]))
+    for readable, quick in lists(reference, proximity):
+        if not readable:
+            continue
+        expected, found = reference.look(readable, room_m), proximity.look(quick, room_m)
+        assert room_of(found) == pytest.approx(room_of(expected), abs=TOLERANCE_M)
+        # where rounding decides, one of the two says what the other does for a little more or less
+        more, less = (
+            reference.look(readable, room_m + TOLERANCE_M),
+            reference.look(readable, room_m - TOLERANCE_M),
+        )
+        assert found.too_near in (less.too_near, more.too_near)
+        if more.too_near == less.too_near:
+            assert names(less.failing) <= names(found.failing) <= names(more.failing)
+
+
+@seeded(25)
+def test_a_robot_is_placed_where_the_readable_code_has_it(cell, reference, proximity, seed):
+    drawn = strips(cell, np.random.default_rng(seed))
+    for name, strip in drawn.items():
+        assert proximity.place(name, *strip) == pytest.approx(reference.place(name, *strip), abs=1e-12)
+        np.testing.assert_allclose(proximity._jacobian(name), reference._jacobian(name), atol=1e-12)
+    separation, where = reference._separation, proximity._where
+    moved = separation._half > 0.0
+    np.testing.assert_allclose(where.arms[:, moved], separation._arms[:, moved], atol=1e-12)
+    for body, count in enumerate(proximity._anatomy.corner_count):
+        theirs = separation._corners[body]
+        np.testing.assert_allclose(where.corners[body, :count], theirs[:count], atol=1e-12)
+        assert {tuple(row) for row in theirs} == {tuple(row) for row in theirs[:count]}
+
+
+@seeded(12)
+def test_what_is_left_out_has_more_room_than_was_asked_for(cell, proximity, seed):
+    """Every pair, as coal measures it: by balls and boxes, and by the search that ends early."""
+    random = np.random.default_rng(seed)
+    drawn = strips(cell, random)
+    placed((proximity,), drawn)
+    room_m = float(random.choice([1e-5, 0.05]))
+    anatomy, where, found = proximity._anatomy, proximity._where, proximity._found
+    for (listed,) in lists(proximity):
+        if not listed:
+            continue
+        kernel._screen(anatomy, where, listed.pairs, found)
+        by_balls = found.room_m[: len(listed.numbers)].copy()
+        kernel.look(anatomy, where, listed.pairs, room_m, found)
+        told = found.room_m[: len(listed.numbers)].copy()
+        open_ = found.open[: len(listed.numbers)].copy()
+        too_near = kernel.look(anatomy, where, listed.pairs, room_m, found)[1]
+        for index in random.choice(len(listed.numbers), min(40, len(listed.numbers)), replace=False):
+            nearest, stop_m = proximity._measure(listed, int(index))
+            room = nearest.swept_m - stop_m
+            assert by_balls[index] <= room + TOLERANCE_M
+            if not open_[index] and told[index] > room_m:
+                assert room > room_m - TOLERANCE_M
+            if too_near:
+                assert open_[index] or room > room_m - TOLERANCE_M
+
+
+def test_the_draws_above_are_of_every_kind(cell, proximity):
+    random = np.random.default_rng(1)
+    kinds = {"clear": 0, "open": 0} | ({} if len(cell.robots) == 3 else {"too near": 0})
+    for _ in range(60):
+        placed((proximity,), strips(cell, random))
+        for (listed,) in lists(proximity):
+            if listed:
+                look = proximity.look(listed, 1e-5)
+                kinds["too near" if look.too_near else "open" if look.failing else "clear"] += 1
+    assert min(kinds.values()) > 0, kinds
+
+
+def test_nothing_that_was_asked_before_changes_a_bit(cell, proximity):
+    random = np.random.default_rng(5)
+    drawn = strips(cell, random)
+
+    def answers(by):
+        placed((by,), drawn)
+        looks = [by.look(listed, 1e-5) for (listed,) in lists(by) if listed]
+        told = [(look.tightest.pair, look.tightest.swept_m.hex(), look.too_near) for look in looks]
+        return told, [names(look.failing) for look in looks], by._found.room_m[:20].tobytes()
+
+    first = answers(proximity)
+    for _ in range(5):
+        placed((proximity,), strips(cell, random))
+        for (listed,) in lists(proximity):
+            if listed:
+                proximity.look(listed, float(random.uniform(0, 0.3)))
+        assert answers(proximity) == first
+    assert answers(CompiledProximity(cell)) == first
+
+
+def test_a_pair_that_is_left_out_is_neither_found_nor_told(cell):
+    proximity = CompiledProximity(cell)
+    name = next(iter(cell.robots))
+    groups = proximity.alone[name]
+    q = cell.robots[name].home
+    proximity.place(name, q, np.full(q.size, 0.2))
+    before = proximity.look(groups, 1.0)
+    pair = before.tightest.pair
+    proximity.leave_out([pair])
+    after = proximity.look(groups, 1.0)
+    assert frozenset(after.tightest.pair) != frozenset(pair)
+    assert room_of(after) >= room_of(before)
+    proximity.leave_out([pair], left_out=False)
+    assert proximity.look(groups, 1.0).tightest.pair == pair
+
+
+def test_a_pair_of_its_own_has_its_own_stop_distance(cell):
+    proximity = CompiledProximity(cell)
+    name = next(iter(cell.robots))
+    q = cell.robots[name].home
+    proximity.place(name, q, np.zeros(q.size))
+    group = proximity.alone[name][0]
+    single = proximity.pair(group, 0)
+    distance = proximity.look([single], 0.0).tightest.distance_m
+    single.stop_distance_m = distance - 1e-4
+    assert proximity.look([single], 0.0).failing == []
+    single.stop_distance_m = distance + 1e-4
+    assert proximity.look([single], 0.0).failing == [single]
+    assert group.stop_distance_m != single.stop_distance_m
+
+
+def test_what_fails_can_be_looked_at_again(cell, proximity):
+    random = np.random.default_rng(2)
+    seen = 0
+    for _ in range(30):
+        placed((proximity,), strips(cell, random))
+        for (listed,) in lists(proximity):
+            failing = proximity.look(listed, 0.3).failing if listed else []
+            if failing:
+                seen += 1
+                again = proximity.look(failing, 0.3)
+                assert names(again.failing) == names(failing)
+                assert failing.numbers[failing.pairs.active].tolist() == [
+                    number
+                    for group in failing
+                    for number in range(
+                        proximity._numbers[group], proximity._numbers[group] + len(group.pairs)
+                    )
+                ]
+    assert seen
+
+
+def test_of_bodies_in_one_another_the_deepest_is_told(reference, proximity, cell):
+    random = np.random.default_rng(11)
+    deep = 0
+    for _ in range(60):
+        placed((reference, proximity), strips(cell, random))
+        for readable, quick in lists(reference, proximity):
+            expected = reference.look(readable, 1e-5) if readable else None
+            if expected is not None and expected.tightest.distance_m < -1e-3:
+                deep += 1
+                assert room_of(proximity.look(quick, 1e-5)) == pytest.approx(
+                    room_of(expected), abs=TOLERANCE_M
+                )
+    assert deep or len(cell.robots) == 3  # the toy arms cannot reach one another's pedestals
+
+
+LOOKS = """
+import numpy as np
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.compiled_proximity import CompiledProximity
+
+cell = CellModel.load("dawm")
+proximity, random = CompiledProximity(cell), np.random.default_rng(4)
+robot = cell.robots["dawm"]
+for _ in range(4):
+    q = np.clip(robot.home + random.uniform(-0.5, 0.5, robot.n), robot.lower, robot.upper)
+    direction = random.uniform(-0.05, 0.05, robot.n)
+    proximity.place("dawm", q, np.abs(direction) + 0.002, direction)
+    look = proximity.look(proximity.alone["dawm"], 0.02)
+    print(look.too_near, *look.tightest.pair, *proximity._found.open.astype(int), *proximity._found.normal.ravel())
+"""
+
+
+def run(**environment):
+    return subprocess.run(
+        [sys.executable, "-c", LOOKS],
+        env={**os.environ, **environment},
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    ).stdout.splitlines()
+
+
+def test_the_machine_code_says_what_its_python_does():
+    for machine, python in zip(run(), run(NUMBA_DISABLE_JIT="1"), strict=True):
+        told, expected = machine.split(), python.split()
+        assert told[:3] == expected[:3]
+        np.testing.assert_allclose(np.array(told[3:], float), np.array(expected[3:], float), atol=1e-9)
+
+
+def test_no_liberties_are_taken_with_numbers():
+    """Else sums would be ordered as the processor likes."""
+    for function in (kernel.look, kernel.gap, kernel.keeps, compiled_proximity.place):
+        assert not getattr(function, "targetoptions", {}).get("fastmath")
