@@ -63,6 +63,7 @@ def test_a_broken_system_is_found_out(broken):
     assert found.counterexample.violation.broken is broken.breaks
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "broken",
     [one for one in BROKEN if issubclass(one.system, AttackedSystem)],
