@@ -1,5 +1,6 @@
 """The Robot Server's socket: the KRC is answered whoever else speaks, and no error of the socket goes further."""
 
+import re
 import socket
 from collections import Counter
 from types import SimpleNamespace
@@ -68,6 +69,18 @@ def test_rubbish_from_the_krcs_own_port_hides_no_telegram_before_it(bench):
         bench.krc.send(rubbish)
     assert bench.server.read(0.048).ipoc == 1048
     assert bench.counters["telegrams_garbled"] == 4
+
+
+def test_of_implausible_telegrams_the_first_is_printed_with_joint_value_and_bound(bench, capsys):
+    bench.believe()
+    for count, off in enumerate((9.0, -9.0)):
+        bench.krc.send(telegram(1048 + 12 * count, q=FR.home + off))
+        assert bench.server.read(0.048 + 0.012 * count) is None
+    assert bench.counters["telegrams_implausible"] == 2
+    told = capsys.readouterr().out
+    assert re.fullmatch(
+        r"first implausible telegram: a1 is above its limit and a margin: .*, allowed .*\n", told
+    )
 
 
 def test_a_flood_that_never_ends_is_left_after_a_bound(bench):

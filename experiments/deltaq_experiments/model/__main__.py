@@ -22,7 +22,11 @@ def main(arguments: list[str] | None = None) -> int:
         prog="python -m deltaq_experiments.model",
         description="Explore SIM and Robot Server, their own code, over faulty links and crashes.",
     )
-    parser.add_argument("--faults", type=int, default=0, help="largest number of faults on one path")
+    parser.add_argument(
+        "--faults",
+        type=int,
+        help="largest number of faults on one path; default: 0, or what it takes to see what is broken",
+    )
     parser.add_argument(
         "--cycles", type=int, default=40, help="largest number of the robot's cycles on one path"
     )
@@ -31,16 +35,15 @@ def main(arguments: list[str] | None = None) -> int:
         type=int,
         help="largest number of attacks on RSI's wire on one path; includes RSI's own code",
     )
-    broken = {one.system.__name__: one.system for one in BROKEN}
+    broken = {one.system.__name__: one for one in BROKEN}
     parser.add_argument("--broken", choices=sorted(broken), help="explore a system that is broken on purpose")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     given = parser.parse_args(arguments)
-    system = _system(given.attacks) if given.broken is None else broken[given.broken]()
-    progress = None if given.json else _tell
-    found = explore(system, given.faults, given.cycles, progress)
-    print(
-        json.dumps(_fields(found, given.faults, given.attacks)) if given.json else _text(found, given.faults)
-    )
+    seeded = None if given.broken is None else broken[given.broken]
+    system = _system(given.attacks) if seeded is None else seeded.system()
+    faults: int = given.faults if given.faults is not None else 0 if seeded is None else seeded.faults
+    found = explore(system, faults, given.cycles, None if given.json else _tell)
+    print(json.dumps(_fields(found, faults, given.attacks)) if given.json else _text(found, faults))
     return 0 if found.counterexample is None else 1
 
 

@@ -27,7 +27,8 @@ from deltaq_experiments.model.rsi_line import (
 from deltaq_experiments.model.system import System, copied
 from deltaq_experiments.model.world import KEPT, SentState, Turn, World
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Sender
+from deltaq_services.robot_server.peer import Address, Peer, Sender
+from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _ELSEWHERE = 3 * STEP
 """How far off a forged position is: no further than the joint could have moved [m]."""
@@ -52,7 +53,7 @@ class AttackedSystem(System):
 
     def start(self, faults: int) -> World:
         """A robot that moves, away from where its session began; nobody was attacked before."""
-        world = replace(super().start(faults), line=self._new_line())
+        world = replace(super().start(faults), line=new_line(*self._new_program(), self._attacks))
         while world.server.state is None or world.server.state.q_cmd[0] < _AWAY:
             admission = len(world.admissions) - 1 if world.new_admission else None
             supervision = len(world.supervisions) - 1 if world.new_supervision else None
@@ -64,8 +65,8 @@ class AttackedSystem(System):
             world = replace(world, turn=Turn.TELEGRAM)
         return world
 
-    def _new_line(self) -> RsiLine:
-        return new_line(self._line_description, self._attacks)
+    def _new_program(self) -> tuple[RsiDriver, Peer]:
+        return new_program(self._line_description)
 
     def hli(self, world: World) -> Iterator[tuple[str, int, Act]]:
         """What the HLI can send: little, for what more there is `System` explores."""
@@ -250,7 +251,7 @@ class AttackedSystem(System):
 
     def _server_crash(self, world: World) -> World:
         line = _line(world)
-        driver, peer = new_program(self._line_description)
+        driver, peer = self._new_program()
         crashed = super()._server_crash(world)
         return replace(crashed, line=replace(line, driver=driver, peer=peer, heard=world.ticks))
 

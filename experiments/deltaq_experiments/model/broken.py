@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from deltaq_experiments.model.attacked import AttackedSystem
 from deltaq_experiments.model.ledger import Property
 from deltaq_experiments.model.one_joint import IPOC_STEP, ROBOT, STEP
-from deltaq_experiments.model.rsi_line import KRC_AT, RsiLine
+from deltaq_experiments.model.rsi_line import KRC_AT
 from deltaq_experiments.model.system import System
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
@@ -19,6 +19,7 @@ from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import Address, Peer, Sender
+from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.session import Belief, Judgement, Kind, Session
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
@@ -144,9 +145,9 @@ class _LooksAtNoSender(Peer):
 class SenderIsNotLookedAt(AttackedSystem):
     """Datagrams of anybody are read."""
 
-    def _new_line(self) -> RsiLine:
-        line = super()._new_line()
-        return replace(line, peer=_LooksAtNoSender(KRC_AT[0], self._description.gate.krc_timeout_s))
+    def _new_program(self) -> tuple[RsiDriver, Peer]:
+        driver, _ = super()._new_program()
+        return driver, _LooksAtNoSender(KRC_AT[0], self._description.gate.krc_timeout_s)
 
 
 class _BelievesAtOnce(Session):
@@ -164,14 +165,18 @@ class _BelievesAtOnce(Session):
 
 
 class OneTelegramIsBelieved(AttackedSystem):
-    """One telegram that does not belong to the session is enough for another."""
+    """One telegram that does not belong to the session is enough for another.
 
-    def _new_line(self) -> RsiLine:
-        line = super()._new_line()
-        believing = copy.copy(line.driver.session)
+    While a Robot Server remembers the correction of the true session this moves nothing, since that session is believed
+    at once again. One that has just started remembers none, and takes a forged one for the first.
+    """
+
+    def _new_program(self) -> tuple[RsiDriver, Peer]:
+        driver, peer = super()._new_program()
+        believing = copy.copy(driver.session)
         believing.__class__ = _BelievesAtOnce
-        line.driver.session = believing
-        return line
+        driver.session = believing
+        return driver, peer
 
 
 class _GoesOnFromMissed(RobotServer):
@@ -211,7 +216,7 @@ BROKEN: tuple[Broken, ...] = (
     Broken(AdmissionIsForgotten, Property.KNOWN, 1),
     Broken(SessionIsTakenInAnyPhase, Property.CERTIFIED, 0),
     Broken(SenderIsNotLookedAt, Property.UNHEARD, 0),
-    Broken(OneTelegramIsBelieved, Property.EXPLAINED, 0),
+    Broken(OneTelegramIsBelieved, Property.EXPLAINED, 1),
     Broken(MissedReplyIsMadeUpFor, Property.CERTIFIED, 0),
 )
 """Every broken system."""

@@ -167,9 +167,9 @@ class RsiLine:
         return tick - self.heard >= KRC_TIMEOUT_CYCLES
 
 
-def new_line(description: CellDescription, attacks: int) -> RsiLine:
+def new_line(driver: RsiDriver, peer: Peer, attacks: int) -> RsiLine:
     """The line as a KRC and a Robot Server find it that have just started."""
-    return RsiLine(*new_program(description), Krc(ipoc=1000), heard=0, attacks_left=attacks)
+    return RsiLine(driver, peer, Krc(ipoc=1000), heard=0, attacks_left=attacks)
 
 
 def new_program(description: CellDescription) -> tuple[RsiDriver, Peer]:

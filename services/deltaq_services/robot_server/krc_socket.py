@@ -83,6 +83,8 @@ class KrcSocket:
                 if self._counters["telegrams_garbled"] == 1:
                     print(f"first garbled telegram: {error}", flush=True)
                 continue
+            if self._rsi.implausible and self._counters["telegrams_implausible"] == 1:
+                print(f"first implausible telegram: {self._rsi.implausible}", flush=True)
             self._skipped(len(waiting))
             self._sender = sender
             self.peer.believed(sender, now_s)

@@ -42,6 +42,7 @@ class RsiDriver:
 
     Attributes:
         unmoved: answer to a telegram that was read as None: the correction that the KRC has; None: do not answer.
+        implausible: why the telegram read last cannot be true; empty if nothing is known against it.
         fault: why the guard refused the last setpoint; None if it did not.
         session: beliefs about the telegrams.
         detail: faults, for people; empty if there are none.
@@ -52,6 +53,7 @@ class RsiDriver:
         driver = description.driver
         assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
         self.unmoved: bytes | None = None
+        self.implausible = ""
         self.fault: ReplyFault | None = None
         self.detail = ""
         self._codec = codec
@@ -87,8 +89,8 @@ class RsiDriver:
         Raises:
             TelegramError: if it is no telegram of this robot.
         """
+        self.unmoved, self.implausible = None, ""
         telegram = self._codec.decode(datagram)
-        self.unmoved = None
         if telegram.q is None:
             self._opens(telegram)
             return None
@@ -191,8 +193,7 @@ class RsiDriver:
     def _implausible(self, telegram: KrcTelegram, why: str) -> None:
         """Count a telegram that says what cannot be true; while a session goes on its answer is the last correction."""
         self._counters["telegrams_implausible"] += 1
-        if self._counters["telegrams_implausible"] == 1:
-            print(f"first implausible telegram: {why}", flush=True)
+        self.implausible = why
         if self.session.belief is Belief.BELIEVED and self._sent is not None:
             self.unmoved = self._codec.encode(telegram.ipoc, self._sent, self._outputs)
 
