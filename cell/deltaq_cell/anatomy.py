@@ -100,7 +100,8 @@ def findings(pairs: int) -> Findings:
 def _axes(model: Any) -> tuple[Array, Any]:
     """Unit vectors of the joints' axes (joints, 3) in their own frames, and which joints are revolute (joints,)."""
     data = model.createData()
-    J = pin.computeJointJacobians(model, data, pin.neutral(model))
+    # of a robot with one joint pinocchio gives a vector
+    J = np.reshape(pin.computeJointJacobians(model, data, pin.neutral(model)), (6, -1))
     revolute = J[3:].any(axis=0)
     in_world = np.where(revolute, J[3:], J[:3]).T
     rotations = np.array([data.oMi[joint].rotation for joint in range(1, model.njoints)]).reshape(-1, 3, 3)
