@@ -87,6 +87,7 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Ro
         sample.counters["unanswered"] + run.running - sample.counters["sent"],
         (run.least_m, run.least_own_m),
         run.protest,
+        run.arm.to_pc.counts["flipped"],
     )
     gate = run.stack.cell.description.gate
     return Row(
