@@ -25,8 +25,8 @@ def setpoints(robot, steps):
     return q
 
 
-def judge(robot, steps, unanswered=0, near=(0.1, 0.1), protest=None):
-    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest)
+def judge(robot, steps, unanswered=0, near=(0.1, 0.1), protest=None, altered=0):
+    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest, altered)
 
 
 def test_a_brake_is_measured_from_the_fault_to_the_last_increment(robot):
@@ -43,12 +43,14 @@ def test_a_robot_that_moves_to_the_end_has_no_rest(robot):
     assert (motion.braked_after_cycles, motion.rest_after_s) == (None, None)
 
 
-def test_an_abrupt_stop_is_good_only_where_the_krc_got_no_reply(robot):
+def test_an_abrupt_stop_is_good_only_where_the_krc_got_no_reply_or_sent_what_the_wire_altered(robot):
     steps = [CRUISE] * 10 + [0.0] * 10
     changes = [steps[0], *np.diff(steps)]
     assert max(np.abs(changes)) > robot.max_acceleration[0] * CYCLE_S**2
     assert not is_good(judge(robot, steps), STOP_DISTANCES_M)
     assert is_good(judge(robot, steps, unanswered=1), STOP_DISTANCES_M)
+    assert is_good(judge(robot, steps, altered=1), STOP_DISTANCES_M)
+    assert not is_good(judge(robot, [*steps[:-1], CRUISE, 0.0], altered=1), STOP_DISTANCES_M)
 
 
 def test_a_step_beyond_the_velocity_limit_is_never_good(robot):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deltaq_emulator.settings import KrcSettings, Mode
+from deltaq_emulator.states import KrcState
 from deltaq_experiments import lockstep
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -117,3 +118,28 @@ def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_t
         stack.cycle()
         assert arm.server.state.phase is Phase.HELD
         assert arm.server.motion_stop
+
+
+def test_after_motion_was_ended_a_program_that_is_put_right_may_be_reset(monkeypatch):
+    stack = lockstep_with(monkeypatch)
+    stack.run_until_ready()
+    stack.acquire("fr", "test")
+    arm, dq = stack.arms["fr"], np.zeros(6)
+    for _ in range(8):
+        stack.cycle()
+        dq = np.minimum(dq + FASTEST / 5, FASTEST)
+        stack.ask("fr", dq)
+    arm.krc.turn("relative")
+    while arm.krc.state is not KrcState.MOTION_ENDED:
+        stack.cycle()
+    for _ in range(30):
+        stack.cycle()
+    arm.krc.restart("absolute")
+    for _ in range(100):
+        stack.cycle()
+    assert arm.krc.state is KrcState.RSI_RUNNING
+    assert arm.server.state.phase is Phase.HELD
+    stack.reset("fr")
+    for _ in range(5):
+        stack.cycle()
+    assert arm.server.state.phase is Phase.READY

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 
+from deltaq_experiments.storm.admitted import Admitted
 from deltaq_experiments.storm.forger import Forger, Sender
-from deltaq_experiments.storm.witness import Kind, Passed, UnexplainedError, Witness
+from deltaq_experiments.storm.witness import UNHEARD, Kind, Passed, UnexplainedError, Witness
+from deltaq_services.robot_server.mode_probe import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
+
+PULSES = pulse_offsets(FR, CELL.cycle_s)
 
 
 class Wire:
@@ -41,10 +45,19 @@ class Wire:
         return self
 
     def judge(self, admissions=None):
-        witness = Witness(sensor_codec(CELL, "fr", XML), KRC)
+        witness = Witness(sensor_codec(CELL, "fr", XML), KRC, PULSES)
         passed = [Passed(kind, datagram, stamp) for stamp, (kind, datagram) in enumerate(self.passed)]
-        witness.judge(passed, self.admissions if admissions is None else admissions)
+        heard = self.admissions if admissions is None else admissions
+        witness.judge(passed, Admitted(heard, "fr", FR, CELL.cycle_s))
         return witness.counts
+
+    def move_last(self, off):
+        """The last reply, with a correction that is off."""
+        told = KRC.decode(self.passed[-1][1])
+        self.passed[-1] = (
+            Kind.REPLY,
+            self.krc.driver._codec.encode(told.ipoc, told.correction + off, {}),
+        )
 
 
 @pytest.fixture
@@ -52,28 +65,102 @@ def wire():
     return Wire().begin()
 
 
-def test_admissions_and_their_brakes_are_told_from_one_another(wire):
+def test_admissions_and_their_brakes_are_told_from_one_another_and_from_the_probe(wire):
     counts = wire.drive().judge()
     assert counts["by an admission"] == 4
     assert counts["by a brake"] == 2
-    assert counts["unmoved"] == counts["replies"] - 6
+    assert counts["by a probe"] == 2 * (len(PULSES) + 1)
+    assert counts[UNHEARD] == 0
+    assert counts["unmoved"] == counts["replies"] - 6 - counts["by a probe"]
+
+
+def renumbered(admissions, number):
+    """As from a gate that never made the one of this number."""
+    return [
+        one.model_copy(update={"sequence": one.sequence - (place > number)})
+        for place, one in enumerate(admissions)
+        if place != number
+    ]
 
 
 @pytest.mark.parametrize("missing", range(4))
 def test_a_step_of_which_the_gate_knows_nothing_is_not_explained(wire, missing):
     wire.drive()
-    known = [admission for number, admission in enumerate(wire.admissions) if number != missing]
     with pytest.raises(UnexplainedError, match="moved by"):
-        wire.judge(known)
+        wire.judge(renumbered(wire.admissions, missing))
+
+
+@pytest.mark.parametrize("missing", [1, 2])
+def test_an_admission_that_was_lost_on_its_way_explains_one_step_and_is_counted_apart(wire, missing):
+    wire.drive()
+    heard = [one for place, one in enumerate(wire.admissions) if place != missing]
+    counts = wire.judge(heard)
+    assert (counts["by an admission"], counts[UNHEARD], counts["by a brake"]) == (3, 1, 2)
+
+
+def test_the_brake_of_an_admission_that_was_lost_on_its_way_is_known(wire):
+    wire.cycle(MAX_DV)
+    wire.cycle(2 * MAX_DV)
+    wire.cycle(3 * MAX_DV)
+    for _ in range(4):
+        wire.cycle()
+    wire.cycle(MAX_DV)
+    heard = [wire.admissions[0], wire.admissions[1], wire.admissions[3]]
+    counts = wire.judge(heard)
+    assert (counts["by an admission"], counts[UNHEARD], counts["by a brake"]) == (3, 1, 2)
+
+
+@pytest.mark.parametrize("share", [1.01, -1.01, 2.0, 50.0])
+def test_an_admission_that_was_lost_on_its_way_explains_no_step_that_it_could_not_make(wire, share):
+    wire.drive()
+    for _ in range(4):
+        wire.cycle()
+    wire.move_last(share * MAX_DV)
+    first, *rest = wire.admissions
+    last = first.model_copy(update={"sequence": rest[-1].sequence + 2})
+    with pytest.raises(UnexplainedError):
+        wire.judge([*wire.admissions, last])
+
+
+def test_an_admission_that_was_lost_on_its_way_explains_no_second_step(wire):
+    for _ in range(2):
+        wire.cycle(MAX_DV)
+        for _ in range(3):
+            wire.cycle()
+    first, second = wire.admissions
+    elsewhere = {"follows_q_cmd": (9.0,) * 6}
+    before, after = ({**elsewhere, "sequence": one} for one in (first.sequence - 1, second.sequence + 1))
+    around = [first.model_copy(update=before), second.model_copy(update=after)]
+    assert wire.judge([*around, first])[UNHEARD] == 1
+    assert wire.judge(around)[UNHEARD] == 2
+    with pytest.raises(UnexplainedError):
+        wire.judge([*around, first.model_copy(update=elsewhere)])
 
 
 @pytest.mark.parametrize("off_rad", [1e-6, 0.02])
 def test_a_reply_that_is_off_by_little_or_much_is_not_explained(wire, off_rad):
     wire.drive().cycle()
-    place = len(wire.passed) - 1
-    told = KRC.decode(wire.passed[place][1])
-    moved = wire.krc.driver._codec.encode(told.ipoc, told.correction + off_rad, {})
-    wire.passed[place] = (Kind.REPLY, moved)
+    wire.move_last(off_rad)
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1, -1.0])
+def test_a_step_that_is_nearly_that_of_a_probe_is_not_explained(wire, share):
+    wire.drive().cycle()
+    wire.move_last(share * PULSES[0])
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+def test_a_pulse_that_does_not_end_where_it_began_is_not_explained(wire):
+    wire.drive().cycle()
+    wire.move_last(PULSES[0])
+    assert wire.judge()["by a probe"] == 2 * (len(PULSES) + 1) + 1
+    wire.cycle()
+    wire.move_last(2 * PULSES[0])
+    wire.cycle()
+    wire.move_last(1.5 * PULSES[0])
     with pytest.raises(UnexplainedError):
         wire.judge()
 

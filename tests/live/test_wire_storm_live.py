@@ -1,10 +1,11 @@
-"""A storm on RSI's wire of real processes: each correction is an admission, its brake, or the last one again."""
+"""A storm on RSI's wire of real processes: each correction is an admission, its brake, a probe, or the last again."""
 
 import pytest
 from private_cell import write_private_cell
 
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.storm.run import run_storm
+from deltaq_experiments.storm.witness import UNHEARD
 
 pytestmark = pytest.mark.live
 
@@ -15,6 +16,7 @@ def storm(folder, telegrams):
     report = run_storm(LoadedCell.load(write_private_cell(folder)), "fr", telegrams, RATE_HZ)
     assert report.unexplained is None
     assert report.forged == telegrams
+    assert report.replies.get(UNHEARD, 0) <= report.unheard <= report.admissions / 100
     assert report.server["telegrams_garbled"] > telegrams / 50
     assert report.server["telegrams_second_krc"] > telegrams / 4
     return report
@@ -24,6 +26,7 @@ def test_no_datagram_of_twenty_thousand_moves_a_robot_that_a_controller_moves(tm
     report = storm(tmp_path, 20_000)
     assert report.replies["by an admission"] > 10
     assert report.replies["by a brake"] > 0
+    assert report.replies["by a probe"] > 0
 
 
 @pytest.mark.nightly

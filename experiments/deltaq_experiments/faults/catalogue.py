@@ -40,6 +40,10 @@ class UnknownFaultError(DeltaqError):
     """A fault was named that the catalogue does not have, or that cannot be had this way."""
 
 
+CHANGE_S = 0.4
+"""How long a program is stopped at least while it is changed: longer than a KRC may be silent within a session."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """One row of the catalogue.
@@ -55,6 +59,11 @@ class Fault:
     what: str
     action: Action
     lift: Mapping[str, Any] | None = field(default=None)
+
+    @property
+    def changes_program(self) -> bool:
+        """Whether another program is started to lift it, so that the one that runs has to be stopped before."""
+        return self.lift is not None and self.lift["op"] == "restart"
 
     @property
     def live(self) -> bool:

@@ -86,6 +86,10 @@ def _takes_the_hli_away(fault: Fault) -> bool:
     return False
 
 
+def _flipped(status: dict[str, Any]) -> int:
+    return int(status["faults"]["to_pc"]["counts"]["flipped"])
+
+
 class _Run:
     """One fault in a cell of real processes."""
 
@@ -127,6 +131,7 @@ class _Run:
             unanswered,
             self._nearest(rows[:, 1 : 1 + model.n]),
             protest(lifted["message"]),
+            _flipped(ended) - _flipped(begun),
         )
         gate = self._description.gate
         return Row(

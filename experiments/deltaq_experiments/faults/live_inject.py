@@ -27,7 +27,7 @@ from deltaq_experiments.faults.actions import (
     StepClock,
 )
 from deltaq_experiments.faults.bombard import Bomber
-from deltaq_experiments.faults.catalogue import Fault
+from deltaq_experiments.faults.catalogue import CHANGE_S, Fault
 from deltaq_experiments.faults.clocks import Clocks, SettableClocks
 from deltaq_experiments.faults.live_cell import MovingCell
 from deltaq_experiments.faults.loaded import LoadedCell
@@ -95,6 +95,9 @@ class Injector:
 
     def lift(self, fault: Fault) -> list[str]:
         """Let it end; tells what had to be done for that."""
+        if fault.changes_program:
+            self._running.panel.ask({"op": "stop"})
+            time.sleep(CHANGE_S)
         if fault.lift is not None:
             self._running.panel.ask(fault.lift)
         match fault.action:

@@ -25,7 +25,7 @@ from deltaq_experiments.faults.actions import (
     StepClock,
 )
 from deltaq_experiments.faults.arm import Life
-from deltaq_experiments.faults.catalogue import Fault
+from deltaq_experiments.faults.catalogue import CHANGE_S, Fault
 from deltaq_experiments.faults.cell import VirtualCell
 from deltaq_experiments.faults.loaded import LoadedCell
 from deltaq_experiments.faults.mover import CRUISE_RAD_S
@@ -87,6 +87,7 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Ro
         sample.counters["unanswered"] + run.running - sample.counters["sent"],
         (run.least_m, run.least_own_m),
         run.protest,
+        run.arm.to_pc.counts["flipped"],
     )
     gate = run.stack.cell.description.gate
     return Row(
@@ -193,6 +194,9 @@ class _Run:
             wire.link.faults = LinkFaults()
         stack.controller.misbehaviour = self.arm.bombard = None
         stack.clock_s = self.arm.clock_s = 0.0
+        if fault.changes_program:
+            self._ask_panel({"op": "stop"})
+            self._wait(CHANGE_S)
         if fault.lift is not None:
             self._ask_panel(fault.lift)
         match fault.action:

@@ -11,8 +11,8 @@ from deltaq_experiments.oracle import TELEGRAM_STEP, limit_violations
 
 Array = NDArray[np.float64]
 
-ABRUPT_PER_UNANSWERED = 2
-"""A KRC cycle without a valid reply is a setpoint that stands still: one abrupt stop, one abrupt start."""
+ABRUPT_PER_CYCLE = 2
+"""Of a setpoint that stands still for a cycle: one abrupt stop, one abrupt start."""
 
 
 NEVER = "never"
@@ -48,7 +48,10 @@ class Kept(BaseModel):
     Attributes:
         position_violations, velocity_violations: setpoints beyond a limit, counted by joint and cycle.
         unanswered_cycles: KRC cycles without a valid reply, in which a KRC holds its last correction.
-        abrupt_cycles: changes of an increment beyond the acceleration limit; each unanswered cycle explains two.
+        altered_telegrams: of the KRC, in which the wire made another digit of one. The answer to one that cannot be
+            true is the last correction, which a KRC holds as it does without an answer.
+        abrupt_cycles: changes of an increment beyond the acceleration limit; each unanswered cycle explains two, and
+            each altered telegram.
         clearance_m: least distance between robots, and between robots and structure.
         self_clearance_m: least distance between two bodies of one robot.
         protest: message with which the KRC refused a setpoint that it was sent; None if it took all.
@@ -59,6 +62,7 @@ class Kept(BaseModel):
     position_violations: int
     velocity_violations: int
     unanswered_cycles: int
+    altered_telegrams: int
     abrupt_cycles: int
     clearance_m: float
     self_clearance_m: float
@@ -139,6 +143,7 @@ def judged(
     unanswered: int,
     near: tuple[float, float],
     protest: str | None,
+    altered: int = 0,
 ) -> Kept:
     """Judge a whole run.
 
@@ -149,12 +154,14 @@ def judged(
         unanswered: KRC cycles without a valid reply.
         near: least distance of bodies, and least distance of a robot to itself [m].
         protest: of the KRC.
+        altered: telegrams of the KRC in which the wire made another digit of one.
     """
     beyond = limit_violations(robot, setpoints, cycle_s)
     return Kept(
         position_violations=beyond.position,
         velocity_violations=beyond.velocity,
         unanswered_cycles=unanswered,
+        altered_telegrams=altered,
         abrupt_cycles=beyond.acceleration,
         clearance_m=near[0],
         self_clearance_m=near[1],
@@ -164,11 +171,12 @@ def judged(
 
 def is_good(result: Kept, stop_distances_m: tuple[float, float], tolerance_m: float = 1e-4) -> bool:
     """Whether limits and stop distances were kept; `tolerance_m` is what a telegram's decimals may take off."""
+    still = result.unanswered_cycles + result.altered_telegrams
     return (
         result.protest is None
         and result.position_violations == 0
         and result.velocity_violations == 0
-        and result.abrupt_cycles <= ABRUPT_PER_UNANSWERED * result.unanswered_cycles
+        and result.abrupt_cycles <= ABRUPT_PER_CYCLE * still
         and result.clearance_m >= stop_distances_m[0] - tolerance_m
         and result.self_clearance_m >= stop_distances_m[1] - tolerance_m
     )

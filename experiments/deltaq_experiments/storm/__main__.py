@@ -50,6 +50,10 @@ def _text(report: Report) -> str:
     }
     for title, table in tables.items():
         lines += ["", f"{title}:", *(f"{count:9d}  {what}" for what, count in sorted(table.items()))]
+    lines += [
+        "",
+        f"admissions heard: {report.admissions}, lost on their way to the witness: {report.unheard}",
+    ]
     lines += ["", f"unexplained: {report.unexplained or 'nothing'}"]
     return "\n".join(lines)
 

@@ -1,4 +1,8 @@
-"""What the gate admits and the Robot Server tells, read off the guarded realm; who reads is heard by nobody."""
+"""What the gate admits and the Robot Server tells, read off the guarded realm; who reads is heard by nobody.
+
+zenoh drops what a link cannot take at once. So each admission is read twice: as the Robot Server gets it, and from the
+gate's own log.
+"""
 
 from __future__ import annotations
 
@@ -8,29 +12,30 @@ from typing import Self
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
-from deltaq_protocol.guarded import Admission, ServerState
+from deltaq_protocol.guarded import Admission, GateEntry, ServerState
 from deltaq_protocol.session import open_session, subscribe_newest
 from deltaq_services.guarded_key import guarded_seal
 
 _WAITING = 4096
-"""Admissions that may wait between two looks: more than half a minute's."""
+"""Messages that may wait between two looks: more than ten seconds' of the gate's log."""
 
 
 class Overheard:
     """A context manager; `take` has to be called now and then.
 
     Attributes:
-        admissions: every one of the robot, in the order in which they came.
+        admissions: every one to any robot that was heard, by its sequence.
         counters: of the Robot Server, as its newest state has them.
     """
 
     def __init__(self, cell: CellDescription, robot: str) -> None:
-        self.admissions: list[Admission] = []
+        self.admissions: dict[int, Admission] = {}
         self.counters: dict[str, int] = {}
         self._seal = guarded_seal(cell)
         self._session = open_session(connect=[cell.sim, cell.robots[robot].server], must_connect=True)
-        admission = topics.ADMISSION.key(cell.cell, robot=robot)
+        admission = topics.ADMISSION.key(cell.cell, robot="*")
         self._admissions = subscribe_newest(self._session, admission, _WAITING)
+        self._log = subscribe_newest(self._session, topics.GATE_LOG.key(cell.cell), _WAITING)
         self._states = subscribe_newest(self._session, topics.SERVER_STATE.key(cell.cell, robot=robot))
 
     def __enter__(self) -> Self:
@@ -45,8 +50,16 @@ class Overheard:
         """Take in what has come."""
         while (sample := self._admissions.try_recv()) is not None:
             data = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
-            self.admissions.append(unpack(Admission, data))
+            self._heard(data)
+        while (sample := self._log.try_recv()) is not None:
+            for name, data in unpack(GateEntry, sample.payload.to_bytes()).outputs:
+                if name == topics.ADMISSION.name:
+                    self._heard(data)
         sample = self._states.try_recv()
         if sample is not None:
             data = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
             self.counters = unpack(ServerState, data).counters
+
+    def _heard(self, data: bytes) -> None:
+        admission = unpack(Admission, data)
+        self.admissions[admission.sequence] = admission

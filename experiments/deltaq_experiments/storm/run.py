@@ -16,12 +16,14 @@ from deltaq_deploy.services import Role, Service, cell_services
 from deltaq_emulator.settings import KrcSettings
 from deltaq_experiments.faults.actions import Process
 from deltaq_experiments.faults.loaded import LoadedCell
+from deltaq_experiments.storm.admitted import Admitted
 from deltaq_experiments.storm.forger import Forger
 from deltaq_experiments.storm.line import Address, Line
 from deltaq_experiments.storm.operator import Operator
 from deltaq_experiments.storm.overheard import Overheard
 from deltaq_experiments.storm.witness import Passed, UnexplainedError, Witness
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
+from deltaq_services.robot_server.mode_probe import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
 
 _PATIENT = {"late_budget": 1_000_000, "late_percent": 100.0}
@@ -42,6 +44,8 @@ class Report:
         duration_s: of the attack.
         sent: by kind, and what befell the KRC's own.
         replies: by what explains them.
+        admissions: heard of the gate.
+        unheard: admissions that the gate numbered, and that were lost on their way to the witness.
         operator: what it took to go on, and the phases seen.
         server: the Robot Server's counters in the end.
         unexplained: the first correction that nothing explains; None if all are.
@@ -51,6 +55,8 @@ class Report:
     duration_s: float
     sent: dict[str, int]
     replies: dict[str, int]
+    admissions: int
+    unheard: int
     operator: dict[str, int]
     server: dict[str, int]
     unexplained: str | None
@@ -108,10 +114,13 @@ def run_storm(
     axes = AxisMap.of(description.robots[robot].joint_names, description.robots[robot].units, driver.krc)
     xml = resolve_near(loaded.file, driver.ethernet_xml)
     of_server = KrcCodec(load_ethernet_xml(xml), axes, driver.inputs, driver.outputs, stop=driver.stop)
-    witness = Witness(sensor_codec(description, robot, xml), of_server)
+    pulses = pulse_offsets(description.robots[robot], description.cycle_s)
+    witness = Witness(sensor_codec(description, robot, xml), of_server, pulses)
+    heard = [*overheard.admissions.values()]
+    admitted = Admitted(heard, robot, description.robots[robot], description.cycle_s)
     unexplained = None
     try:
-        witness.judge(passed[:last], overheard.admissions)
+        witness.judge(passed[:last], admitted)
     except UnexplainedError as error:
         unexplained = str(error)
     return Report(
@@ -119,6 +128,8 @@ def run_storm(
         duration_s=ended_s - begun_s,
         sent=dict(line.sent),
         replies=dict(witness.counts),
+        admissions=len(heard),
+        unheard=len(admitted.unheard),
         operator=dict(operator.did),
         server=overheard.counters,
         unexplained=unexplained,

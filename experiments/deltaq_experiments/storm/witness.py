@@ -1,7 +1,8 @@
-"""Whether each correction that went over RSI's wire is explained: by an admission, its brake, or by not moving.
+"""Whether each correction that went over RSI's wire is explained: by an admission, its brake, a probe, or not moving.
 
-The witness reads telegrams and replies off the wire, and admissions off the gate's topic; it asks the Robot Server
-nothing.
+The witness reads telegrams and replies off the wire, and admissions off the gate's topics; it asks the Robot Server
+nothing. An admission that was lost on its way to the witness explains no more than an admission could do, and is
+counted apart.
 """
 
 from __future__ import annotations
@@ -14,19 +15,16 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_protocol.brake import brake_increment
-from deltaq_protocol.guarded import Admission
+from deltaq_experiments.storm.admitted import ROUNDING, Admitted
+from deltaq_experiments.storm.pulses import Pulses
 from deltaq_protocol.rsi import KrcCodec, SensorCodec, TelegramError
 
 Array = NDArray[np.float64]
 Origin = tuple[float, ...]
 """Programmed position of a session of the KRC's program [rad or m]."""
 
-ROUNDING = 2e-8
-"""What six decimals of a degree may add to a difference of two corrections [rad or m]."""
+UNHEARD = "by an admission that was not heard"
 _REMEMBERED = 4096
-_IN_FLIGHT = 2000
-"""Admissions after the last one taken among which the next is looked for: those not taken were late or refused."""
 
 
 class UnexplainedError(Exception):
@@ -57,36 +55,33 @@ class Witness:
 
     Args:
         of_krc: reads telegrams; of_server: reads replies.
+        pulses: (k, n) of the probe of a session's mode, see `pulse_offsets` [rad or m].
 
     Attributes:
         counts: replies by what explains them, telegrams, and sessions of the KRC.
     """
 
-    def __init__(self, of_krc: SensorCodec, of_server: KrcCodec) -> None:
+    def __init__(self, of_krc: SensorCodec, of_server: KrcCodec, pulses: Array) -> None:
         self.counts: Counter[str] = Counter()
         self._of_krc, self._of_server = of_krc, of_server
+        self._pulses = Pulses(pulses, 2 * ROUNDING)
         self._programmed: OrderedDict[int, Origin] = OrderedDict()
         self._origins: set[Origin] = set()
         self._origin: Origin | None = None
         self._correction = np.zeros(of_krc.joints)
+        self._moved = np.zeros(of_krc.joints)
         self._course: list[Array] = []
-        self._taken = -1
 
-    def judge(self, passed: Sequence[Passed], admissions: Sequence[Admission]) -> None:
-        """Judge a whole run, in the order of its stamps; admissions are those of one gate, in any order.
+    def judge(self, passed: Sequence[Passed], admitted: Admitted) -> None:
+        """Judge a whole run, in the order of its stamps.
 
         Raises:
             UnexplainedError: at the first correction that is not explained.
         """
-        ordered = sorted(admissions, key=lambda admission: admission.sequence)
-        self._sequences = [admission.sequence for admission in ordered]
-        self._follows = np.array([admission.follows_q_cmd for admission in ordered])
-        self._dq = np.array([admission.dq for admission in ordered])
-        self._brake_cycles = [admission.brake_cycles for admission in ordered]
         for one in sorted(passed, key=lambda one: one.stamp_ns):
             match one.kind:
                 case Kind.REPLY:
-                    self._reply(one.datagram)
+                    self._reply(one.datagram, admitted)
                 case Kind.TELEGRAM:
                     self._telegram(one.datagram)
                 case Kind.FORGERY:
@@ -119,7 +114,7 @@ class Witness:
         while len(self._programmed) > _REMEMBERED:
             self._programmed.popitem(last=False)
 
-    def _reply(self, datagram: bytes) -> None:
+    def _reply(self, datagram: bytes, admitted: Admitted) -> None:
         told = self._of_server.decode(datagram)
         self.counts["replies"] += 1
         origin = self._programmed.get(told.ipoc, self._origin)
@@ -127,32 +122,44 @@ class Witness:
             # another session of the KRC's program, which begins without a correction
             self.counts["sessions"] += 1
             self._origin, self._correction, self._course = origin, np.zeros_like(told.correction), []
+            self._pulses.begin()
         moved = told.correction - self._correction
         setpoint = self._correction if origin is None else np.array(origin) + self._correction
         self._correction = told.correction
+        if not self._is_at_rest(moved):
+            self._step(setpoint, moved, admitted)
+
+    def _is_at_rest(self, moved: Array) -> bool:
+        if not (np.abs(moved) <= ROUNDING).all() or (self._course and _near(moved, self._course[0])):
+            return False
+        self.counts["unmoved"] += 1
+        if not self._course:
+            self._moved = np.zeros_like(
+                moved
+            )  # a brake that is not over may go on after a reply that was missed
+        return True
+
+    def _step(self, setpoint: Array, moved: Array, admitted: Admitted) -> None:
         if self._course and _near(moved, self._course[0]):
             self._course.pop(0)
             self.counts["by a brake"] += 1
-        elif _near(moved, np.zeros_like(moved)):
-            self.counts["unmoved"] += 1
-        elif (taken := self._admission(setpoint, moved)) is not None:
-            dq, n = self._dq[taken], self._brake_cycles[taken]
-            self._course = [brake_increment(dq, n, step) for step in range(1, n)]
-            self._taken = taken
+        elif (brake := admitted.take(setpoint, moved)) is not None:
+            self._course = brake
             self.counts["by an admission"] += 1
+        elif self._pulses.explains(moved):
+            self._course = []
+            self.counts["by a probe"] += 1
+        elif (brake := admitted.take_unheard(self._moved, moved)) is not None:
+            self._course = brake
+            self.counts[UNHEARD] += 1
         else:
             raise UnexplainedError(
-                f"reply {self.counts['replies']} moved by {moved}; the brake's next is {self._course[:1]}"
+                f"reply {self.counts['replies']} moved by {moved} after {self._moved}; the brake's next is "
+                f"{self._course[:1]}"
             )
-
-    def _admission(self, setpoint: Array, moved: Array) -> int | None:
-        """The first admission not yet taken that follows this setpoint and moves so far."""
-        first = self._taken + 1
-        window = slice(first, first + _IN_FLIGHT)
-        off = np.maximum(np.abs(self._follows[window] - setpoint), np.abs(self._dq[window] - moved))
-        found = np.flatnonzero((off <= 2 * ROUNDING).all(axis=1)).tolist() if len(off) else []
-        return first + found[0] if found else None
+        self._moved = moved
 
 
 def _near(one: Array, other: Array) -> bool:
-    return bool((np.abs(one - other) <= ROUNDING).all())
+    """Whether two steps are the same; each may be a difference of rounded corrections."""
+    return bool((np.abs(one - other) <= 2 * ROUNDING).all())

@@ -178,6 +178,8 @@ class RobotServer:
         else:
             self._q_reset = q_start.copy()
         self._dq = np.zeros_like(q_start)
+        # a session begins with a robot that stands: the motion has ended, and a stop would end the session, too
+        self.motion_stop = False
         self._settling = self._settling.sent(moves=True)
         self._rest()
         self._mode = self._new_mode(q)

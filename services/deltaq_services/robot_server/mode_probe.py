@@ -107,8 +107,7 @@ class ModeProbe:
         self.mode = Mode.UNKNOWN
         self.unseen: tuple[str, ...] = ()
         self._joints = robot.joint_names
-        largest = np.array([PROBE_RAD if unit == "rad" else PROBE_M for unit in robot.units])
-        self._size = np.minimum(largest, SHARE_OF_TOLERANCE * robot.tracking_tolerance)
+        self._size = _size(robot)
         pulse = _pulse(self._size, robot.max_acceleration * cycle_s**2)
         settling = np.zeros(lag_cycles + _AT_REST)
         self._window = len(pulse) + len(settling)
@@ -253,6 +252,18 @@ def joint_modes(samples: Array, window: int) -> list[Mode]:
         Mode.RELATIVE if relative else Mode.ABSOLUTE if absolute else Mode.UNKNOWN
         for relative, absolute in zip(adds_up, back & follows, strict=True)
     ]
+
+
+def pulse_offsets(robot: RobotDescription, cycle_s: float) -> Array:
+    """What a trial's first pulse adds to the setpoint, cycle by cycle (k, n) [rad or m]; its second subtracts it."""
+    size = _size(robot)
+    return _pulse(size, robot.max_acceleration * cycle_s**2)[:, np.newaxis] * size
+
+
+def _size(robot: RobotDescription) -> Array:
+    largest = np.array([PROBE_RAD if unit == "rad" else PROBE_M for unit in robot.units])
+    size: Array = np.minimum(largest, SHARE_OF_TOLERANCE * robot.tracking_tolerance)
+    return size
 
 
 def _pulse(size: Array, max_dv: Array) -> Array:

@@ -1,0 +1,57 @@
+"""The pulses by which a Robot Server finds out the mode of a session: the one motion that no gate admits."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Pulses:
+    """Knows the pulses of a session's trials: a positive one first, then its negative, each from rest to rest.
+
+    Args:
+        offsets: (k, n) what a positive one adds to the setpoint, cycle by cycle [rad or m].
+        within: what rounding may add to a difference of two of them [rad or m].
+    """
+
+    def __init__(self, offsets: Array, within: float) -> None:
+        rest = np.zeros((1, offsets.shape[1]))
+        self._steps = np.diff(np.concatenate([rest, offsets, rest]), axis=0)
+        self._within = within
+        self._next: list[Array] = []
+        self._away = np.zeros(offsets.shape[1])
+        self._sign = 1.0
+
+    def begin(self) -> None:
+        """A session begins, in which nothing was added yet."""
+        self._next, self._sign = [], 1.0
+        self._away = np.zeros_like(self._away)
+
+    def explains(self, moved: Array) -> bool:
+        """Whether the pulse goes on with a step (n,), ends early with it, or begins with it at rest."""
+        if self._next:
+            if self._near(moved, self._next[0]):
+                self._step(self._next)
+                return True
+            if self._near(moved, -self._away):  # a mode that is refused ends its trial
+                self.begin()
+                return True
+        for sign in dict.fromkeys(
+            (self._sign, 1.0)
+        ):  # a session that begins anew begins with the positive one
+            steps = [sign * step for step in self._steps]
+            if self._near(moved, steps[0]):
+                self._away = np.zeros_like(moved)
+                self._step(steps)
+                self._sign = -sign
+                return True
+        return False
+
+    def _step(self, steps: list[Array]) -> None:
+        self._away = self._away + steps[0]
+        self._next = steps[1:]
+
+    def _near(self, one: Array, other: Array) -> bool:
+        return bool((np.abs(one - other) <= self._within).all())
