@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 
-from deltaq_experiments.storm.admitted import Admitted
+from deltaq_experiments.storm.admitted import ROUNDING, Admitted
 from deltaq_experiments.storm.forger import Forger, Sender
+from deltaq_experiments.storm.pulses import Pulses
 from deltaq_experiments.storm.witness import UNHEARD, Kind, Passed, UnexplainedError, Witness
 from deltaq_services.robot_server.mode_probe import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
@@ -195,3 +196,13 @@ def test_the_forger_makes_every_kind_and_most_of_them_seem_to_be_somebody_else_s
     forged = [forger.forge() for _ in range(20_000)]
     assert {one.kind for one in forged} == set(forger._kinds)
     assert sum(one.sender is not Sender.KRC for one in forged) > 10_000
+
+
+def test_a_reply_to_a_telegram_of_an_earlier_session_does_not_end_a_trial():
+    pulses = Pulses(PULSES, 2 * ROUNDING)
+    steps = np.diff(np.concatenate([np.zeros((1, 6)), PULSES, np.zeros((1, 6))]), axis=0)
+    assert not pulses.explains(-steps[0])
+    assert all(pulses.explains(step) for step in steps)
+    pulses.begin()
+    assert all(pulses.explains(-step) for step in steps)
+    assert not pulses.explains(-steps[0])

@@ -25,8 +25,11 @@ class Pulses:
         self._sign = 1.0
 
     def begin(self) -> None:
-        """A session begins, in which nothing was added yet."""
-        self._next, self._sign = [], 1.0
+        """Nothing is added now: a session begins, or a telegram of an earlier one is answered within a trial.
+
+        So the negative pulse may still follow.
+        """
+        self._next = []
         self._away = np.zeros_like(self._away)
 
     def explains(self, moved: Array) -> bool:
