@@ -252,8 +252,7 @@ def test_a_robot_that_may_not_move_is_told_that_before_all_else(rig):
 
 def test_a_refused_request_leaves_the_state_to_be_decided_for_the_next(rig):
     state = rig.state
-    stale = rig.sim.on_request(ask(rig, seq=1, cycle=0))
-    assert stale[-1].message.outcome is Outcome.ADMITTED  # a young cell: nothing is stale yet
+    assert rig.sim.on_request(ask(rig, seq=1))[-1].message.outcome is Outcome.ADMITTED
     rig.sim.on_state(next_state(rig, cycle=state.cycle + 50))
     assert rig.sim.on_request(ask(rig, seq=2, cycle=1))[-1].message.outcome is Outcome.REFUSED
     assert rig.sim.on_request(ask(rig, seq=3, cycle=state.cycle + 50))[-1].message.outcome is Outcome.ADMITTED
