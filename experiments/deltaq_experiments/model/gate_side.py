@@ -98,7 +98,7 @@ class GateSide:
         state = world.gate.robots[ROBOT].tracker.state
         cycle = state.cycle if state is not None else 0
         yield (
-            "the HLI gives a sign of life",
+            "the HLI gives a heartbeat",
             0,
             lambda w: self._asks(w, Request(robot=ROBOT, cycle=cycle, lease_epoch=1)),
         )
