@@ -43,7 +43,8 @@ def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() ->
     listen, to = endpoint(), endpoint()
     port = int(listen.rpartition(":")[2])
     with socket.create_server(("127.0.0.1", int(to.rpartition(":")[2]))) as server:
-        words = command("--listen", listen, "--to", to, "--cut", "--after-s", "0.5", "--for-s", "0.5")
+        server.settimeout(20)
+        words = command("--listen", listen, "--to", to, "--cut", "--after-s", "2", "--for-s", "0.5")
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as relay:
             assert relay.stdout is not None
             try:

@@ -38,8 +38,8 @@ def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
     status, out, error = deltaq(
         "experiment", "tracking", "--live", "--duration-s", "10", "--cell", str(cell), "--json"
     )
-    report = json.loads(out)
     assert status in (0, 1), error  # 1: a cycle that the machine lost shows as a jump in acceleration
+    report = json.loads(out)
     assert report["limits"]["position_violations"] == 0
     assert report["limits"]["velocity_violations"] == 0
     assert report["clearance_m"]["min"] >= 0.05

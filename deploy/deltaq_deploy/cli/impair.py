@@ -56,15 +56,12 @@ def impair(
     """
     import asyncio
     import contextlib
-    import signal
 
     from deltaq_deploy.parent import while_parent_lives
     from deltaq_experiments.impairment.relay import unit_of, wire_faults
     from deltaq_experiments.impairment.schedule import impair_for_a_while
     from deltaq_protocol.endpoint import Endpoint
-    from deltaq_services.process import end_on_interrupt
 
-    signal.signal(signal.SIGTERM, end_on_interrupt)
     near, far = Endpoint.parse(listen), Endpoint.parse(to)
     chosen = unit_of(near, unit)
     asked: dict[str, Any] = {
