@@ -63,8 +63,8 @@ mutation: $(INSTALLED) ## change gate and guards in small ways, and see each cha
 	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)
 
 docs: $(INSTALLED) ## write docs/reference and deploy/compose.yaml anew from the code
-	$(BIN)/python -m deltaq_deploy.reference
-	$(BIN)/python -m deltaq_deploy.compose
+	$(BIN)/python -m deltaq_command.reference
+	$(BIN)/python -m deltaq_launch.compose
 
 figures: $(INSTALLED) ## run the paper's experiments and write docs/explanation/camera-figures.md anew; takes minutes
 	$(BIN)/python -m deltaq_experiments.claims

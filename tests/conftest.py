@@ -4,6 +4,8 @@ import signal
 
 from hypothesis import settings
 
+pytest_plugins = ["installed"]
+
 # a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("exploring", deadline=None, max_examples=2000)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_cell.composite_model import JointRange
 from deltaq_cell.extents import Extents
-from deltaq_cell.joined import Place
 from deltaq_cell.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ class Bodies:
         radii: (bodies,) of the spheres around the bodies [m].
     """
 
-    def __init__(self, robot: RobotModel, place: Place) -> None:
+    def __init__(self, robot: RobotModel, place: JointRange) -> None:
         self.slice_q = slice(place.first_q, place.first_q + robot.n)
         items = list(robot.geometry.geometryObjects)
         self.objects = [place.moved(item) for item in items]

@@ -17,10 +17,9 @@ from deltaq_cell.robot import RobotModel
 from deltaq_cell.structure import structure_geometry
 from deltaq_cell.summary import robot_summary
 from deltaq_protocol import messages
-from deltaq_protocol.codec import pack, to_line
+from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES, pack, to_line
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.identity import CellIdentity
-from deltaq_protocol.session import MAX_ZENOH_MESSAGE_BYTES
 
 MOST_TOLD_BYTES = MAX_ZENOH_MESSAGE_BYTES - 64 * 1024
 """Longest description that can be sent to clients, as msgpack and as a line of JSON."""

@@ -17,12 +17,12 @@ from deltaq_cell.description import CellDescription, RobotDescription, RsiDriver
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_located
-from deltaq_cell.located import Located, shown
 from deltaq_cell.models import RobotModelError, nearest_name
 from deltaq_cell.never_checked import SAMPLES, Pair, Why, farthest_apart, ordered, samples
 from deltaq_cell.problems import CellError, Problem, Severity
 from deltaq_cell.proximity import Proximity
 from deltaq_cell.robot import RobotModel
+from deltaq_cell.yaml_source import YamlNode, shown
 
 KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}
 """Sample times of RSI by generation of the KRC."""
@@ -84,7 +84,7 @@ def check_cell(name_or_path: str | Path) -> Report:
 class _Check:
     """The checks, each a generator of problems, over one cell."""
 
-    def __init__(self, path: Path, description: CellDescription, tree: Located) -> None:
+    def __init__(self, path: Path, description: CellDescription, tree: YamlNode) -> None:
         self.path = path
         self.cell = description
         self.tree = tree

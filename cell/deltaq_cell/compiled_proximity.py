@@ -20,7 +20,7 @@ from deltaq_cell.kernel_arrays import Pairs
 from deltaq_cell.kernel_place import place
 from deltaq_cell.kernel_strip import strip_around
 from deltaq_cell.meter import Meter
-from deltaq_cell.proximity import Look, Proximity
+from deltaq_cell.proximity import DistanceQuery, Proximity
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -123,7 +123,7 @@ class CompiledProximity(Proximity):
         self._moved.clear()
         return super().least(group)
 
-    def look(self, groups: Sequence[Group], room_m: float) -> Look:
+    def look(self, groups: Sequence[Group], room_m: float) -> DistanceQuery:
         """Find the groups with less than `room_m` beyond their stop distance, and the tightest pair of all.
 
         Args:
@@ -132,17 +132,17 @@ class CompiledProximity(Proximity):
         """
         listed = groups if isinstance(groups, PairedGroups) else self._paired(groups)
         if not listed.numbers.size:
-            return Look([], False, None, 0.0)
+            return DistanceQuery([], False, None, 0.0)
         tightest, too_near = look(self._anatomy, self._where, listed.pairs, room_m, self._found)
         if tightest == NONE:
-            return Look([], False, None, 0.0)
+            return DistanceQuery([], False, None, 0.0)
         open_ = np.flatnonzero(self._found.open[: listed.numbers.size])
         told = self._measure(listed, tightest)
         if too_near:
             overlapping = open_[self._found.at_most_m[open_] < _OVERLAP_M]
             others = [self._measure(listed, index) for index in overlapping.tolist()]
             told = min(told, *others, key=lambda item: item[0].swept_m - item[1]) if others else told
-        return Look(_part(listed, open_) if open_.size else [], too_near, *told)
+        return DistanceQuery(_part(listed, open_) if open_.size else [], too_near, *told)
 
     def _listed(self, groups: Sequence[Group]) -> PairedGroups:
         """One of this object's own lists, whose groups are numbered one after the other."""

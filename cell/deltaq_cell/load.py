@@ -13,9 +13,9 @@ from ruamel.yaml import YAML
 
 from deltaq_cell.description import CellDescription, Description
 from deltaq_cell.find import find_cell, resolve_near
-from deltaq_cell.located import Located, Scalar, merge, parse, read, shown
 from deltaq_cell.models import SHIPPED, nearest_name
 from deltaq_cell.problems import CellError, Problem
+from deltaq_cell.yaml_source import Scalar, YamlNode, merge, parse, read, shown
 
 __all__ = ["find_cell", "load_cell", "load_located", "load_with_text", "parse_cell", "resolve_near"]
 
@@ -38,7 +38,7 @@ def load_cell(name_or_path: str | Path) -> CellDescription:
     return load_located(name_or_path)[0]
 
 
-def load_located(name_or_path: str | Path) -> tuple[CellDescription, Located]:
+def load_located(name_or_path: str | Path) -> tuple[CellDescription, YamlNode]:
     """Like `load_cell`, with the tree that gives the file and line of every value."""
     tree = _read_with_bases(find_cell(name_or_path))[1]
     return _validated(tree), tree
@@ -65,13 +65,13 @@ def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
     return _validated(tree), _merged(tree) if extended else text
 
 
-def _merged(tree: Located) -> str:
+def _merged(tree: YamlNode) -> str:
     stream = io.StringIO()
     YAML(typ="rt").dump(tree.plain(), stream)  # keeps the order of the keys, and so that of the joints
     return stream.getvalue()
 
 
-def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, Located, bool]:
+def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, YamlNode, bool]:
     """Text and tree of a file, what it extends merged in, and whether it extends anything."""
     text, tree = read(path)
     assert isinstance(tree.value, dict)  # read() ensures it
@@ -103,7 +103,7 @@ def _find_base(path: Path, name: str) -> Path:
         raise
 
 
-def _resolve_models(tree: Located, path: Path) -> None:
+def _resolve_models(tree: YamlNode, path: Path) -> None:
     """Turn the path of a robot's URDF, which is relative to the cell's file, into one that is valid anywhere."""
     robots = tree.value.get("robots") if isinstance(tree.value, dict) else None
     for robot in robots.value.values() if robots and isinstance(robots.value, dict) else ():
@@ -112,14 +112,14 @@ def _resolve_models(tree: Located, path: Path) -> None:
             continue
         beside = path.resolve().parent / model.value
         if beside.is_file() and isinstance(robot.value, dict):
-            robot.value["model"] = Located(str(beside), model.file, model.line)
+            robot.value["model"] = YamlNode(str(beside), model.file, model.line)
 
 
-def _extends_error(node: Located, message: str) -> CellError:
+def _extends_error(node: YamlNode, message: str) -> CellError:
     return CellError([Problem(node.file, node.line, EXTENDS, message, value=shown(node.value))])
 
 
-def _validated(tree: Located) -> CellDescription:
+def _validated(tree: YamlNode) -> CellDescription:
     try:
         # as JSON, because strict validation takes JSON's lists for tuples but no text for numbers
         return CellDescription.model_validate_json(json.dumps(tree.plain()), strict=True)
@@ -127,7 +127,7 @@ def _validated(tree: Located) -> CellDescription:
         raise CellError([_problem(tree, dict(item)) for item in error.errors()]) from None
 
 
-def _problem(tree: Located, error: dict[str, Any]) -> Problem:
+def _problem(tree: YamlNode, error: dict[str, Any]) -> Problem:
     """One of pydantic's errors as a problem with its place."""
     loc = tuple(part for part in error["loc"] if part != "[key]")
     node, trail = tree.find(loc)

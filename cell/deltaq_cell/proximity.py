@@ -22,11 +22,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.bodies import Bodies
+from deltaq_cell.broad_phase import ScreenedGroups, Surroundings
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.composite_model import composite_model
 from deltaq_cell.extents import Extents
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.joined import joined
-from deltaq_cell.screen import ScreenedGroups, Surroundings
 from deltaq_cell.self_groups import SelfGroups
 from deltaq_cell.separation import Separation
 
@@ -53,7 +53,7 @@ class _Placed:
 
 
 @dataclass(frozen=True)
-class Look:
+class DistanceQuery:
     """Result of a check of groups.
 
     Attributes:
@@ -98,7 +98,7 @@ class Proximity:
     def __init__(self, cell: CellModel) -> None:
         gate = cell.description.gate
         self.names = tuple(cell.robots)
-        self.model, places = joined(cell)
+        self.model, places = composite_model(cell)
         self._bodies = {name: Bodies(robot, places[name]) for name, robot in cell.robots.items()}
         self._data = self.model.createData()
         self._q = pin.neutral(self.model)
@@ -185,7 +185,7 @@ class Proximity:
         """Least swept distance of a group [m] where the robots have been placed."""
         return group.least(self.model, self._data)
 
-    def look(self, groups: Sequence[Group], room_m: float) -> Look:
+    def look(self, groups: Sequence[Group], room_m: float) -> DistanceQuery:
         """Find the groups with less than `room_m` beyond their stop distance, and the tightest pair of all.
 
         Groups that spheres and boxes show to be far away are not measured, unless they could be the tightest.
@@ -211,8 +211,8 @@ class Proximity:
                 least_room, tightest = room, group
         failing, too_near = self._not_separated(failing, room_m)
         if tightest is None:
-            return Look([], False, None, 0.0)
-        return Look(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
+            return DistanceQuery([], False, None, 0.0)
+        return DistanceQuery(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
 
     def measured(self, groups: Iterable[Group]) -> Iterator[Group]:
         """The same groups, each with all its pairs measured where the robots are placed now."""

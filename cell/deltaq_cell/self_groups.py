@@ -10,8 +10,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.bodies import Bodies
+from deltaq_cell.broad_phase import Surroundings
 from deltaq_cell.group import Group, Names
-from deltaq_cell.screen import Surroundings
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
 from deltaq_controllers.camera.gains import FollowerGains
-from deltaq_controllers.camera.rehearsal import Rehearsal
+from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, run
-from deltaq_controllers.tally import ErrorFigures, Tally
+from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
 
@@ -32,8 +32,8 @@ class FollowerProcess:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
-        self._tally = Tally()
-        self._angle, self._distance = ErrorFigures(), ErrorFigures()
+        self._statistics = ControlStatistics()
+        self._angle, self._distance = ErrorStatistics(), ErrorStatistics()
         self._began_s: float | None = None
 
     async def follow(self) -> None:
@@ -48,22 +48,22 @@ class FollowerProcess:
             camera = camera_controller_named(options.controller, scene, options.distance_m, focus)
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
             start = None if options.start is None else np.array(options.start)
-            rehearsal = Rehearsal(camera, limits, start, options.distances_m or (), options.hold_s)
+            move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
             print(f"ready: {options.robot} follows {options.leader}", flush=True)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
-                    watch = partial(self._watch, camera, rehearsal, timeout)
-                    await drive(cell, options.robot, rehearsal, self._tally, watch)
+                    watch = partial(self._watch, camera, move_to_start, timeout)
+                    await drive(cell, options.robot, move_to_start, self._statistics, watch)
 
     def _watch(
-        self, camera: FocusController, rehearsal: Rehearsal, timeout: asyncio.Timeout, view: View
+        self, camera: FocusController, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
     ) -> None:
         """Record the figures of a view; the time to follow for counts from the beginning of following."""
         options, other = self._options, view.others.get(self._options.leader)
-        if rehearsal.began_s is None or other is None:
+        if move_to_start.began_s is None or other is None:
             return
         if self._began_s is None:
-            self._began_s = rehearsal.began_s
+            self._began_s = move_to_start.began_s
             if options.duration_s is not None:
                 timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
         angle, distance = camera.errors(view.own.q, other.q)
@@ -77,7 +77,7 @@ class FollowerProcess:
             "controller": self._options.controller,
             "robot": self._options.robot,
             "began_s": self._began_s,
-            **self._tally.summary(),
+            **self._statistics.summary(),
             "angle_deg": self._angle.figures(math.pi / 180.0),
             "distance_m": self._distance.figures(),
         }

@@ -18,7 +18,7 @@ from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import Controller, ControllerError, RobotView, View
-from deltaq_controllers.tally import Tally
+from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Description, RobotState, Verdict
@@ -70,7 +70,7 @@ async def drive(
     cell: Cell,
     robot: str,
     controller: Controller,
-    tally: Tally,
+    statistics: ControlStatistics,
     watch: Callable[[View], None] | None = None,
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
@@ -81,7 +81,7 @@ async def drive(
         cell: connection to the cell.
         robot: the robot to move.
         controller: makes the increments.
-        tally: counts the verdicts.
+        statistics: counts the verdicts.
         watch: called with each view.
 
     Raises:
@@ -101,7 +101,7 @@ async def drive(
                     verdict = await leased.move(increment.tolist())
             except (TimeoutError, ServiceUnreachableError):
                 verdict = None
-            tally.add(verdict)
+            statistics.add(verdict)
 
 
 def settle_memory() -> None:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.live import PATIENCE_CYCLES, settle_memory, view_of
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.tally import Tally
+from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, Verdict
@@ -77,7 +77,7 @@ class DriveLog:
         leg.farthest = np.maximum(leg.farthest, leg.moved) if leg.cycles > 1 else leg.moved
 
     def _note_choice(self, leg: Leg) -> None:
-        option = self._teleoperator.wish.option
+        option = self._teleoperator.command.option
         if option is None or leg.mode is not ModeName.ADVISOR:
             return
         choice = option, self._teleoperator.arrived_at == option
@@ -122,7 +122,7 @@ async def teleoperate(
     cell: Cell,
     teleoperator: Teleoperator,
     operator: OperatorInput,
-    tally: Tally,
+    statistics: ControlStatistics,
     watch: Callable[[Array], None],
     enough: asyncio.Event,
 ) -> None:
@@ -133,8 +133,8 @@ async def teleoperate(
     Args:
         cell: connection to the cell.
         teleoperator: of the robot.
-        operator: where the wishes come from.
-        tally: counts the verdicts.
+        operator: where the commands come from.
+        statistics: counts the verdicts.
         watch: called once a cycle with the measured configuration (n,).
         enough: set it to end the drive early.
 
@@ -154,11 +154,11 @@ async def teleoperate(
             if state.phase is Phase.HELD:
                 raise _held(robot, state.reason)
             view = view_of(cell, state, verdict)
-            wish = None if is_over or enough.is_set() else operator.read(state.time_s)
+            command = None if is_over or enough.is_set() else operator.read(state.time_s)
             is_over = (
-                wish is None
+                command is None
             )  # for good: keys pressed while the robot comes to rest do not start it again
-            teleoperator.wish = Wish() if wish is None else wish
+            teleoperator.command = OperatorCommand() if command is None else command
             increment = teleoperator.increment(view)
             if is_over and teleoperator.is_at_rest:
                 return
@@ -167,7 +167,7 @@ async def teleoperate(
                     verdict = await leased.move(increment.tolist())
             except (TimeoutError, ServiceUnreachableError):
                 verdict = None
-            tally.add(verdict)
+            statistics.add(verdict)
             teleoperator.take_verdict(verdict)
             watch(view.own.q)
 

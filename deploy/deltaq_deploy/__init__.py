@@ -1,1 +1,1 @@
-"""How deltaq is started and shown: the table of services, the launcher, the `deltaq` command."""
+"""What an installation is made of: the cells that ship, and the files of a KRC."""

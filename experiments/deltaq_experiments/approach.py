@@ -12,11 +12,12 @@ from pydantic import BaseModel, ConfigDict
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Line, Panel
-from deltaq_experiments.report import Figures, GateCounts, LeastClearance, LimitCounts, Outcome, Report
+from deltaq_experiments.report import Figures, LeastClearance, Outcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import Recording, record
+from deltaq_verification.counts import GateCounts, LimitCounts
 
 Array = NDArray[np.float64]
 

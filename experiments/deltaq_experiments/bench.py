@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
-from deltaq_cell.joined import WORLD, joined
 from deltaq_controllers.interface import View
 from deltaq_controllers.leader.scripted import ScriptedLeader
-from deltaq_experiments.lockstep import Lockstep
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.virtual import view_of
 from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
+from deltaq_verification.lockstep import Lockstep
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ class RawDistances:
     """
 
     def __init__(self, cell: CellModel) -> None:
-        self._model, places = joined(cell)
+        self._model, places = composite_model(cell)
         self._geometry = pin.GeometryModel()
         for name, robot in cell.robots.items():
             for body in robot.geometry.geometryObjects:

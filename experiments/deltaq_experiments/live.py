@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.child import Exited
-from deltaq_deploy.launcher import Launcher, LaunchError
-from deltaq_deploy.rest import bring_to_rest
-from deltaq_deploy.running import connect, listen
-from deltaq_deploy.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_experiments.options import Options
-from deltaq_experiments.recorded import not_there_yet
-from deltaq_experiments.report import GateCounts
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import Recording
+from deltaq_launch.bring_to_rest import bring_to_rest
+from deltaq_launch.cell_connection import connect, listen
+from deltaq_launch.child_process import Exited
+from deltaq_launch.launcher import Launcher, LaunchError
+from deltaq_launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
+from deltaq_verification.counts import GateCounts
+from deltaq_verification.recorded import not_there_yet
 
 Array = NDArray[np.float64]
 
@@ -74,11 +74,11 @@ def run_live(
             with connect(description, "experiment") as running:
                 status = running.status()
             launcher.stop_service("leader")
-            told = launcher.last_json(follower.name) or {}
+            summary = launcher.last_json(follower.name) or {}
         states = [unpack(RobotState, sample) for sample in samples]
         setpoints = {name: _setpoints(path, cell.robots[name].n) for name, path in records.items()}
     reasons = {k.removeprefix("reason_"): v for k, v in status.gate.items() if k.startswith("reason_")}
-    trace = trace_of(states, tuple(cell.robots), setpoints, told["began_s"], options.length_s)
+    trace = trace_of(states, tuple(cell.robots), setpoints, summary["began_s"], options.length_s)
     return Recording(trace, GateCounts.of(status.gate), reasons)
 
 

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.at_once import AdvisorAtOnce
+from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
-from deltaq_controllers.modes.switch import MODES, Teleoperator
-from deltaq_experiments.lockstep import Lockstep
+from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_experiments.peg_and_valve_operators import (
     AdvisedOperator,
     Goal,
@@ -32,6 +31,7 @@ from deltaq_experiments.peg_and_valve_operators import (
     PostureOperator,
     error_to,
 )
+from deltaq_verification.lockstep import Lockstep
 
 Array = NDArray[np.float64]
 
@@ -145,7 +145,7 @@ class _Run:
         self._cycles = 0
 
     def _advisor(self, robot: RobotModel) -> AdvisorMode:
-        return AdvisorMode(robot, self._cycle_s, AdvisorAtOnce(self._stack.cell, robot.name))
+        return AdvisorMode(robot, self._cycle_s, SynchronousAdvisor(self._stack.cell, robot.name))
 
     def figures(self) -> ModeFigures:
         """Do the task."""
@@ -187,10 +187,10 @@ class _Run:
             assert state is not None  # the stack is ready
             view = RobotView.from_state(state)
             way.append(view.q)
-            wish = self._operator.wish(view.q, goal)
-            if wish is None:
+            command = self._operator.command(view.q, goal)
+            if command is None:
                 return way
-            self._teleoperator.wish = wish
+            self._teleoperator.command = command
             increment = self._teleoperator.increment(View(view))
             self._teleoperator.take_verdict(self._stack.ask(self._name, increment))
             if self._cycles * self._cycle_s > LONGEST_S:

@@ -14,9 +14,9 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.avoidance import travel_gradient
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.inverse_rates import Inverse
-from deltaq_controllers.modes.motion import HAND_AXES, ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
+from deltaq_controllers.modes.resolved_rate import Inverse
+from deltaq_controllers.modes.teleoperator import Teleoperator
 
 Array = NDArray[np.float64]
 
@@ -84,8 +84,8 @@ class Late:
 class Operator(Protocol):
     """Steers to one goal."""
 
-    def wish(self, q: Array, goal: Goal) -> Wish | None:
-        """The wish on seeing the robot at `q` (n,) now; None when the goal has been reached."""
+    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
+        """The command on seeing the robot at `q` (n,) now; None when the goal has been reached."""
         ...
 
 
@@ -101,7 +101,7 @@ class HandOperator:
         """Whether the robot has not moved in all that is seen."""
         return self._see.stands
 
-    def wish(self, q: Array, goal: Goal) -> Wish | None:
+    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
         """Rates in proportion to the error, up to the greatest."""
         error = error_to(goal.pose, self._robot.forward(self._see(q)))
         if is_near(error) and self._see.stands:
@@ -110,7 +110,7 @@ class HandOperator:
         excess = max(np.linalg.norm(rates[:3]) / HAND_M_S, np.linalg.norm(rates[3:]) / HAND_RAD_S, 1.0)
         if is_near(error):
             rates[:] = 0.0
-        return Wish(dict(zip(HAND_AXES, (rates / excess).tolist(), strict=True)), self._mode)
+        return OperatorCommand(dict(zip(HAND_AXES, (rates / excess).tolist(), strict=True)), self._mode)
 
 
 class PostureOperator:
@@ -127,23 +127,23 @@ class PostureOperator:
         self._hand = HandOperator(robot, cycle_s, ModeName.DECOUPLED)
         self._base = np.flatnonzero(~Hands(robot).arms.any(axis=0))
         self._left: int | None = None
-        self._wish = Wish()
+        self._command = OperatorCommand()
 
-    def wish(self, q: Array, goal: Goal) -> Wish | None:
+    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
         """To the goal, then the posture."""
         if self._left is None:
-            wish = self._hand.wish(q, goal)
-            if wish is not None or not goal.name.startswith("reach"):
-                return wish
+            command = self._hand.command(q, goal)
+            if command is not None or not goal.name.startswith("reach"):
+                return command
             self._left = round(self.POSTURE_S / self._cycle_s)
-            self._wish = self._better(q)
+            self._command = self._better(q)
         if self._left > 0:
             self._left -= 1
-            return self._wish
+            return self._command
         self._left = None
         return None
 
-    def _better(self, q: Array) -> Wish:
+    def _better(self, q: Array) -> OperatorCommand:
         descent = -travel_gradient(q, self._robot.lower, self._robot.upper)
         gains = []
         for joint in self._base:
@@ -154,7 +154,7 @@ class PostureOperator:
             gains.append(float(descent @ way))
         best = int(np.argmax(np.abs(gains)))
         name = self._robot.joint_names[self._base[best]]
-        return Wish({name: float(np.sign(gains[best])) * 0.05}, ModeName.SELF_MOTION)
+        return OperatorCommand({name: float(np.sign(gains[best])) * 0.05}, ModeName.SELF_MOTION)
 
 
 class AdvisedOperator:
@@ -172,26 +172,26 @@ class AdvisedOperator:
         self._goal: Goal | None = None
         self._times_stuck = 0
 
-    def wish(self, q: Array, goal: Goal) -> Wish | None:
+    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
         """To the goal, then the option; where something stops the hand, the option first."""
         if goal is not self._goal:
             self._goal, self._times_stuck = goal, 0
         if not self._is_advised:
-            wish = self._hand.wish(q, goal)
+            command = self._hand.command(q, goal)
             self._is_stuck = (
-                wish is not None and self._hand.stands and self._teleoperator.limitation is not None
+                command is not None and self._hand.stands and self._teleoperator.limitation is not None
             )
-            if not self._is_stuck and (wish is not None or not goal.name.startswith("reach")):
-                return wish
+            if not self._is_stuck and (command is not None or not goal.name.startswith("reach")):
+                return command
             self._is_advised = True
         if self._teleoperator.mode is not ModeName.ADVISOR:
-            return Wish(mode=ModeName.ADVISOR)
+            return OperatorCommand(mode=ModeName.ADVISOR)
         option = self._best()
         if option is not None and self._teleoperator.arrived_at != option:
-            return Wish(option=option)
+            return OperatorCommand(option=option)
         self._is_advised = False
         self._times_stuck += self._is_stuck
-        return self._hand.wish(q, goal) if self._is_stuck else None
+        return self._hand.command(q, goal) if self._is_stuck else None
 
     def _best(self) -> int | None:
         mode = self._teleoperator.mode_named(ModeName.ADVISOR)
@@ -220,30 +220,30 @@ class JointOperator:
         self._joint: int | None = None
         self._pause = 0
 
-    def wish(self, q: Array, goal: Goal) -> Wish | None:
+    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
         """The rate of the joint that is driven now."""
         if goal is not self._goal:
             self._goal, self._ways = goal, self._divided(q, goal)
         seen = self._see(q)
         if self._pause > 0:
             self._pause -= 1
-            return Wish({}, ModeName.JOINT)
+            return OperatorCommand({}, ModeName.JOINT)
         off = self._ways[0] - seen
         if self._joint is not None and abs(off[self._joint]) > self._near[self._joint]:
             return self._driving(self._joint, off)
         if not self._see.stands:
-            return Wish({}, ModeName.JOINT)
+            return OperatorCommand({}, ModeName.JOINT)
         worst = int(np.argmax(np.abs(off) / self._rates))
         if abs(off[worst]) > self._near[worst]:
             self._joint, self._pause = worst, round(CHANGE_S / self._cycle_s)
-            return Wish({}, ModeName.JOINT)
+            return OperatorCommand({}, ModeName.JOINT)
         self._joint = None
         self._ways.pop(0)
-        return Wish({}, ModeName.JOINT) if self._ways else None
+        return OperatorCommand({}, ModeName.JOINT) if self._ways else None
 
-    def _driving(self, joint: int, off: Array) -> Wish:
+    def _driving(self, joint: int, off: Array) -> OperatorCommand:
         rate = float(np.clip(GAIN_S * off[joint], -self._rates[joint], self._rates[joint]))
-        return Wish({self._robot.joint_names[joint]: rate}, ModeName.JOINT)
+        return OperatorCommand({self._robot.joint_names[joint]: rate}, ModeName.JOINT)
 
     def _divided(self, q: Array, goal: Goal) -> list[Array]:
         """Configurations along the straight way to a goal."""

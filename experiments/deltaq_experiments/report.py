@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_experiments.panels import Panel
+from deltaq_verification.counts import GateCounts, LimitCounts
 
 Array = NDArray[np.float64]
 
@@ -33,21 +32,6 @@ class Figures(BaseModel):
         )
 
 
-class LimitCounts(BaseModel):
-    """Joints and cycles beyond a limit, from the emulated controllers' records."""
-
-    model_config = ConfigDict(frozen=True)
-
-    position_violations: int
-    velocity_violations: int
-    acceleration_violations: int
-
-    @classmethod
-    def sum(cls, counts: Iterable[LimitCounts]) -> LimitCounts:
-        """All together."""
-        return cls(**_added(counts))
-
-
 class LeastClearance(BaseModel):
     """Least distance of bodies that an oracle measured on every recorded configuration."""
 
@@ -60,27 +44,6 @@ class LeastClearance(BaseModel):
     """Between the robots."""
     self_min: float
     """Between two bodies of one robot."""
-
-
-class GateCounts(BaseModel):
-    """Verdicts by outcome."""
-
-    model_config = ConfigDict(frozen=True)
-
-    admitted: int = 0
-    scaled: int = 0
-    held: int = 0
-    refused: int = 0
-
-    @classmethod
-    def sum(cls, counts: Iterable[GateCounts]) -> GateCounts:
-        """All together."""
-        return cls(**_added(counts))
-
-    @classmethod
-    def of(cls, counts: dict[str, int]) -> GateCounts:
-        """From a counter that may hold other counts as well."""
-        return cls(**{name: counts.get(name, 0) for name in cls.model_fields})
 
 
 class Report(BaseModel):
@@ -117,10 +80,3 @@ class Outcome:
 
     report: Report
     panels: tuple[Panel, ...]
-
-
-def _added(counts: Iterable[BaseModel]) -> dict[str, int]:
-    together: Counter[str] = Counter()
-    for count in counts:
-        together.update(count.model_dump())
-    return dict(together)

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
-from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_protocol.errors import DeltaqError
+from deltaq_verification.oracle import ClearanceOracle
 
 Array = NDArray[np.float64]
 

@@ -116,8 +116,8 @@ def main() -> int:
         for attacked in (False, True):
             quiet, once = run(name, options.speed_m_s, attacked, options.duration_s, options.passes)
             situation = "attacked" if attacked else "tracking"
-            told = {"controller": name, "situation": situation, **quiet, "one pass": once}
-            print(json.dumps(told), flush=True)
+            row = {"controller": name, "situation": situation, **quiet, "one pass": once}
+            print(json.dumps(row), flush=True)
     return 0
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import FocusController
-from deltaq_experiments.oracle import ClearanceOracle, LimitViolations, limit_violations
-from deltaq_experiments.report import LeastClearance, LimitCounts
+from deltaq_experiments.report import LeastClearance
+from deltaq_verification.counts import LimitCounts
+from deltaq_verification.oracle import ClearanceOracle, limit_violations
 
 Array = NDArray[np.float64]
 
@@ -77,17 +78,9 @@ class Trace:
 
     def limit_counts(self, cell: CellModel) -> LimitCounts:
         """Counted from the emulated controllers' setpoints."""
-        total = sum(
-            (
-                limit_violations(cell.robots[name], setpoints, cell.description.cycle_s)
-                for name, setpoints in self.setpoints.items()
-            ),
-            LimitViolations(0, 0, 0),
-        )
-        return LimitCounts(
-            position_violations=total.position,
-            velocity_violations=total.velocity,
-            acceleration_violations=total.acceleration,
+        return LimitCounts.sum(
+            limit_violations(cell.robots[name], setpoints, cell.description.cycle_s)
+            for name, setpoints in self.setpoints.items()
         )
 
 

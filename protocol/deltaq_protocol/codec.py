@@ -20,6 +20,8 @@ M = TypeVar("M", bound=Message)
 
 MAX_MESSAGE_BYTES = 64 * 1024
 """Longest message and longest JSON line; an arm's description goes by query and is not bound by it."""
+MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
+"""Largest message that a session reassembles; descriptions with their URDF texts are the largest."""
 
 
 class InvalidMessageError(ProtocolError):

@@ -14,12 +14,11 @@ from typing import Any
 
 import zenoh
 
+from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.seal import UNSEALED, Seal
 from deltaq_protocol.topic import Priority
 
-MAX_ZENOH_MESSAGE_BYTES = 1024 * 1024
-"""Largest message that a session reassembles; descriptions with their URDF texts are the largest."""
 MAX_SESSIONS = 64
 """Peers that one session serves; one more is kept out until another leaves."""
 _WAITING_TO_BE_SENT = 16

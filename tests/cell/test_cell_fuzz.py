@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from deltaq_cell.check import Report, check_cell
-from deltaq_deploy.cli.app import app
+from deltaq_command.app import app
 
 CELL = """\
 cell: small

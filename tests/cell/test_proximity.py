@@ -7,7 +7,7 @@ import pytest
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.extents import Extents
 from deltaq_cell.proximity import Proximity
-from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_verification.oracle import ClearanceOracle
 
 CELL = CellModel.load("lab")
 GATE = CELL.description.gate

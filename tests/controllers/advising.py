@@ -8,12 +8,12 @@ from driving import CYCLE_S
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.advisor.at_once import AdvisorAtOnce
+from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
 from deltaq_controllers.criteria.postures import RobotData
 from deltaq_controllers.modes.advisor import Advisor, AdvisorMode, tracker_of
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.motion import ModeName
-from deltaq_controllers.modes.switch import MODES, Teleoperator
+from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 
 
 @cache
@@ -29,7 +29,7 @@ def advised(
 ) -> Teleoperator:
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         tracker_of(robot)
-        answers = advisor or AdvisorAtOnce(cell_of(robot.name), robot.name, options=3, effort=0.2)
+        answers = advisor or SynchronousAdvisor(cell_of(robot.name), robot.name, options=3, effort=0.2)
         return AdvisorMode(robot, CYCLE_S, answers)
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}

@@ -12,10 +12,10 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Frame, ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
-from deltaq_experiments.lockstep import Lockstep
+from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.messages import Verdict
+from deltaq_verification.lockstep import Lockstep
 
 Array = NDArray[np.float64]
 
@@ -65,15 +65,15 @@ class PlainDrive:
         self.violations = 0
 
     def drive(self, duration_s: float, mode: ModeName | None = None, **rates: float) -> Driven:
-        """Hold a wish for a time; returns what happened meanwhile."""
+        """Hold a command for a time; returns what happened meanwhile."""
         self.driven = Driven(self.robot)
         for _ in range(round(duration_s / CYCLE_S)):
-            self.step(Wish(rates, mode))
+            self.step(OperatorCommand(rates, mode))
         return self.driven
 
-    def step(self, wish: Wish) -> Array:
+    def step(self, command: OperatorCommand) -> Array:
         self.cycle += 1
-        self.teleoperator.wish = wish
+        self.teleoperator.command = command
         dq = self.teleoperator.increment(
             View(RobotView(self.cycle, self.cycle * CYCLE_S, self.now, self.now))
         )
@@ -109,9 +109,9 @@ class StackDrive:
     def drive(
         self, duration_s: float, mode: ModeName | None = None, option: int | None = None, **rates: float
     ) -> Driven:
-        """Hold a wish for a time; returns what happened meanwhile."""
+        """Hold a command for a time; returns what happened meanwhile."""
         driven = Driven(self.robot)
-        self.teleoperator.wish = Wish(rates, mode, option=option)
+        self.teleoperator.command = OperatorCommand(rates, mode, option=option)
         for _ in range(round(duration_s / CYCLE_S)):
             self.stack.cycle()
             state = self.stack.arms[self.name].state

@@ -23,9 +23,11 @@ import numpy as np
 from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.advisor.counsel import Counsel
+from deltaq_command.drive_display import Display
+from deltaq_command.teleoperator import teleoperator_for
+from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
-from deltaq_controllers.camera.rehearsal import Rehearsal
+from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.criteria import BY_NAME
 from deltaq_controllers.interface import Controller, View
@@ -34,18 +36,16 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import drive
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
-from deltaq_controllers.tally import Tally
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
-from deltaq_deploy.cli.drive_display import Display
-from deltaq_deploy.teleoperator import teleoperator_for
 from deltaq_protocol.client import Cell
 from deltaq_protocol.messages import Outcome, Phase, RobotState, ToolPose, Verdict
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 CYCLES = 20
-"""Cycles of each wish: enough to speed up, and to settle into another mode."""
+"""Cycles of each command: enough to speed up, and to settle into another mode."""
 
 
 class Waits(event.Listener):
@@ -143,16 +143,16 @@ class QuietCell(Cell):
 class Operator:
     """Wishes one after the other, each for a number of cycles or until it is so."""
 
-    wishes: list[tuple[Wish, Callable[[int], bool]]]
+    commands: list[tuple[OperatorCommand, Callable[[int], bool]]]
     _since: int = field(default=0, init=False)
 
-    def read(self, time_s: float) -> Wish | None:
-        while self.wishes:
-            wish, is_over = self.wishes[0]
+    def read(self, time_s: float) -> OperatorCommand | None:
+        while self.commands:
+            command, is_over = self.commands[0]
             if not is_over(self._since):
                 self._since += 1
-                return wish
-            self.wishes.pop(0)
+                return command
+            self.commands.pop(0)
             self._since = 0
         return None
 
@@ -169,17 +169,17 @@ def enough(cycles: int) -> bool:
 
 def everything(teleoperator: Teleoperator, modes: Iterable[ModeName]) -> Operator:
     """Every mode with every axis that it drives, in both frames, and the way to an option."""
-    wishes: list[tuple[Wish, Callable[[int], bool]]] = []
+    commands: list[tuple[OperatorCommand, Callable[[int], bool]]] = []
     for mode in modes:
-        wishes.append((Wish(mode=mode), enough))
+        commands.append((OperatorCommand(mode=mode), enough))
         if mode is ModeName.ADVISOR:
             advisor = teleoperator.mode_named(mode)
             assert isinstance(advisor, AdvisorMode)
-            wishes.append((Wish(option=1), lambda _, advisor=advisor: advisor.done > 0.1))
+            commands.append((OperatorCommand(option=1), lambda _, advisor=advisor: advisor.done > 0.1))
         for number, axis in enumerate(teleoperator.axes(mode)):
             rate = 0.05 if axis.rpartition(".")[2] in HAND_AXES else 0.2
-            wishes.append((Wish({axis: rate}, frame=list(Frame)[number % 2]), enough))
-    return Operator(wishes)
+            commands.append((OperatorCommand({axis: rate}, frame=list(Frame)[number % 2]), enough))
+    return Operator(commands)
 
 
 async def by_hand(
@@ -195,7 +195,7 @@ async def by_hand(
             log.add(q)
             display.show()
 
-        await teleoperate(cell, teleoperator, operator, Tally(), watch, asyncio.Event())
+        await teleoperate(cell, teleoperator, operator, ControlStatistics(), watch, asyncio.Event())
 
 
 async def by_controller(
@@ -211,7 +211,7 @@ async def by_controller(
             task.cancel()
 
     with contextlib.suppress(asyncio.CancelledError):
-        await drive(cell, robot, controller, Tally(), look)
+        await drive(cell, robot, controller, ControlStatistics(), look)
 
 
 async def by_camera(cell: QuietCell, name: str) -> None:
@@ -230,8 +230,8 @@ async def by_camera(cell: QuietCell, name: str) -> None:
         camera.errors(view.own.q, view.others["gr"].q)
         camera.clearance(view.own.q, view.others["gr"].q)
 
-    rehearsal = Rehearsal(camera, limits, None, (1.25, 0.4), 0.6)
-    await by_controller(cell, "fr", lambda: rehearsal, watch)
+    move_to_start = MoveToStart(camera, limits, None, (1.25, 0.4), 0.6)
+    await by_controller(cell, "fr", lambda: move_to_start, watch)
 
 
 def leader() -> Controller:
@@ -245,7 +245,7 @@ def attacker() -> Controller:
 
 async def counsel(cell: QuietCell, robot: str) -> None:
     """What the advisor's process does, question by question."""
-    advisor = Counsel(CellModel.load(cell.description.cell), robot)
+    advisor = AdvisorSession(CellModel.load(cell.description.cell), robot)
     home = cell.models[robot].home
     async with cell.lease(robot):
         advisor.ask(home, {}, lambda _: True)

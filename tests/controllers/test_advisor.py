@@ -12,14 +12,14 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import DRIVABLE, NOT_LOOKED_FOR, Option, Progress, advise
 from deltaq_controllers.advisor.descent import descend, reduced_gradient
 from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.ground import FINE, LEAP, Ground
 from deltaq_controllers.advisor.methods import METHODS
+from deltaq_controllers.advisor.motion_validator import FINE, LEAP, MotionValidator
+from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorError, Problem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, search
 from deltaq_controllers.advisor.seeding import feasible
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trees import Tree
-from deltaq_controllers.advisor.ways import NoWayError, Ways
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 
 Array = NDArray[np.float64]
@@ -180,15 +180,15 @@ def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
 def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     task = problem()
     space = HandsKept(TRACKER, task.poses)
-    ground = Ground(task, space, DAWM.home[None], wider=1.0)
-    ways = Ways(task, space, EXACT, np.random.default_rng(9), DAWM.home)
+    ground = MotionValidator(task, space, DAWM.home[None], wider=1.0)
+    ways = PathPlanner(task, space, EXACT, np.random.default_rng(9), DAWM.home)
     found = 0
     for q in search(task, np.random.default_rng(10), effort=0.5).q[:60]:
         if ground.straight(DAWM.home[None], q[None])[0]:
             continue
         try:
             path = ways.to(q)
-        except NoWayError:
+        except NoPathError:
             continue
         found += 1
         assert np.abs(TRACKER.hands(path[len(path) // 2]) - task.poses).max() < 1e-9
@@ -212,7 +212,7 @@ def test_what_keeps_its_distance_is_told_as_it_is_measured(robot: str, room_m: f
 
 def test_a_tree_is_cut_where_an_edge_is_not_clear_and_leads_nowhere_from_there() -> None:
     task = problem()
-    ground = Ground(task, HandsMoved(DAWM), DAWM.home[None], wider=1.0)
+    ground = MotionValidator(task, HandsMoved(DAWM), DAWM.home[None], wider=1.0)
     tree, through = Tree(DAWM.home, ground), DAWM.home.copy()
     through[[2, 4, 10, 12]] = DAWM.lower[[2, 4, 10, 12]]
     near = DAWM.home - 0.05

@@ -13,7 +13,7 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import NOTHING_FOUND
 from deltaq_controllers.modes.limitation import Limit
-from deltaq_controllers.modes.motion import ModeName, Wish
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_protocol.messages import Outcome
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ def drivable(run: PlainDrive) -> list[int]:
 
 def go_to(run: PlainDrive, rank: int, cycles: int = LONGEST_CYCLES) -> None:
     for _ in range(cycles):
-        run.step(Wish(option=rank))
+        run.step(OperatorCommand(option=rank))
         if run.teleoperator.arrived_at == rank:
             return
 
@@ -124,9 +124,9 @@ def test_a_robot_without_a_joint_to_spare_has_no_advisor_and_hand_axes_are_refus
     with pytest.raises(ControllerError, match="advisor needs a redundant robot, 'fr' is not"):
         advised(model("fr"))
     with pytest.raises(ControllerError, match=r"'x' is not driven in mode advisor .* an option of its own"):
-        advised(model("gr")).check(Wish({"x": 0.1}), ModeName.ADVISOR)
+        advised(model("gr")).check(OperatorCommand({"x": 0.1}), ModeName.ADVISOR)
     with pytest.raises(ControllerError, match="option 1: options are for mode advisor, not coupled"):
-        advised(model("gr")).check(Wish(option=1), ModeName.COUPLED)
+        advised(model("gr")).check(OperatorCommand(option=1), ModeName.COUPLED)
 
 
 class Thinking:

@@ -14,8 +14,8 @@ from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_controllers.live import PATIENCE_CYCLES, view_of
-from deltaq_deploy.launcher import Launcher
-from deltaq_deploy.services import cell_services
+from deltaq_launch.launcher import Launcher
+from deltaq_launch.services import cell_services
 from deltaq_protocol.client import Cell
 from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
 

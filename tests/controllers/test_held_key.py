@@ -44,9 +44,9 @@ def driven(presses: Sequence[float], until_s: float) -> np.ndarray:
             while waiting and waiting[0] <= time_s:
                 os.write(keys, b"w")
                 waiting.pop(0)
-            wish = keyboard.read(time_s)
-            assert wish is not None
-            drive.step(wish)
+            command = keyboard.read(time_s)
+            assert command is not None
+            drive.step(command)
             places.append(drive.robot.forward(drive.now)[:3, 3])
     os.close(keys)
     os.close(terminal)

@@ -14,9 +14,9 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.avoidance import travel, travel_gradient
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.inverse_rates import Inverse
-from deltaq_controllers.modes.motion import Frame, ModeName, Motion, Wish
-from deltaq_controllers.modes.switch import MODES, Teleoperator
+from deltaq_controllers.modes.motion import Frame, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.resolved_rate import Inverse
+from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_protocol.brake import brake_cycles, brake_travel
 
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
@@ -72,7 +72,7 @@ def test_a_stick_let_go_brings_the_robot_to_rest_and_keeps_it_there(mode: ModeNa
     assert not run.teleoperator.is_at_rest
     run.rest()
     assert run.teleoperator.is_at_rest
-    assert not run.step(Wish()).any()
+    assert not run.step(OperatorCommand()).any()
 
 
 @pytest.mark.parametrize("robot", ["gr", "dawm"])
@@ -89,10 +89,10 @@ def test_no_wish_takes_an_increment_past_a_limit_of_position_speed_or_accelerati
 @pytest.mark.parametrize(("before", "after"), list(permutations(BY_HAND, 2)))
 def test_a_mode_is_switched_in_motion_without_a_jump(before: ModeName, after: ModeName) -> None:
     run = PlainDrive("gr", before)
-    wishes = {mode: {run.teleoperator.axes(mode)[0]: 0.2} for mode in BY_HAND}
-    run.drive(0.6, **wishes[before])
+    commands = {mode: {run.teleoperator.axes(mode)[0]: 0.2} for mode in BY_HAND}
+    run.drive(0.6, **commands[before])
     assert not run.teleoperator.is_at_rest
-    run.drive(1.2, after, **wishes[after])
+    run.drive(1.2, after, **commands[after])
     assert run.teleoperator.mode is after
     assert not run.teleoperator.is_at_rest
     assert run.violations == 0
@@ -223,12 +223,12 @@ def test_self_motion_needs_a_joint_to_spare() -> None:
 def test_an_axis_that_a_mode_does_not_drive_is_refused_with_those_that_it_does() -> None:
     teleoperator = Teleoperator(model("gr"), CYCLE_S)
     with pytest.raises(ControllerError, match="'x' is not driven in mode joint of robot gr; it drives e1"):
-        teleoperator.check(Wish({"x": 0.1}), JOINT)
+        teleoperator.check(OperatorCommand({"x": 0.1}), JOINT)
     with pytest.raises(ControllerError, match="'a1' is not driven in mode decoupled"):
-        teleoperator.check(Wish({"a1": 0.1}), DECOUPLED)
+        teleoperator.check(OperatorCommand({"a1": 0.1}), DECOUPLED)
     with pytest.raises(ControllerError, match=r"'left\.x' is unknown to mode coupled"):
-        teleoperator.check(Wish({"left.x": 0.1}), COUPLED)
-    Teleoperator(model("dawm"), CYCLE_S).check(Wish({"left.x": 0.1}), COUPLED)
+        teleoperator.check(OperatorCommand({"left.x": 0.1}), COUPLED)
+    Teleoperator(model("dawm"), CYCLE_S).check(OperatorCommand({"left.x": 0.1}), COUPLED)
 
 
 @pytest.mark.parametrize(("robot", "joint", "rate"), [("gr", "a2", 0.3), ("dawm", "right_6", -0.2)])

@@ -11,8 +11,8 @@ from advising import advised
 from driving import CYCLE_S, model
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.gamepad import Gamepad
 from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, TAP_SHARE
 from deltaq_controllers.operator_input.keyboard import Keyboard
@@ -74,23 +74,26 @@ def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first
 """,
     )
     assert steps.duration_s == 3.5
-    assert steps.read(100.0) == Wish({"a1": pytest.approx(np.pi / 2), "e1": pytest.approx(0.02)})
+    assert steps.read(100.0) == OperatorCommand({"a1": pytest.approx(np.pi / 2), "e1": pytest.approx(0.02)})
     assert steps.read(100.99) == steps.read(100.5)
-    assert steps.read(101.0) == Wish()
-    assert steps.read(101.5) == Wish({"x": 0.1}, ModeName.COUPLED, Frame.TOOL)
+    assert steps.read(101.0) == OperatorCommand()
+    assert steps.read(101.5) == OperatorCommand({"x": 0.1}, ModeName.COUPLED, Frame.TOOL)
     assert steps.read(103.5) is None
 
 
 def test_a_step_to_an_option_is_over_as_soon_as_the_robot_is_there_or_in_its_time() -> None:
     there: list[int | None] = [None]
-    steps = Script([(60.0, Wish(option=2)), (5.0, Wish(option=3)), (1.0, Wish())], lambda: there[-1])
+    steps = Script(
+        [(60.0, OperatorCommand(option=2)), (5.0, OperatorCommand(option=3)), (1.0, OperatorCommand())],
+        lambda: there[-1],
+    )
     assert steps.duration_s == 66.0
-    assert steps.read(10.0) == Wish(option=2)
-    assert steps.read(30.0) == Wish(option=2)
+    assert steps.read(10.0) == OperatorCommand(option=2)
+    assert steps.read(30.0) == OperatorCommand(option=2)
     there.append(2)
-    assert steps.read(31.0) == Wish(option=3)
-    assert steps.read(35.9) == Wish(option=3)
-    assert steps.read(36.0) == Wish()
+    assert steps.read(31.0) == OperatorCommand(option=3)
+    assert steps.read(35.9) == OperatorCommand(option=3)
+    assert steps.read(36.0) == OperatorCommand()
     assert steps.read(37.0) is None
 
 
@@ -101,7 +104,7 @@ class Terminal:
         self.keys, self._terminal = pty.openpty()
         self.keyboard = Keyboard(operator, self._terminal)
 
-    def press(self, text: str, time_s: float) -> Wish | None:
+    def press(self, text: str, time_s: float) -> OperatorCommand | None:
         os.write(self.keys, text.encode())
         return self.keyboard.read(time_s)
 
@@ -116,11 +119,11 @@ SLOW = pytest.approx(0.1 * TAP_SHARE)
 def test_a_tapped_key_moves_slowly_for_a_while_and_hands_off_is_rest() -> None:
     terminal = Terminal(teleoperator(mode=ModeName.COUPLED))
     with terminal.keyboard:
-        assert terminal.press("w", 10.0) == Wish({"x": SLOW})
-        assert terminal.press("", 10.0 + 0.9 * FIRST_REPEAT_S) == Wish({"x": SLOW})
-        assert terminal.press("", 10.0 + FIRST_REPEAT_S) == Wish()
-        assert terminal.press("w ", 11.0) == Wish()
-        assert terminal.press("+d", 12.0) == Wish({"y": pytest.approx(-0.15 * TAP_SHARE)})
+        assert terminal.press("w", 10.0) == OperatorCommand({"x": SLOW})
+        assert terminal.press("", 10.0 + 0.9 * FIRST_REPEAT_S) == OperatorCommand({"x": SLOW})
+        assert terminal.press("", 10.0 + FIRST_REPEAT_S) == OperatorCommand()
+        assert terminal.press("w ", 11.0) == OperatorCommand()
+        assert terminal.press("+d", 12.0) == OperatorCommand({"y": pytest.approx(-0.15 * TAP_SHARE)})
         assert terminal.press("q", 12.0) is None
     terminal.close()
 
@@ -128,10 +131,12 @@ def test_a_tapped_key_moves_slowly_for_a_while_and_hands_off_is_rest() -> None:
 def test_arrows_choose_and_drive_a_joint_even_when_their_sequence_is_torn() -> None:
     terminal = Terminal(teleoperator())
     with terminal.keyboard:
-        assert terminal.press("\x1b[C\x1b[A", 1.0) == Wish({"e2": SLOW})
-        assert terminal.press("\x1b[", 2.0) == Wish()
-        assert terminal.press("B", 2.0) == Wish({"e2": pytest.approx(-0.1 * TAP_SHARE)})
-        assert terminal.press("\x1b[C\x1b[C\x1b[A", 3.0) == Wish({"a1": pytest.approx(0.35 * TAP_SHARE)})
+        assert terminal.press("\x1b[C\x1b[A", 1.0) == OperatorCommand({"e2": SLOW})
+        assert terminal.press("\x1b[", 2.0) == OperatorCommand()
+        assert terminal.press("B", 2.0) == OperatorCommand({"e2": pytest.approx(-0.1 * TAP_SHARE)})
+        assert terminal.press("\x1b[C\x1b[C\x1b[A", 3.0) == OperatorCommand(
+            {"a1": pytest.approx(0.35 * TAP_SHARE)}
+        )
         assert "joint a1" in terminal.keyboard.status
     terminal.close()
 
@@ -140,29 +145,31 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     operator = teleoperator("fr", ModeName.DECOUPLED)
     terminal = Terminal(operator)
     with terminal.keyboard:
-        assert terminal.press("m", 1.0) == Wish(mode=ModeName.COUPLED)  # not redundant: no self-motion
-        assert terminal.press("t", 1.0) == Wish(frame=Frame.TOOL)
+        assert terminal.press("m", 1.0) == OperatorCommand(
+            mode=ModeName.COUPLED
+        )  # not redundant: no self-motion
+        assert terminal.press("t", 1.0) == OperatorCommand(frame=Frame.TOOL)
     terminal.close()
     terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))
     with terminal.keyboard:
-        assert terminal.press("h r", 1.0) == Wish({"left.z": SLOW})
-        assert terminal.press("h r", 1.0) == Wish({"right.z": SLOW})
-        assert terminal.press("h r", 1.0) == Wish({"z": SLOW})
+        assert terminal.press("h r", 1.0) == OperatorCommand({"left.z": SLOW})
+        assert terminal.press("h r", 1.0) == OperatorCommand({"right.z": SLOW})
+        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW})
     terminal.close()
 
 
 def test_a_digit_goes_to_an_option_of_the_advisor_until_any_other_key_is_pressed() -> None:
     terminal = Terminal(advised(model("gr")))
     with terminal.keyboard:
-        assert terminal.press("2", 1.0) == Wish(option=2)
-        assert terminal.press("", 9.0) == Wish(option=2)
-        assert terminal.press(" ", 9.1) == Wish()
-        assert terminal.press("3", 9.2) == Wish(option=3)
-        assert terminal.press("m", 9.3) == Wish(mode=ModeName.COUPLED)
+        assert terminal.press("2", 1.0) == OperatorCommand(option=2)
+        assert terminal.press("", 9.0) == OperatorCommand(option=2)
+        assert terminal.press(" ", 9.1) == OperatorCommand()
+        assert terminal.press("3", 9.2) == OperatorCommand(option=3)
+        assert terminal.press("m", 9.3) == OperatorCommand(mode=ModeName.COUPLED)
     terminal.close()
     terminal = Terminal(teleoperator())
     with terminal.keyboard:
-        assert terminal.press("2", 1.0) == Wish()
+        assert terminal.press("2", 1.0) == OperatorCommand()
     terminal.close()
 
 
@@ -185,16 +192,16 @@ def test_a_gamepad_moves_only_while_a_shoulder_button_is_held(tmp_path: Path) ->
     with pad:
         writer = os.open(device, os.O_WRONLY)
         os.write(writer, EVENT.pack(0, -32767, AXIS, 1))
-        assert pad.read(0.0) == Wish()
+        assert pad.read(0.0) == OperatorCommand()
         os.write(writer, EVENT.pack(0, 1, BUTTON, 4))
-        wish = pad.read(0.1)
-        assert wish is not None
-        assert wish.rates["x"] == pytest.approx(0.1)
-        assert wish.rates["y"] == 0.0
+        command = pad.read(0.1)
+        assert command is not None
+        assert command.rates["x"] == pytest.approx(0.1)
+        assert command.rates["y"] == 0.0
         os.write(writer, EVENT.pack(0, 0, BUTTON, 4))
-        assert pad.read(0.2) == Wish()
+        assert pad.read(0.2) == OperatorCommand()
         os.write(writer, EVENT.pack(0, 1, BUTTON, 1))
-        assert pad.read(0.3) == Wish(mode=ModeName.DECOUPLED)
+        assert pad.read(0.3) == OperatorCommand(mode=ModeName.DECOUPLED)
         os.close(writer)
         assert pad.read(0.4) is None  # unplugged
 
@@ -207,11 +214,11 @@ def test_a_shoulder_button_that_is_held_as_the_drive_begins_must_be_pressed_anew
         writer = os.open(device, os.O_WRONLY)
         # the device begins with how everything stands, marked as such
         os.write(writer, EVENT.pack(0, 1, BUTTON | INITIAL, 4) + EVENT.pack(0, -32767, AXIS | INITIAL, 1))
-        assert pad.read(0.0) == Wish()
+        assert pad.read(0.0) == OperatorCommand()
         os.write(writer, EVENT.pack(0, 0, BUTTON, 4) + EVENT.pack(0, 1, BUTTON, 4))
-        wish = pad.read(0.1)
-        assert wish is not None
-        assert wish.rates["x"] == pytest.approx(0.1)
+        command = pad.read(0.1)
+        assert command is not None
+        assert command.rates["x"] == pytest.approx(0.1)
         os.close(writer)
 
 
@@ -225,9 +232,9 @@ def test_speed_grows_from_zero_at_the_edge_of_the_dead_zone(tmp_path: Path) -> N
         os.write(writer, EVENT.pack(0, 1, BUTTON, 4))
         for deflection in (0.0, 0.09, 0.11, 0.55, 1.0):
             os.write(writer, EVENT.pack(0, -round(32767 * deflection), AXIS, 1))
-            wish = pad.read(0.0)
-            assert wish is not None
-            told.append(wish.rates["x"])
+            command = pad.read(0.0)
+            assert command is not None
+            told.append(command.rates["x"])
         os.close(writer)
     assert told == pytest.approx([0.0, 0.0, 0.1 * 0.01 / 0.9, 0.05, 0.1], abs=1e-5)
 
@@ -240,7 +247,7 @@ def test_the_stick_drives_the_chosen_joint_in_modes_of_joints(tmp_path: Path) ->
         writer = os.open(device, os.O_WRONLY)
         os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
         os.write(writer, EVENT.pack(0, -round(0.55 * 32767), AXIS, 1))
-        assert pad.read(0.0) == Wish({"e2": pytest.approx(0.05, rel=1e-3)})
+        assert pad.read(0.0) == OperatorCommand({"e2": pytest.approx(0.05, rel=1e-3)})
         os.close(writer)
 
 
@@ -253,14 +260,14 @@ def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed_and_a_shoulder_b
     with pad:
         writer = os.open(device, os.O_WRONLY)
         os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
-        assert pad.read(0.0) == Wish()
+        assert pad.read(0.0) == OperatorCommand()
         assert pad.status == "option 2, held"
         os.write(writer, EVENT.pack(0, -32767, AXIS, 1))
-        assert pad.read(0.1) == Wish(option=2)
+        assert pad.read(0.1) == OperatorCommand(option=2)
         os.write(writer, EVENT.pack(0, 0, BUTTON, 5))
-        assert pad.read(0.2) == Wish()
+        assert pad.read(0.2) == OperatorCommand()
         os.write(writer, EVENT.pack(0, 1, BUTTON, 3))
-        assert pad.read(0.3) == Wish(mode=ModeName.JOINT)
+        assert pad.read(0.3) == OperatorCommand(mode=ModeName.JOINT)
         os.close(writer)
 
 

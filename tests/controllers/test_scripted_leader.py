@@ -6,7 +6,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.scripted import Joystick, ScriptedLeader, Workspace
-from deltaq_experiments.oracle import ClearanceOracle
+from deltaq_verification.oracle import ClearanceOracle
 
 GR = lab().robots["gr"]
 

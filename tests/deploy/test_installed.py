@@ -54,7 +54,7 @@ def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed)
 
 
 def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Installed, tmp_path: Path) -> None:
-    code = "import sys; sys.modules['deltaq_deploy.cli.app'] = None; import deltaq_deploy.cli as c; c.main()"
+    code = "import sys; sys.modules['deltaq_command.app'] = None; import deltaq_command as c; c.main()"
     done = complete.run("python", "-c", code)
     assert done.returncode == 1
     assert "ModuleNotFoundError" in done.stderr

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from live_stack import live_stack
 
-from deltaq_deploy.running import connect
+from deltaq_launch.cell_connection import connect
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from live_stack import live_stack
 
-from deltaq_experiments.oracle import TELEGRAM_STEP
 from deltaq_services.phases import MAY_MOVE
+from deltaq_verification.oracle import TELEGRAM_STEP
 
 pytestmark = pytest.mark.live
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from live_stack import Stack, live_stack
 
-from deltaq_deploy.running import connect
-from deltaq_deploy.services import recorder
-from deltaq_experiments.replay import replay
+from deltaq_launch.cell_connection import connect
+from deltaq_launch.services import recorder
 from deltaq_protocol import topics
 from deltaq_services.recorder.reader import Recording
+from deltaq_verification.replay import replay
 
 pytestmark = pytest.mark.live
 

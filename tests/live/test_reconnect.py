@@ -8,18 +8,18 @@ import pytest
 from live_stack import live_stack
 from small_cell import endpoint
 
-from deltaq_experiments.faults.actions import Link
-from deltaq_experiments.faults.loaded import LoadedCell
-from deltaq_experiments.faults.placed import Place, placed
-from deltaq_experiments.impairment.process import RelayProcess
-from deltaq_experiments.impairment.relay import Unit
-from deltaq_experiments.impairment.stream import StreamFaults
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseReply, LeaseRequest, RobotState, Verdict
 from deltaq_protocol.session import open_session, subscribe_newest
+from deltaq_verification.faults.actions import Link
+from deltaq_verification.faults.cell_factory import CellFactory
+from deltaq_verification.faults.relay_placement import RelayPlacement, placed
+from deltaq_verification.impairment.process import RelayProcess
+from deltaq_verification.impairment.relay import Unit
+from deltaq_verification.impairment.stream import StreamFaults
 
 pytestmark = pytest.mark.live
 
@@ -58,10 +58,10 @@ def stack(tmp_path_factory):
         gate = []
 
         def rewired(services, file):
-            loaded = LoadedCell.load(file)
-            relay = placed(Place(Link.HLI_SIM, Unit.BYTES), loaded.model.description, "fr", seed=0)
+            loaded = CellFactory.load(file)
+            relay = placed(RelayPlacement(Link.HLI_SIM, Unit.BYTES), loaded.model.description, "fr", seed=0)
             gate.append(relays.enter_context(relay))
-            return gate[0].told(services, loaded, "fr", folder)
+            return gate[0].with_relays(services, loaded, "fr", folder)
 
         stack = relays.enter_context(live_stack(folder, rewired=rewired))
         tcp = f"tcp/127.0.0.1:{stack.cell.tcp_port}"

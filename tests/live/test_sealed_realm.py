@@ -3,9 +3,9 @@
 import pytest
 from live_stack import live_stack
 
-from deltaq_deploy.probes import probe
-from deltaq_deploy.running import connect
-from deltaq_deploy.services import cell_services
+from deltaq_launch.cell_connection import connect
+from deltaq_launch.probes import probe
+from deltaq_launch.services import cell_services
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Command, Supervision

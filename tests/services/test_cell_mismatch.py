@@ -125,13 +125,13 @@ def test_the_hli_hands_nothing_on_to_services_that_have_read_another_cell(servic
     (reason,) = output.message.reasons
     assert reason.code is ReasonCode.CELL_MISMATCH
     assert reason.what.startswith(f"{service} has read cell ")
-    assert reason.what.endswith(f"and here it is {hli.core.told.identity}")
+    assert reason.what.endswith(f"and here it is {hli.core.description.identity}")
     (refused,) = hli.core.requests.on_reset(ResetRequest(robot="fr"), _Client(), 50.0)
     assert isinstance(refused.message, Error)
     assert refused.message.code is ReasonCode.CELL_MISMATCH
     status = hli.core.status(50.0, Counter())
     assert status.mismatches == (reason.what,)
-    assert status.identity == hli.core.told.identity
+    assert status.identity == hli.core.description.identity
     assert status.hli["signs_of_life_of_another_cell"] == 1
     assert any(isinstance(output, ToGuarded) for output in hli.core.requests.on_stop(_Client(), 50.0))
 
@@ -140,5 +140,5 @@ def test_once_it_is_put_right_the_hli_hands_on_again() -> None:
     hli = _Hli()
     hli.hear("sim", str(THEIRS))
     assert not isinstance(hli.move()[0], ToGuarded)
-    hli.hear("sim", f"{hli.core.told.identity}-bodies")  # the gate reads the bodies too
+    hli.hear("sim", f"{hli.core.description.identity}-bodies")  # the gate reads the bodies too
     assert isinstance(hli.move()[0], ToGuarded)

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tube import Branch, Strip, tube
+from deltaq_verification.oracle import ClearanceOracle
 
 LAG = 6
 

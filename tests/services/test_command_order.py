@@ -36,7 +36,7 @@ def refusal(rig, command):
     reply = output.message
     assert (output.topic, output.robot) == (topics.COMMAND_REPLY, "")
     assert not reply.accepted
-    assert (reply.epoch, reply.newest_id) == (rig.sim.epoch, rig.sim.memory().command_id)
+    assert (reply.epoch, reply.newest_id) == (rig.sim.epoch, rig.sim.snapshot().command_id)
     assert rig.sim.counters - before == {f"command_{reply.code}": 1}
     return reply.code, reply.message
 
@@ -45,11 +45,11 @@ def refusal(rig, command):
 def test_a_command_that_comes_again_is_refused_and_changes_nothing(rig, fields):
     command = bound(rig.sim, **fields)
     assert all(reply.accepted for reply in replies(rig, command))
-    before = rig.sim.memory()
+    before = rig.sim.snapshot()
     again = (ReasonCode.REPLAYED_SEQUENCE, f"id {command.id}, the newest so far is {command.id}")
     assert refusal(rig, command) == again
     assert refusal(rig, command) == again
-    assert rig.sim.memory() == before.model_copy(update={"number": before.number + 2})
+    assert rig.sim.snapshot() == before.model_copy(update={"number": before.number + 2})
 
 
 def test_a_reset_that_comes_again_after_the_next_stop_frees_nobody(rig):
@@ -85,13 +85,13 @@ def test_a_stop_is_obeyed_whenever_it_comes_and_however_often(rig, changes):
         for _ in range(MAX_AGE_CYCLES):
             rig.cycle()
         said = replies(rig, stop)
-        assert rig.sim.memory().robots["fr"].orders.standing_stop is ReasonCode.OPERATOR_STOP
+        assert rig.sim.snapshot().robots["fr"].orders.standing_stop is ReasonCode.OPERATOR_STOP
         for _ in range(4):
             rig.cycle()
             said += [message for message in rig.said if isinstance(message, CommandReply)]
         assert said == [CommandReply(id=stop.id, accepted=True)]
         assert rig.state.phase is Phase.HELD
-    assert rig.sim.memory().command_id == max(1, stop.id)
+    assert rig.sim.snapshot().command_id == max(1, stop.id)
 
 
 @pytest.mark.parametrize("fields", ANY, ids=lambda fields: fields["kind"])
@@ -99,7 +99,7 @@ def test_a_command_for_a_gate_that_has_ended_is_refused(rig, fields):
     command = bound(rig.sim, **fields)
     rig.sim = Sim(CELL, epoch=6)
     assert refusal(rig, command) == (ReasonCode.STALE_EPOCH, "gate epoch 5, this is 6")
-    assert rig.sim.memory().command_id == 0
+    assert rig.sim.snapshot().command_id == 0
 
 
 @pytest.mark.parametrize("fields", ANY, ids=lambda fields: fields["kind"])
@@ -136,6 +136,6 @@ def test_a_gate_that_recalls_another_s_memory_refuses_what_that_one_has_taken(ri
     command = bound(rig.sim, kind="io", robot="gr")
     rig.sim.on_command(command)
     heir = Sim(CELL, epoch=9)
-    heir.recall(rig.sim.memory())
+    heir.restore(rig.sim.snapshot())
     assert heir.on_command(command) == rig.sim.on_command(command)
-    assert heir.memory() == rig.sim.memory()
+    assert heir.snapshot() == rig.sim.snapshot()

@@ -164,7 +164,7 @@ def test_a_violation_has_ended_once_a_motion_is_certified_as_always():
     violations = violated_once()
     decision = decide(at_rest("fr", above_the_floor(1e-3)), one_joint("fr", 1, -1e-4), violations=violations)
     assert decision.outcome is Outcome.ADMITTED
-    assert violations.memory() == ()
+    assert violations.snapshot() == ()
 
 
 def test_a_violation_has_ended_once_where_the_robot_stands_is_certified_though_its_motion_is_not():
@@ -172,14 +172,14 @@ def test_a_violation_has_ended_once_where_the_robot_stands_is_certified_though_i
     inwards = one_joint("fr", 1, LIMITS["fr"].max_dv[1])
     decision = decide(at_rest("fr", above_the_floor(2e-4)), inwards, violations=violations)
     assert (decision.outcome, codes(decision)) == (Outcome.SCALED, [ReasonCode.CLEARANCE])
-    assert violations.memory() == ()
+    assert violations.snapshot() == ()
 
 
 def violated_once():
     """What a pair has to keep after a decision on a robot that stood too near to the floor."""
     violations = Violations()
     decide(at_rest("fr", above_the_floor(-2e-3)), one_joint("fr", 1, -1e-4), violations=violations)
-    assert len(violations.memory()) == 1
+    assert len(violations.snapshot()) == 1
     return violations
 
 

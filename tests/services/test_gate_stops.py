@@ -7,9 +7,9 @@ controllers' own records.
 import numpy as np
 import pytest
 
-from deltaq_experiments.lockstep import Lockstep
-from deltaq_experiments.oracle import ClearanceOracle, limit_violations
 from deltaq_protocol.messages import Outcome
+from deltaq_verification.lockstep import Lockstep
+from deltaq_verification.oracle import ClearanceOracle, limit_violations
 
 
 @pytest.fixture(scope="module")

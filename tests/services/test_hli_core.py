@@ -454,7 +454,7 @@ def test_while_a_robot_is_leased_only_the_holder_sets_its_outputs_and_anybody_re
 def test_the_nearest_pair_is_published_when_the_gate_tells_it_and_only_then() -> None:
     bench = Bench()
     pair = NearestPair(pair=("fr/link_5", "floor"), distance_m=0.4, points_m=((0, 0, 0), (0, 0, 0.4)))
-    cell = bench.core.told.identity
+    cell = bench.core.description.identity
     health = Health(
         service="sim", healthy=True, time_s=1.0, nearest=pair, counters={"admitted": 3}, cell=cell
     )

@@ -493,7 +493,7 @@ async def test_the_health_of_the_hli_names_what_it_does_not_hear(running: Runnin
             healthy=True,
             time_s=0.0,
             counters={"admitted": 1},
-            cell=running.hli.core.told.identity,
+            cell=running.hli.core.description.identity,
         ),
     )
     async with asyncio.timeout(10):

@@ -95,8 +95,8 @@ def test_a_gate_that_recalls_another_s_memory_knows_whom_a_stop_waits_for() -> N
     rig = Rig()
     rig.command(kind="stop")
     heir = Sim(CELL, epoch=9)
-    heir.recall(rig.sim.memory())
-    assert heir.memory() == rig.sim.memory()
+    heir.restore(rig.sim.snapshot())
+    assert heir.snapshot() == rig.sim.snapshot()
     rig.sim = heir
     _cycles_until_answered(rig)
 
@@ -138,7 +138,7 @@ def _sent(outputs: list[Output]) -> Command:
 
 
 def _alive(core: HliCore, epoch: int, newest_id: int) -> None:
-    cell = core.told.identity
+    cell = core.description.identity
     core.on_health(
         Health(service="sim", healthy=True, time_s=1.0, cell=cell, epoch=epoch, newest_id=newest_id), 50.0
     )

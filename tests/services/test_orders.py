@@ -199,8 +199,8 @@ def test_what_was_not_ordered_is_remembered_as_nothing(rig):
     nothing = OrdersMemory(
         standing_stop=None, resets=0, outputs={}, cycles_without_hli=None, krc_silent=False, awaited_resets=()
     )
-    assert rig.orders.memory() == nothing
-    assert rig.state().memory() == nothing
+    assert rig.orders.snapshot() == nothing
+    assert rig.state().snapshot() == nothing
 
 
 def test_orders_go_on_from_what_others_remember(rig):
@@ -211,10 +211,10 @@ def test_orders_go_on_from_what_others_remember(rig):
     orders.reset(21)
     orders.stop(ReasonCode.HLI_LOST)
     rig.repeat(reason=ReasonCode.KRC_LOST)
-    memory = orders.memory()
+    memory = orders.snapshot()
     heir = Orders(rig.tracker, HLI_TIMEOUT)
-    heir.recall(memory)
-    assert heir.memory() == memory
+    heir.restore(memory)
+    assert heir.snapshot() == memory
     assert (memory.standing_stop, memory.resets, memory.outputs) == (
         ReasonCode.HLI_LOST,
         3,

@@ -119,7 +119,7 @@ def test_a_violation_ends_as_soon_as_its_pair_is_shown_to_have_room_though_the_r
     known = violations_of(at_rest("fr", above_the_floor(-2e-3)))
     along = in_motion("fr", above_the_floor(3e-3), one_joint("fr", 0, LIMITS["fr"].max_dq[0] / 2))
     find(along, OUT, violations=known)
-    assert known.memory() == ()
+    assert known.snapshot() == ()
 
 
 def test_of_two_pairs_that_are_too_near_the_one_that_was_measured_is_told_while_the_robot_moves():

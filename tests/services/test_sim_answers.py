@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from gate_rig import CELL, SMALL, Rig, bound
 
-from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol import topics
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Health, Request, Supervision
@@ -16,6 +15,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, receipt_of
 from deltaq_services.sim.answers import Output
 from deltaq_services.sim.core import Sim
+from deltaq_verification.oracle import ClearanceOracle
 
 CYCLE_S = CELL.description.cycle_s
 GATE = CELL.description.gate
@@ -55,8 +55,8 @@ def test_every_message_goes_to_its_own_handler_and_is_counted(rig):
 def test_a_gate_begins_with_nothing():
     sim = Sim(CELL, epoch=5)
     assert (sim.epoch, sim.taken, sim.counters) == (5, 0, {})
-    assert sim.memory().sequence == 0
-    assert sim.memory().receipt == first_receipt(sim.fingerprint, 5)
+    assert sim.snapshot().sequence == 0
+    assert sim.snapshot().receipt == first_receipt(sim.fingerprint, 5)
 
 
 def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
@@ -186,16 +186,16 @@ def test_a_request_that_is_scaled_is_told_by_how_much_and_why(rig):
 
 def test_a_request_that_is_held_gets_a_receipt_and_no_admission():
     rig = Rig(fr=TOO_NEAR)
-    before = rig.sim.memory().receipt
+    before = rig.sim.snapshot().receipt
     outputs = rig.sim.on_request(ask(rig, dq=DOWN))
     assert [output.topic for output in outputs] == [topics.GATE_VERDICT]
     held = outputs[0].message
     assert (held.outcome, held.scale, held.dq) == (Outcome.HELD, 0.0, (0.0,) * 6)
     assert "structure/floor" in held.pair
     assert held.clearance_m < 0.05
-    assert held.receipt == rig.sim.memory().receipt == receipt_of(before, held)
+    assert held.receipt == rig.sim.snapshot().receipt == receipt_of(before, held)
     assert (rig.sim.counters["held"], rig.sim.counters["reason_retreat"]) == (1, 1)
-    assert rig.sim.memory().sequence == 0
+    assert rig.sim.snapshot().sequence == 0
 
 
 class Otherwise:
@@ -223,7 +223,7 @@ def test_where_there_are_no_two_bodies_no_clearance_is_told(rig):
 
 
 def test_refusals_are_links_of_one_chain_and_each_is_counted(rig):
-    receipt = rig.sim.memory().receipt
+    receipt = rig.sim.snapshot().receipt
     for count in (1, 2):
         output = rig.sim.on_request(ask(rig, seq=count, dq=(0.0,) * 7, cycle=3))[0]
         assert (output.topic, output.robot) == (topics.GATE_VERDICT, "fr")
@@ -232,7 +232,7 @@ def test_refusals_are_links_of_one_chain_and_each_is_counted(rig):
         assert (refused.outcome, refused.dq) == (Outcome.REFUSED, ())
         assert refused.reasons == (Reason(code=ReasonCode.BAD_SHAPE, what="dq", value=7, bound=6),)
         receipt = receipt_of(receipt, refused)
-        assert refused.receipt == rig.sim.memory().receipt == receipt
+        assert refused.receipt == rig.sim.snapshot().receipt == receipt
     assert (rig.sim.counters["refused"], rig.sim.counters["reason_bad_shape"]) == (2, 2)
 
 
@@ -313,19 +313,19 @@ def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):
     rig.request(seq=5, lease_epoch=2)  # waits
     rig.sim.on_command(Command(id=8, kind="stop", robot="gr"))
     rig.request(dq=(0.0,) * 7)
-    memory = rig.sim.memory()
+    memory = rig.sim.snapshot()
     fr = memory.robots["fr"]
     assert (memory.epoch, memory.number, memory.sequence) == (5, rig.sim.taken, 2)
     assert (fr.waiting.seq, fr.decided_cycle, fr.lease_epoch, fr.seq) == (5, rig.state.cycle, 2, 5)
     assert memory.robots["gr"].orders.standing_stop is ReasonCode.OPERATOR_STOP
     heir = Sim(CELL, epoch=9)
-    heir.recall(memory)
-    assert heir.memory() == memory
+    heir.restore(memory)
+    assert heir.snapshot() == memory
     assert heir.taken == memory.number
     state = next_state(rig)
     for message in (state, ask(rig, seq=5), bound(rig.sim, id=3, kind="reset", robot="gr")):
         assert heir.take(message) == rig.sim.take(message)
-    assert heir.memory() == rig.sim.memory()
+    assert heir.snapshot() == rig.sim.snapshot()
 
 
 def test_the_nearest_pair_of_robots_that_were_never_heard_is_none():

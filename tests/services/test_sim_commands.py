@@ -19,10 +19,10 @@ def rig():
 
 
 def test_a_dry_run_says_what_the_gate_would_and_changes_nothing(rig):
-    before = rig.sim.memory()
+    before = rig.sim.snapshot()
     reply = rig.command(kind="dry_run", robot="fr", dq=SMALL)
     assert reply.accepted
-    after = rig.sim.memory()
+    after = rig.sim.snapshot()
     assert after.robots["fr"].tracker == before.robots["fr"].tracker
     assert (after.sequence, after.receipt) == (before.sequence, before.receipt)
     assert rig.sim.counters[Outcome.ADMITTED] == 0
@@ -41,7 +41,7 @@ def test_a_second_dry_run_of_a_cycle_is_refused_and_one_in_the_next_is_not(rig):
 def test_the_cycle_of_a_dry_run_is_remembered_for_a_replay(rig):
     rig.command(kind="dry_run", robot="fr", dq=SMALL)
     other = Sim(CELL, epoch=1)
-    other.recall(rig.sim.memory())
+    other.restore(rig.sim.snapshot())
     (output,) = other.on_command(bound(other, kind="dry_run", robot="fr", dq=SMALL))
     assert output.message.code is ReasonCode.SUPERSEDED
 
@@ -170,9 +170,9 @@ def test_a_contact_that_the_cell_does_not_have_is_refused(rig):
 
 def test_what_is_allowed_is_remembered_for_a_replay(rig):
     rig.command(kind="contact", contact=CONTACT, allowed=True)
-    memory = rig.sim.memory()
+    memory = rig.sim.snapshot()
     assert memory.contacts == (CONTACT,)
     other = Sim(CELL, epoch=9)
-    other.recall(memory)
+    other.restore(memory)
     assert other.contacts.allowed == (CONTACT,)
-    assert other.memory() == memory
+    assert other.snapshot() == memory

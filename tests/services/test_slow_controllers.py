@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from served import Server
 
-from deltaq_experiments.faults import mover
+from deltaq_verification.faults import mover
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "docs" / "tutorial" / "first-motion.md"

@@ -13,8 +13,8 @@ from gate_rig import Rig
 from small_cell import endpoint, server_state, small_cell, told, tool_pose
 from table import change_row
 
-from deltaq_deploy.cli.topics import UnknownTopicError, open_stream
-from deltaq_deploy.reference import pages
+from deltaq_command.reference import pages
+from deltaq_command.topics import UnknownTopicError, open_stream
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.guarded import Health
@@ -212,7 +212,9 @@ def _pairs_published(core: HliCore) -> int:
     outputs = []
     for k in range(100):
         at_s = NOW_S + k * 0.1
-        health = Health(service="sim", healthy=True, time_s=at_s, nearest=pair, cell=core.told.identity)
+        health = Health(
+            service="sim", healthy=True, time_s=at_s, nearest=pair, cell=core.description.identity
+        )
         outputs += core.on_health(health, at_s)
     return sum(isinstance(output, ToOpen) for output in outputs)
 

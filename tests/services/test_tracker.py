@@ -98,7 +98,7 @@ def test_of_processes_that_have_ended_no_state_is_taken_whatever_its_cycle(track
 def test_of_many_processes_the_last_sixteen_that_ended_are_remembered(tracker):
     for process in range(18):
         tracker.observe(state(10, process=process))
-    assert tracker.memory().ended_processes == tuple(range(1, 17))
+    assert tracker.snapshot().ended_processes == tuple(range(1, 17))
 
 
 def is_displaced(tracker, cycles, travel, dq):
@@ -294,12 +294,12 @@ def test_a_tracker_goes_on_from_what_another_remembers(tracker):
         tracker.in_flight = admission(7)
         tracker.observe(state(cycle, cycle / 10))
     tracker.in_flight = admission(8)
-    memory = tracker.memory()
+    memory = tracker.snapshot()
     assert (memory.missed, memory.ended_processes) == (LAG - 1, (0,))
     assert memory.history == tuple((cycle / 10,) * 6 for cycle in range(1, LAG + 1))
     assert (memory.state, memory.in_flight) == (tracker.state, tracker.in_flight)
     heir = Tracker("fr", FR, CYCLE_S, LAG)
     heir.observe(state(99, 5.0))
-    heir.recall(memory)
-    assert heir.memory() == memory
+    heir.restore(memory)
+    assert heir.snapshot() == memory
     np.testing.assert_array_equal(first_joint(heir.tubes()[1]), first_joint(tracker.tubes()[1]))

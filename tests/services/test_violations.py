@@ -60,12 +60,12 @@ def test_a_violation_ends_for_the_robots_that_it_concerns(violations):
 def test_another_gate_goes_on_with_the_same_violations(violations):
     violations.stands(ROBOTS, 0.047, STOP_M)
     violations.stands(PAIR, 0.048, STOP_M)
-    memory = violations.memory()
+    memory = violations.snapshot()
     assert memory == (
         KeptDistance(pair=("fr/link_1", "gr/link_3"), distance_m=0.047 - ALLOWANCE_M),
         KeptDistance(pair=("fr/link_3", "structure/floor"), distance_m=0.048 - ALLOWANCE_M),
     )
     heir = Violations()
     heir.stands(frozenset({"fr/link_5", "structure/tank_1"}), 0.01, STOP_M)
-    heir.recall(memory)
-    assert heir.memory() == memory
+    heir.restore(memory)
+    assert heir.snapshot() == memory

@@ -7,10 +7,10 @@ from gate_rig import CELL
 from small_cell import server_state
 
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_experiments.oracle import ClearanceOracle
 from deltaq_protocol.guarded import Plan
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
+from deltaq_verification.oracle import ClearanceOracle
 
 LAG = 6
 STOP_M = CELL.description.gate.stop_distance_m

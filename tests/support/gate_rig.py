@@ -17,7 +17,7 @@ def bound(sim, **fields):
     """A command as the HLI binds it: to this gate, after all before, and to the robots' newest states."""
     states = {name: robot.tracker.state for name, robot in sim.robots.items()}
     cycles = {name: state.cycle for name, state in states.items() if state is not None}
-    return Command(**{"id": sim.memory().command_id + 1, "epoch": sim.epoch, "cycles": cycles} | fields)
+    return Command(**{"id": sim.snapshot().command_id + 1, "epoch": sim.epoch, "cycles": cycles} | fields)
 
 
 class Rig:

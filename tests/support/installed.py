@@ -17,6 +17,7 @@ from importlib.metadata import Distribution, distribution
 from pathlib import Path
 from zipfile import ZipFile
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -113,3 +114,21 @@ def _link(package: Distribution, packages: Path) -> None:
         target = packages / file
         target.parent.mkdir(parents=True, exist_ok=True)
         target.symlink_to(source.resolve())
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this tree, built once."""
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """What `pip install deltaq` gives."""
+    return install(wheel, tmp_path_factory.mktemp("bare") / "venv")
+
+
+@pytest.fixture(scope="session")
+def complete(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """What `pip install 'deltaq[all]'` gives."""
+    return install(wheel, tmp_path_factory.mktemp("all") / "venv", "all")

@@ -15,9 +15,9 @@ import pytest
 from private_cell import write_private_cell
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_deploy.launcher import Launcher
-from deltaq_deploy.running import connect
-from deltaq_deploy.services import Role, Service, cell_services
+from deltaq_launch.cell_connection import connect
+from deltaq_launch.launcher import Launcher
+from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
 

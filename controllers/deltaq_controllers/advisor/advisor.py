@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.exact import Clearance, ExactClearance
+from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import Problem
 from deltaq_controllers.advisor.search import Pool, search
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
-from deltaq_controllers.advisor.ways import NoWayError, Ways
 from deltaq_controllers.criteria import TABLE, Postures
 from deltaq_controllers.criteria.normalised import cost
 
@@ -122,12 +122,12 @@ def advise(
     space: Space = HandsKept(problem.tracker, problem.poses) if there else HandsMoved(problem.robot)
     found = _described(problem, pool, _chosen(pool, space, present, options, exact), present, not there)
     ask("checking", 1.0, pool.best, tuple(found))
-    ways = Ways(problem, space, exact, generator, present)
+    ways = PathPlanner(problem, space, exact, generator, present)
     for number, option in enumerate(found):
         try:
             path = ways.to(option.q, lambda: not cancelled)
             found[number] = replace(option, path=path, no_path="")
-        except NoWayError as error:
+        except NoPathError as error:
             found[number] = replace(option, no_path=str(error))
         ask("finding paths", (number + 1) / len(found), pool.best, tuple(found))
     return found

@@ -12,8 +12,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.composite_model import composite_model
 from deltaq_cell.group import Group
-from deltaq_cell.joined import joined
 from deltaq_cell.proximity import Proximity
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class _KeptDistances:
     """Whether the pairs of some groups keep their distances: much quicker than to measure them."""
 
     def __init__(self, cell: CellModel, robot: str, groups: Sequence[Group]) -> None:
-        self._model, places = joined(cell)
+        self._model, places = composite_model(cell)
         self._data, self._q = self._model.createData(), pin.neutral(self._model)
         self._slices = {
             name: slice(place.first_q, place.first_q + cell.robots[name].n) for name, place in places.items()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.advisor import Progress
-from deltaq_controllers.advisor.counsel import Counsel
+from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.live import cell_model
 from deltaq_protocol.errors import DeltaqError
@@ -191,15 +191,15 @@ def _serve(
 
 def _counsel(
     description: Description, robot: str, weights: Mapping[str, float] | None
-) -> tuple[Counsel | None, str]:
+) -> tuple[AdvisorSession | None, str]:
     """The advisor, made before the first question, which then need not wait for it; or why it cannot be made."""
     try:
-        return Counsel(cell_model(description), robot, weights), ""
+        return AdvisorSession(cell_model(description), robot, weights), ""
     except DeltaqError as error:
         return None, str(error)
 
 
-def _answer(line: Connection, counsel: Counsel, question: _Ask | _Seek) -> None:
+def _answer(line: Connection, counsel: AdvisorSession, question: _Ask | _Seek) -> None:
     last: Progress | None = None
 
     def go_on(progress: Progress) -> bool:

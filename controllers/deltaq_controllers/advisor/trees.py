@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.ground import Ground
+from deltaq_controllers.advisor.motion_validator import MotionValidator
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -39,7 +39,7 @@ class Tree:
         q: (K, n) nodes, the root first.
     """
 
-    def __init__(self, root: Array, ground: Ground) -> None:
+    def __init__(self, root: Array, ground: MotionValidator) -> None:
         self.ground = ground
         self.q: Array = root[None]
         self._parent = np.array([-1])
@@ -116,7 +116,7 @@ class Tree:
         return np.where(self._is_cut, np.inf, distances)
 
 
-def linked(tree: Tree, nodes: Indices, other: Tree, others: Indices, ground: Ground) -> Array | None:
+def linked(tree: Tree, nodes: Indices, other: Tree, others: Indices, ground: MotionValidator) -> Array | None:
     """(k, n) corners of a path from one tree's root to the other's, straight from a node to one of the other's nodes.
 
     Args:
@@ -142,7 +142,7 @@ def linked(tree: Tree, nodes: Indices, other: Tree, others: Indices, ground: Gro
 def connected(
     tree: Tree,
     goal: Array,
-    ground: Ground,
+    ground: MotionValidator,
     limits: tuple[Array, Array],
     generator: np.random.Generator,
     rounds: int,

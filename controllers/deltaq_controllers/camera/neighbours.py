@@ -20,8 +20,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
-from deltaq_cell.joined import WORLD, joined
 from deltaq_controllers.camera.pairs import (
     TOUCHING_M,
     candidates,
@@ -71,7 +71,7 @@ class Neighbours:
     """
 
     def __init__(self, cell: CellModel, robot: str, most: int = 10) -> None:
-        self._model, places = joined(cell)
+        self._model, places = composite_model(cell)
         self._data = self._model.createData()
         self._most = most
         first, n = places[robot].first_q, cell.robots[robot].n
@@ -109,7 +109,7 @@ class Neighbours:
         self._q = np.zeros(self._model.nq)
         self._travel = np.zeros(len(carriers))
         self._at_least = np.where(checked, _UNKNOWN_M, np.inf)
-        self._told: Index = np.zeros(0, dtype=np.intp)
+        self._reported: Index = np.zeros(0, dtype=np.intp)
 
     def near(self, q: Array, ranges: Array) -> Near:
         """What is near at a configuration, as a fraction of the range.
@@ -122,15 +122,18 @@ class Neighbours:
             ranges: (p,) distance of each pair from which on it matters [m].
         """
         self._place(q)
-        told = self._told
-        distances = self._measure(told)
+        reported = self._reported
+        distances = self._measure(reported)
         # those returned last time bound how near a pair has to be to be returned now
-        others = self._candidates(ranges_of_nearer(ranges, told, distances, self._most))
-        pairs, distances = np.concatenate([told, others]), np.concatenate([distances, self._measure(others)])
+        others = self._candidates(ranges_of_nearer(ranges, reported, distances, self._most))
+        pairs, distances = (
+            np.concatenate([reported, others]),
+            np.concatenate([distances, self._measure(others)]),
+        )
         chosen = nearest(ranges, pairs, distances, self._most)
-        self._told, distances = pairs[chosen], distances[chosen]
-        own, rows = self._rows(self._told, distances)
-        return Near(self._told, distances, own, rows)
+        self._reported, distances = pairs[chosen], distances[chosen]
+        own, rows = self._rows(self._reported, distances)
+        return Near(self._reported, distances, own, rows)
 
     def _surround(self, carriers: Index) -> None:
         """Bounding spheres of the bodies; `_centres` and `_radii` of all, `_spheres` to place the `_moving` ones."""
@@ -162,7 +165,7 @@ class Neighbours:
         return candidates(
             self._one,
             self._other,
-            self._told,
+            self._reported,
             ranges,
             self._travel,
             self._centres,

@@ -44,7 +44,7 @@ def note_travel(
 def candidates(
     one: Index,
     other: Index,
-    told: Index,
+    reported: Index,
     ranges: Array,
     travel: Array,
     centres: Array,
@@ -53,7 +53,7 @@ def candidates(
 ) -> Index:
     """Pairs except those of last time that can be within (p,) ranges; bounds from their spheres go to `at_least`."""
     possible = at_least - travel[one] - travel[other] < ranges
-    possible[told] = False
+    possible[reported] = False
     near = np.zeros(len(ranges), dtype=np.bool_)
     for pair in np.flatnonzero(possible):
         i, j = one[pair], other[pair]
@@ -64,13 +64,13 @@ def candidates(
 
 
 @compiled
-def ranges_of_nearer(ranges: Array, told: Index, distances: Array, most: int) -> Array:
+def ranges_of_nearer(ranges: Array, reported: Index, distances: Array, most: int) -> Array:
     """(p,) how near a pair has to be to be among the `most` nearest, given the distances (k,) of those found so far."""
     share = 1.0
-    if len(told) == most:
+    if len(reported) == most:
         farthest = 0.0
         for i in range(most):
-            farthest = max(farthest, distances[i] / max(ranges[told[i]], _LEAST_RANGE_M))
+            farthest = max(farthest, distances[i] / max(ranges[reported[i]], _LEAST_RANGE_M))
         share = min(farthest, 1.0)
     return np.where(ranges > 0.0, share * ranges, ranges)
 

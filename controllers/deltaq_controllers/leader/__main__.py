@@ -10,12 +10,12 @@ from deltaq_controllers.interface import Controller
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.live import drive, model_of, robot_models, run
-from deltaq_controllers.tally import Tally
+from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
 
 
-async def lead(options: argparse.Namespace, tally: Tally) -> None:
+async def lead(options: argparse.Namespace, statistics: ControlStatistics) -> None:
     """Connect and lead for as long as asked."""
     async with connect(options.url, client="scripted-leader") as cell:
         models, cycle_s = robot_models(cell.description), cell.description.cycle_s
@@ -33,7 +33,7 @@ async def lead(options: argparse.Namespace, tally: Tally) -> None:
         print(f"ready: {options.robot} {does} at {options.speed_m_s:g} m/s", flush=True)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(options.duration_s):
-                await drive(cell, options.robot, controller, tally)
+                await drive(cell, options.robot, controller, statistics)
 
 
 def main() -> int:
@@ -51,10 +51,10 @@ def main() -> int:
         "--target", default="lens", help=f"at what: {', '.join(TARGETS)} (default: %(default)s)"
     )
     parser.add_argument("--duration-s", type=float, default=None, help="end after this time (default: never)")
-    options, tally = parser.parse_args(), Tally()
+    options, statistics = parser.parse_args(), ControlStatistics()
     return run(
-        lead(options, tally),
-        lambda: {"controller": "leader", "robot": options.robot, **tally.summary()},
+        lead(options, statistics),
+        lambda: {"controller": "leader", "robot": options.robot, **statistics.summary()},
     )
 
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
 from deltaq_controllers.advisor.answered import Answered
-from deltaq_controllers.advisor.driving import Route, timed
 from deltaq_controllers.advisor.exact import Clearance
+from deltaq_controllers.advisor.time_parameterisation import Route, timed
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
-from deltaq_controllers.modes.braking import GLIMPSE_S, kept_while_braked
+from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.interface import Mode
 from deltaq_controllers.modes.limitation import Limit, Limitation

@@ -14,10 +14,10 @@ from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.modes.avoidance import limit_weights, moves_out, travel_gradient
 from deltaq_controllers.modes.hands import Hands, turned
 from deltaq_controllers.modes.interface import Mode
-from deltaq_controllers.modes.inverse_rates import LENGTH_M, Inverse
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.modes.slowing import slowed
+from deltaq_controllers.modes.resolved_rate import LENGTH_M, Inverse
+from deltaq_controllers.modes.singularity_slowdown import slowed
 
 Array = NDArray[np.float64]
 

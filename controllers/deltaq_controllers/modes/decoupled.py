@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.hands import Hands, turned
 from deltaq_controllers.modes.interface import Mode
-from deltaq_controllers.modes.inverse_rates import Inverse
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.modes.slowing import slowed
+from deltaq_controllers.modes.resolved_rate import Inverse
+from deltaq_controllers.modes.singularity_slowdown import slowed
 
 Array = NDArray[np.float64]
 

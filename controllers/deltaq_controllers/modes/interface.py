@@ -55,7 +55,7 @@ class Mode(Protocol):
         return
 
     def choose(self, option: int | None) -> None:
-        """Set the option that is wished in this cycle."""
+        """Set the option that is commanded in this cycle."""
         del option
 
     def bounded(self, q: Array, motion: Motion, /) -> Motion:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.inverse_rates import WEAK, Inverse
+from deltaq_controllers.modes.resolved_rate import WEAK, Inverse
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 

@@ -1,4 +1,4 @@
-"""What an operator wishes: rates of joints and of hands."""
+"""What an operator commands: rates of joints and of hands."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Frame(StrEnum):
 
 
 @dataclass(frozen=True)
-class Wish:
-    """What the operator wishes in this cycle; an empty wish is a released stick.
+class OperatorCommand:
+    """What the operator commands in this cycle; an empty command is a released stick.
 
     Attributes:
         rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several

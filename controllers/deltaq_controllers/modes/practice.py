@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.interface import Mode
-from deltaq_controllers.modes.motion import ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 
 CYCLES = 3
-"""Cycles of each wish: one at rest, one that starts, one that goes on."""
+"""Cycles of each command: one at rest, one that starts, one that goes on."""
 
 _RATE = 0.05
 
@@ -32,8 +32,8 @@ def practise(teleoperator: Teleoperator) -> None:
     for mode in teleoperator.made_modes:
         practising = Teleoperator(robot, cycle_s, mode.name, modes={mode.name: _always(mode.stand_in())})
         q, cycle = robot.home, 0
-        for wish in _wishes(practising):
-            practising.wish = wish
+        for command in _commands(practising):
+            practising.command = command
             for _ in range(CYCLES):
                 cycle += 1
                 q = q + practising.increment(View(RobotView(cycle, cycle * cycle_s, q, q)))
@@ -43,10 +43,10 @@ def _always(mode: Mode) -> Callable[[RobotModel], Mode]:
     return lambda _: mode
 
 
-def _wishes(teleoperator: Teleoperator) -> Iterator[Wish]:
+def _commands(teleoperator: Teleoperator) -> Iterator[OperatorCommand]:
     """Rest, and then every axis of the mode, or the way to an option."""
-    yield Wish()
+    yield OperatorCommand()
     if teleoperator.mode is ModeName.ADVISOR:
-        yield Wish(option=1)
+        yield OperatorCommand(option=1)
     for axis in teleoperator.axes(teleoperator.mode):
-        yield Wish({axis: _RATE})
+        yield OperatorCommand({axis: _RATE})

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.avoidance import limit_weights, moves_out
-from deltaq_controllers.modes.braking import GLIMPSE_S, kept_while_braked
+from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands, turned
 from deltaq_controllers.modes.interface import Mode
-from deltaq_controllers.modes.inverse_rates import Inverse
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_controllers.modes.resolved_rate import Inverse
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 
 DEVICE = Path("/dev/input/js0")
 
@@ -52,7 +52,7 @@ _PUSHED = 0.5
 
 
 class Gamepad:
-    """Wishes from a gamepad.
+    """Commands from a gamepad.
 
     In a mode that drives joints alone the left stick drives the joint chosen, in advisor mode it goes to the option
     chosen while it is pushed ahead; otherwise the sticks move the hand.
@@ -88,8 +88,8 @@ class Gamepad:
     def _is_held(self) -> bool:
         return bool(self._held & set(HOLD_BUTTONS))
 
-    def read(self, time_s: float) -> Wish | None:
-        """The wish from where sticks and buttons stand; None after the back button or when the device is gone."""
+    def read(self, time_s: float) -> OperatorCommand | None:
+        """The command from where sticks and buttons stand; None after the back button or when the device is gone."""
         del time_s  # a device tells every change
         try:
             pressed = self._take_events()
@@ -104,8 +104,8 @@ class Gamepad:
         mode = next((MODE_BUTTONS[button] for button in pressed if button in MODE_BUTTONS), None)
         if self._is_advised:
             goes = self._is_held and self._sticks.get(1, 0.0) < -_PUSHED
-            return Wish({}, self._possible(mode), option=self.option if goes else None)
-        return Wish(self._rates() if self._is_held else {}, self._possible(mode))
+            return OperatorCommand({}, self._possible(mode), option=self.option if goes else None)
+        return OperatorCommand(self._rates() if self._is_held else {}, self._possible(mode))
 
     def _possible(self, mode: ModeName | None) -> ModeName | None:
         try:

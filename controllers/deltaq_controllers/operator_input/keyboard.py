@@ -16,8 +16,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.held_key import HOLD_S, TAP_S, HeldKey
 
 HAND_KEYS = {
@@ -43,7 +43,7 @@ _LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
 
 
 class Keyboard:
-    """Wishes from key presses.
+    """Commands from key presses.
 
     Args:
         teleoperator: the robot that is driven; tells its joints, hands and mode.
@@ -73,8 +73,8 @@ class Keyboard:
         name = self._teleoperator.robot.joint_names[self.joint]
         return f"joint {name}, hand {self.hand or 'all'}, {self._speed_m_s:.3f} m/s"
 
-    def read(self, time_s: float) -> Wish | None:
-        """The wish from the keys pressed since the last call; None after q or at the end of the input."""
+    def read(self, time_s: float) -> OperatorCommand | None:
+        """The command from the keys pressed since the last call; None after q or at the end of the input."""
         mode, frame = None, None
         for key in self._keys():
             if key in ("q", ""):
@@ -101,7 +101,9 @@ class Keyboard:
                 self._held.release()
         share = self._held.share(time_s)
         rates = {axis: share * rate for axis, rate in self._rates.items()} if share else {}
-        return Wish(rates, mode, frame, self._option if self._teleoperator.mode is ModeName.ADVISOR else None)
+        return OperatorCommand(
+            rates, mode, frame, self._option if self._teleoperator.mode is ModeName.ADVISOR else None
+        )
 
     def _press(self, key: str, time_s: float, axis: str, rate: float) -> None:
         self._held.press(key, time_s)

@@ -6,15 +6,15 @@ from typing import Self
 
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 
 PATIENCE_S = 3.0
 """Time without progress, on the robot's clock, after which the drive ends."""
 
 
 class GoToOption:
-    """Wishes to be at an option, and is over when the robot is there.
+    """Commands to be at an option, and is over when the robot is there.
 
     Args:
         teleoperator: of the robot, in mode `advisor`.
@@ -32,8 +32,8 @@ class GoToOption:
         self._done = 0.0
         self.reached = False
 
-    def read(self, time_s: float) -> Wish | None:
-        """The wish; None when the robot is there.
+    def read(self, time_s: float) -> OperatorCommand | None:
+        """The command; None when the robot is there.
 
         Raises:
             ControllerError: the robot makes no progress.
@@ -50,7 +50,7 @@ class GoToOption:
                 f"option {self._option}: {limitation.text if limitation else self._mode.status}; "
                 "see `deltaq status` for its phase, and advise again from where it stands"
             )
-        return Wish(option=self._option)
+        return OperatorCommand(option=self._option)
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""An operator whose wishes are a script: a YAML file of steps."""
+"""An operator whose commands are a script: a YAML file of steps."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ruamel.yaml.comments import CommentedSeq
 from ruamel.yaml.error import YAMLError
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Wish
-from deltaq_controllers.modes.switch import Teleoperator
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
 
 _UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
 
@@ -35,15 +35,17 @@ class ScriptStep(BaseModel):
 
 
 class Script:
-    """Wishes from a list of steps, one after the other on the robot's clock.
+    """Commands from a list of steps, one after the other on the robot's clock.
 
     Args:
-        steps: the steps, their wishes in SI units, each with its duration [s].
+        steps: the steps, their commands in SI units, each with its duration [s].
         arrived_at: returns the option that the robot stands at.
     """
 
     def __init__(
-        self, steps: Sequence[tuple[float, Wish]], arrived_at: Callable[[], int | None] = lambda: None
+        self,
+        steps: Sequence[tuple[float, OperatorCommand]],
+        arrived_at: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._steps = list(steps)
         self._arrived_at = arrived_at
@@ -65,26 +67,26 @@ class Script:
         """
         mode, timed = teleoperator.mode, []
         for where, step in _read(path):
-            duration_s, wish = _parsed(where, step, teleoperator)
-            mode = wish.mode or mode
+            duration_s, command = _parsed(where, step, teleoperator)
+            mode = command.mode or mode
             try:
-                teleoperator.check(wish, mode)
+                teleoperator.check(command, mode)
             except ControllerError as error:
                 raise ControllerError(f"{where}: {error}") from None
-            timed.append((duration_s, wish))
+            timed.append((duration_s, command))
         return cls(timed, lambda: teleoperator.arrived_at)
 
-    def read(self, time_s: float) -> Wish | None:
-        """The wish of the step at this time; the first call starts the script."""
+    def read(self, time_s: float) -> OperatorCommand | None:
+        """The command of the step at this time; the first call starts the script."""
         if self._began_s is None:
             self._began_s = time_s
         while self._now < len(self._steps):
-            duration_s, wish = self._steps[self._now]
+            duration_s, command = self._steps[self._now]
             end_s = self._began_s + duration_s
-            if wish.option is not None and wish.option == self._arrived_at():
+            if command.option is not None and command.option == self._arrived_at():
                 end_s = time_s
             if time_s < end_s:
-                return wish
+                return command
             self._now, self._began_s = self._now + 1, end_s
         return None
 
@@ -109,7 +111,7 @@ def _read(path: Path) -> list[tuple[str, Any]]:
     return [(f"{path.name}:{root.lc.data[index][0] + 1}", step) for index, step in enumerate(root)]
 
 
-def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, Wish]:
+def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, OperatorCommand]:
     try:
         parsed = ScriptStep.model_validate(step)
     except ValidationError as error:
@@ -123,7 +125,7 @@ def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, W
     for name, value in parsed.move.items():
         axis, rate = _rate(name, value, units, where)
         rates[axis] = rate
-    return parsed.duration_s, Wish(rates, parsed.mode, parsed.frame, parsed.option)
+    return parsed.duration_s, OperatorCommand(rates, parsed.mode, parsed.frame, parsed.option)
 
 
 def _axis_units(teleoperator: Teleoperator) -> dict[str, str]:

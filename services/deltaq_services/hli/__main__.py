@@ -20,7 +20,7 @@ _REAL_TIME_PRIORITY = 9
 """Below the gate's: clients that keep the HLI busy must not keep the gate from deciding."""
 
 
-async def _run(model: CellModel, told: Description) -> None:
+async def _run(model: CellModel, description: Description) -> None:
     cell = model.description
 
     def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
@@ -30,7 +30,7 @@ async def _run(model: CellModel, told: Description) -> None:
     stopped = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
-    async with Hli(cell, told, tool_pose, os.environ.get(OPERATOR_TOKEN) or None):
+    async with Hli(cell, description, tool_pose, os.environ.get(OPERATOR_TOKEN) or None):
         print(
             f"ready: hli of {cell.cell} on {cell.hli} and tcp {cell.tcp_address}:{cell.tcp_port}", flush=True
         )
@@ -44,9 +44,9 @@ def main() -> None:
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
     cell = CellModel.load(options.cell)
-    told = cell.description_message()
+    description = cell.description_message()
     ask_for_real_time(_REAL_TIME_PRIORITY)
-    asyncio.run(_run(cell, told))
+    asyncio.run(_run(cell, description))
 
 
 if __name__ == "__main__":

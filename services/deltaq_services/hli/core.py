@@ -29,11 +29,11 @@ from deltaq_protocol.messages import (
     Welcome,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.books import Books
 from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
+from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
 from deltaq_services.pace import Pace
 
@@ -58,13 +58,13 @@ class HliCore:
     def __init__(
         self,
         cell: CellDescription,
-        told: Description,
+        description: Description,
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         new_token: Callable[[], str],
         first_epoch: int,
         operator_token: str | None = None,
     ) -> None:
-        self._books = Books(cell, CellIdentity.parse(told.identity), new_token, first_epoch)
+        self._state = HliState(cell, CellIdentity.parse(description.identity), new_token, first_epoch)
         self._tool_pose = tool_pose
         self._gate: Health | None = None
         self._gate_heard_s = -math.inf
@@ -73,24 +73,24 @@ class HliCore:
         services = ("sim", *(f"robot-server-{name}" for name in cell.robots))
         self._services = {name: Heard(name, topics.HEALTH, cell.cycle_s) for name in services}
         self._proximity = Pace(topics.PROXIMITY.period_s(cell.cycle_s))
-        self.told = told
-        self.counters = self._books.counters
-        self.increments = Increments(self._books)
-        self.requests = Requests(self._books, operator_token)
+        self.description = description
+        self.counters = self._state.counters
+        self.increments = Increments(self._state)
+        self.requests = Requests(self._state, operator_token)
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate at once, then tell the controllers."""
-        link = self._books.links.get(state.robot)
+        link = self._state.links.get(state.robot)
         if link is None or len(state.q) != link.joints:
             self.counters["states_ignored"] += 1
             return []
         self.counters["states"] += 1
         self._states[state.robot].at(time_s)
-        outputs = self._books.tick(time_s)
+        outputs = self._state.tick(time_s)
         link.take_state(state, time_s)
-        self._books.commands.suppose(state.epoch)
+        self._state.commands.suppose(state.epoch)
         outputs += self.increments.on_cycle(state.robot, link, time_s)
-        told = RobotState(
+        placed = RobotState(
             robot=state.robot,
             cycle=state.cycle,
             ipoc=state.ipoc,
@@ -102,39 +102,39 @@ class HliCore:
             reason=state.reason,
             gate=self._gate.fingerprint if self._gate else "",
         )
-        outputs.append(ToOpen(topics.STATE, state.robot, told))
+        outputs.append(ToOpen(topics.STATE, state.robot, placed))
         return outputs
 
     def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
         """The gate has decided: send its verdict to the sender and to every watcher."""
-        link = self._books.links.get(verdict.robot)
+        link = self._state.links.get(verdict.robot)
         if link is None:
             self.counters["verdicts_ignored"] += 1
             return []
         self.counters[f"verdicts_{verdict.outcome}"] += 1
         awaited, sender = link.answered(verdict.seq)
-        lease = self._books.leases.of(verdict.robot)
+        lease = self._state.leases.of(verdict.robot)
         if not awaited and lease is not None:
             sender = lease.connection
         outputs: list[Output] = [ToOpen(topics.VERDICT, verdict.robot, verdict)]
         if sender is not None:
             outputs.insert(0, ToSender(sender, verdict))
-        return outputs + self._books.learn_epoch(verdict)
+        return outputs + self._state.learn_epoch(verdict)
 
     def on_command_reply(self, reply: CommandReply) -> list[Output]:
         """The gate has taken a command or refused it."""
-        return self._books.commands.answered(reply)
+        return self._state.commands.answered(reply)
 
     def on_health(self, health: Health, time_s: float) -> list[Output]:
         """A service is alive; the gate's heartbeat brings its counters and the nearest pair."""
         if health.service in self._services:
             self._services[health.service].at(time_s)
-            self._books.compare(health)
+            self._state.compare(health)
         if health.service != "sim":
             return []
         self._gate, self._gate_heard_s = health, time_s
         if health.epoch is not None:
-            self._books.commands.learn(health.epoch, health.newest_id or 0)
+            self._state.commands.learn(health.epoch, health.newest_id or 0)
         if health.nearest is None or not self._proximity.due(time_s):
             return []
         return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
@@ -148,27 +148,27 @@ class HliCore:
             hint = "install the deltaq version that the server runs"
             error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
             return [ToSender(sender, error)]
-        told = self.told
+        description = self.description
         welcome = Welcome(
             protocol=hello.protocol,
-            cell=told.cell,
-            cycle_s=told.cycle_s,
-            robots=told.robots,
-            identity=told.identity,
+            cell=description.cell,
+            cycle_s=description.cycle_s,
+            robots=description.robots,
+            identity=description.identity,
         )
         return [ToSender(sender, welcome)]
 
     def on_tick(self, time_s: float) -> list[Output]:
         """Let leases and commands run out."""
-        return self._books.tick(time_s)
+        return self._state.tick(time_s)
 
     def status(self, time_s: float, front_counters: Counter[str]) -> Status:
         """The running cell; `front_counters` are what the fronts counted themselves."""
         gate = self._gate
         return Status(
-            cell=self._books.cell.cell,
+            cell=self._state.cell.cell,
             robots={
-                robot: self._robot_status(robot, link, time_s) for robot, link in self._books.links.items()
+                robot: self._robot_status(robot, link, time_s) for robot, link in self._state.links.items()
             },
             gate=gate.counters if gate else {},
             gate_age_s=time_s - self._gate_heard_s if gate else None,
@@ -177,14 +177,14 @@ class HliCore:
             hli=dict(self.counters + front_counters),
             nearest=gate.nearest if gate else None,
             lagging=self.lagging(time_s),
-            identity=self.told.identity,
+            identity=self.description.identity,
             mismatches=self.mismatches,
         )
 
     @property
     def mismatches(self) -> tuple[str, ...]:
         """Services that have read another cell than this one has, for people."""
-        return tuple(self._books.mismatches.values())
+        return tuple(self._state.mismatches.values())
 
     def lagging(self, time_s: float) -> tuple[str, ...]:
         """What is silent, or comes more slowly than the table of topics says; for people."""
@@ -193,7 +193,7 @@ class HliCore:
         return tuple(fault for fault in faults if fault is not None)
 
     def _robot_status(self, robot: str, link: RobotLink, time_s: float) -> RobotStatus:
-        state, lease = link.state, self._books.leases.of(robot)
+        state, lease = link.state, self._state.leases.of(robot)
         return RobotStatus(
             phase=link.phase(time_s),
             reason=state.reason if state else None,

@@ -9,35 +9,35 @@ from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.books import Books
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import Asked, RobotLink
+from deltaq_services.hli.state import HliState
 
 
 class Increments:
     """Checks increments and hands on the newest one of each cycle."""
 
-    def __init__(self, books: Books) -> None:
-        self._books = books
+    def __init__(self, state: HliState) -> None:
+        self._state = state
 
     def on_increment(self, increment: Increment, sender: Sender | None, time_s: float) -> list[Output]:
         """A controller asks for an increment; it goes to the gate now, with the next state, or is refused."""
-        outputs = self._books.tick(time_s)
-        self._books.counters["increments"] += 1
+        outputs = self._state.tick(time_s)
+        self._state.counters["increments"] += 1
         robot, seq, cycle = increment.robot, increment.seq, increment.cycle
-        lease = self._books.leases.held_with(robot, increment.lease)
+        lease = self._state.leases.held_with(robot, increment.lease)
         reason = self._sequence_fault(robot, lease, seq, time_s)
-        link = self._books.links.get(robot)
+        link = self._state.links.get(robot)
         if reason is None and link is not None:
-            reason = self._books.mismatch() or link.fault(increment, time_s)
+            reason = self._state.mismatch() or link.fault(increment, time_s)
         if reason is not None or lease is None or link is None:
-            return outputs + self._books.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
+            return outputs + self._state.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
         lease.used = True
         send, replaced = link.offer(Asked(increment, lease.epoch, sender))
         if replaced is not None:
-            outputs += self._books.refuse_asked(
+            outputs += self._state.refuse_asked(
                 replaced, Reason(code=ReasonCode.SUPERSEDED, what="increment")
             )
         if send is not None:
@@ -48,8 +48,8 @@ class Increments:
         self, error: InvalidMessageError, sender: Sender | None, time_s: float
     ) -> list[Output]:
         """An increment that could not be decoded: refused like any other if it names its robot and sender."""
-        outputs = self._books.tick(time_s)
-        self._books.counters["increments"] += 1
+        outputs = self._state.tick(time_s)
+        self._state.counters["increments"] += 1
         data: dict[str, Any] = error.data
         robot, seq, cycle = data.get("robot"), data.get("seq"), data.get("cycle")
         try:
@@ -58,15 +58,15 @@ class Increments:
             verdict = None
         if verdict is None or (error.code is ReasonCode.MALFORMED and sender is not None):
             return outputs + self.on_malformed(error, sender)
-        lease = self._books.leases.held_with(verdict.robot, data.get("lease"))
+        lease = self._state.leases.held_with(verdict.robot, data.get("lease"))
         reason = self._sequence_fault(verdict.robot, lease, verdict.seq, time_s)
         if reason is None:
-            reason = at_fault(data.get("dq"), self._books.cell.robots[verdict.robot], error.code)
-        return outputs + self._books.refuse(verdict.robot, verdict.cycle, verdict.seq, reason, sender)
+            reason = at_fault(data.get("dq"), self._state.cell.robots[verdict.robot], error.code)
+        return outputs + self._state.refuse(verdict.robot, verdict.cycle, verdict.seq, reason, sender)
 
     def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
         """A malformed message: counted and answered, nothing else."""
-        self._books.counters["malformed"] += 1
+        self._state.counters["malformed"] += 1
         if sender is None:
             return []
         hint = "`deltaq schema` prints the schema of every message"
@@ -78,23 +78,23 @@ class Increments:
         outputs: list[Output] = []
         waited = link.drop()
         if waited is not None:
-            reason = self._books.mismatch() or link.fault(
+            reason = self._state.mismatch() or link.fault(
                 waited.increment, time_s
             )  # it may have gone stale, or the robot been held
             if reason is not None:
-                outputs = self._books.refuse_asked(waited, reason)
+                outputs = self._state.refuse_asked(waited, reason)
             else:
                 send, _ = link.offer(waited)
                 if send is not None:
                     return [self._request(robot, send)]
-        self._books.counters["signs_of_life"] += 1
+        self._state.counters["signs_of_life"] += 1
         assert link.state is not None  # it has just come
-        lease = self._books.leases.of(robot)
+        lease = self._state.leases.of(robot)
         alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
         return [ToGuarded(topics.REQUEST, robot, alive), *outputs]
 
     def _request(self, robot: str, asked: Asked) -> Output:
-        self._books.counters["requests"] += 1
+        self._state.counters["requests"] += 1
         increment = asked.increment
         return ToGuarded(
             topics.REQUEST,
@@ -113,7 +113,7 @@ class Increments:
 
         A new number shows that the holder lives, and renews the lease; a duplicate shows nothing.
         """
-        if robot not in self._books.links:
+        if robot not in self._state.links:
             return unknown_robot(robot)
         if lease is None:
             return Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease")
@@ -122,5 +122,5 @@ class Increments:
                 code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=float(seq), bound=float(lease.last_seq)
             )
         lease.last_seq = seq
-        self._books.leases.renew(lease, time_s)
+        self._state.leases.renew(lease, time_s)
         return None

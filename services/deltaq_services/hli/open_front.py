@@ -136,7 +136,7 @@ class OpenFront:
         QuerySender(query, topics.STATUS.key(self._cell)).deliver(self._port.status())
 
     def _on_description(self, query: zenoh.Query) -> None:
-        QuerySender(query, topics.DESCRIPTION.key(self._cell)).deliver(self._port.core.told)
+        QuerySender(query, topics.DESCRIPTION.key(self._cell)).deliver(self._port.core.description)
 
     def _answer(
         self,

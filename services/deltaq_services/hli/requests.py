@@ -19,9 +19,9 @@ from deltaq_protocol.messages import (
     ResetRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.books import Books
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.outputs import Output, Sender, ToSender
+from deltaq_services.hli.state import HliState
 
 _Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest
 
@@ -30,31 +30,31 @@ class Requests:
     """Answers requests; those that the gate must carry out are answered when it has.
 
     Args:
-        books: state of the HLI.
+        state: of the HLI.
         operator_token: where given, `take` and `reset` need it.
     """
 
-    def __init__(self, books: Books, operator_token: str | None) -> None:
-        self._books = books
+    def __init__(self, state: HliState, operator_token: str | None) -> None:
+        self._state = state
         self._operator_token = operator_token
 
     def on_lease(self, request: LeaseRequest, sender: Sender, time_s: float) -> list[Output]:
         """Acquire, renew, release or take the lease of a robot."""
-        outputs = self._books.tick(time_s)
+        outputs = self._state.tick(time_s)
         robot = request.robot
-        if robot not in self._books.links:
+        if robot not in self._state.links:
             return [*outputs, ToSender(sender, self._lease_reply(robot, ReasonCode.UNKNOWN_ROBOT, time_s))]
-        own, current = self._books.leases.held_with(robot, request.lease), self._books.leases.of(robot)
+        own, current = self._state.leases.held_with(robot, request.lease), self._state.leases.of(robot)
         code: ReasonCode | None = None
         granted: Lease | None = own
         if request.action is LeaseAction.RELEASE:
             if own is None:
                 code = ReasonCode.LEASE_NOT_HELD
             else:
-                outputs += self._books.end_lease(own)
+                outputs += self._state.end_lease(own)
                 granted = None
         elif own is not None:
-            self._books.leases.renew(own, time_s)
+            self._state.leases.renew(own, time_s)
         elif request.action is LeaseAction.RENEW:
             code = ReasonCode.LEASE_NOT_HELD
         elif request.action is LeaseAction.ACQUIRE and current is not None:
@@ -63,50 +63,50 @@ class Requests:
             code = ReasonCode.NOT_PERMITTED
         else:
             if current is not None:
-                self._books.counters["leases_taken"] += 1
-                outputs += self._books.end_lease(current)
-            self._books.counters["leases_granted"] += 1
+                self._state.counters["leases_taken"] += 1
+                outputs += self._state.end_lease(current)
+            self._state.counters["leases_granted"] += 1
             connection = sender if sender.lasting else None
-            granted = self._books.leases.grant(robot, request.client or "anonymous", connection, time_s)
+            granted = self._state.leases.grant(robot, request.client or "anonymous", connection, time_s)
         if code is not None:
-            self._books.counters[f"lease_refused_{code}"] += 1
+            self._state.counters[f"lease_refused_{code}"] += 1
         return [*outputs, ToSender(sender, self._lease_reply(robot, code, time_s, granted))]
 
     def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
         """Bring every robot to rest; anyone may."""
-        self._books.counters["stops"] += 1
-        outputs = self._books.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
-        command = self._books.new_command(kind="stop", reason=ReasonCode.OPERATOR_STOP)
-        return outputs + self._books.command(command, sender, Done(what="stop"), time_s)
+        self._state.counters["stops"] += 1
+        outputs = self._state.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
+        command = self._state.new_command(kind="stop", reason=ReasonCode.OPERATOR_STOP)
+        return outputs + self._state.command(command, sender, Done(what="stop"), time_s)
 
     def on_reset(self, request: ResetRequest, sender: Sender, time_s: float) -> list[Output]:
         """Leave `held`: a privilege where an operator's token is set, refused while the cause stands."""
-        if request.robot not in self._books.links:
+        if request.robot not in self._state.links:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if not self._is_operator(request.token):
             text = f"reset of {request.robot} needs the operator's token"
             return self._error(
                 sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
             )
-        self._books.counters["resets"] += 1
-        command = self._books.new_command(kind="reset", robot=request.robot)
-        return self._books.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
+        self._state.counters["resets"] += 1
+        command = self._state.new_command(kind="reset", robot=request.robot)
+        return self._state.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
 
     def on_dry_run(self, request: DryRunRequest, sender: Sender, time_s: float) -> list[Output]:
         """Ask the gate for its verdict on an increment if it came now."""
-        link = self._books.links.get(request.robot)
+        link = self._state.links.get(request.robot)
         if link is None:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if len(request.dq) != link.joints:
             text = f"dq has {len(request.dq)} elements, {request.robot} has {link.joints} joints"
             return self._error(sender, request, ReasonCode.BAD_SHAPE, text, "give one element for each joint")
-        self._books.counters["dry_runs"] += 1
-        command = self._books.new_command(kind="dry_run", robot=request.robot, dq=request.dq)
-        return self._books.command(command, sender, None, time_s)
+        self._state.counters["dry_runs"] += 1
+        command = self._state.new_command(kind="dry_run", robot=request.robot, dq=request.dq)
+        return self._state.command(command, sender, None, time_s)
 
     def on_contact(self, request: ContactRequest, sender: Sender, time_s: float) -> list[Output]:
         """Allow a contact or forbid it: a privilege where an operator's token is set."""
-        known = self._books.cell.contacts
+        known = self._state.cell.contacts
         if request.contact not in known:
             text = (
                 f"contact: the cell has no contact {request.contact!r}; it has {', '.join(known) or 'none'}"
@@ -119,65 +119,65 @@ class Requests:
             return self._error(
                 sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
             )
-        self._books.counters["contacts_switched"] += 1
-        command = self._books.new_command(
+        self._state.counters["contacts_switched"] += 1
+        command = self._state.new_command(
             kind="contact",
             contact=request.contact,
             allowed=request.allowed,
         )
         what = f"contact {request.contact} {'allowed' if request.allowed else 'forbidden'}"
-        return self._books.command(command, sender, Done(what=what), time_s)
+        return self._state.command(command, sender, Done(what=what), time_s)
 
     def on_io(self, request: IoRequest, sender: Sender, time_s: float) -> list[Output]:
         """Set outputs, which only the holder may while the robot is leased, and read all of them."""
-        outputs = self._books.tick(time_s)
+        outputs = self._state.tick(time_s)
         robot = request.robot
-        if robot not in self._books.links:
+        if robot not in self._state.links:
             return outputs + self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(robot))
-        known = self._books.cell.robots[robot].outputs
+        known = self._state.cell.robots[robot].outputs
         foreign = [name for name in request.outputs if name not in known]
         if foreign:
             has = ", ".join(known) or "none"
             text = f"outputs: {foreign[0]!r} is not an output of {robot}; it has {has}"
             hint = "see `outputs` in the cell's YAML"
             return outputs + self._error(sender, request, ReasonCode.MALFORMED, text, hint)
-        lease = self._books.leases.of(robot)
+        lease = self._state.leases.of(robot)
         if lease is not None and lease.token == request.lease:
-            self._books.leases.renew(lease, time_s)
+            self._state.leases.renew(lease, time_s)
         elif request.outputs and lease is not None:
             text = f"{lease.client} holds the lease of {robot}: only the holder sets its outputs"
             return outputs + self._error(
                 sender, request, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first"
             )
-        state = self._books.links[robot].state
+        state = self._state.links[robot].state
         before = state.outputs if state else {}
         reply = IoReply(robot=robot, outputs=before | request.outputs, inputs=state.inputs if state else {})
         if not request.outputs:
             return [*outputs, ToSender(sender, reply)]
-        command = self._books.new_command(kind="io", robot=robot, outputs=request.outputs)
-        return outputs + self._books.command(command, sender, reply, time_s)
+        command = self._state.new_command(kind="io", robot=robot, outputs=request.outputs)
+        return outputs + self._state.command(command, sender, reply, time_s)
 
     def on_heard(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
         """Something valid came over a connection: its owner lives; `leases` are the robots and tokens it holds."""
-        outputs = self._books.tick(time_s)
+        outputs = self._state.tick(time_s)
         for robot, token in leases:
-            lease = self._books.leases.held_with(robot, token)
+            lease = self._state.leases.held_with(robot, token)
             if lease is not None:
-                self._books.leases.renew(lease, time_s)
+                self._state.leases.renew(lease, time_s)
         return outputs
 
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
         """A connection broke; `leases` are the robots and tokens it held."""
-        self._books.counters["connections_lost"] += 1
-        held = (self._books.leases.held_with(robot, token) for robot, token in leases)
+        self._state.counters["connections_lost"] += 1
+        held = (self._state.leases.held_with(robot, token) for robot, token in leases)
         return [
-            output for lease in held if lease is not None for output in self._books.holder_lost(lease, time_s)
+            output for lease in held if lease is not None for output in self._state.holder_lost(lease, time_s)
         ]
 
     def _lease_reply(
         self, robot: str, code: ReasonCode | None, time_s: float, granted: Lease | None = None
     ) -> LeaseReply:
-        current = self._books.leases.of(robot)
+        current = self._state.leases.of(robot)
         return LeaseReply(
             robot=robot,
             granted=code is None,
@@ -194,7 +194,7 @@ class Requests:
         return wanted is None or hmac.compare_digest(given, wanted.encode())
 
     def _robots_are(self, robot: str) -> tuple[str, str]:
-        return f"the cell has no robot {robot}", "it has " + ", ".join(self._books.links)
+        return f"the cell has no robot {robot}", "it has " + ", ".join(self._state.links)
 
     def _error(
         self, sender: Sender, request: _Request, code: ReasonCode, text: str, hint: str

@@ -39,13 +39,15 @@ class Hli:
     def __init__(
         self,
         cell: CellDescription,
-        told: Description,
+        description: Description,
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         operator_token: str | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
-        self.core = HliCore(cell, told, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token)
+        self.core = HliCore(
+            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token
+        )
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
@@ -108,7 +110,7 @@ class Hli:
             service="hli",
             healthy=not self.core.mismatches,
             detail="; ".join(details),
-            cell=self.core.told.identity,
+            cell=self.core.description.identity,
             time_s=now,
             counters=dict(counters),
         )

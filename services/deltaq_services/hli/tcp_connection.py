@@ -230,7 +230,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             return core.requests.on_contact(request.model_copy(update={"token": client.token}), self, now)
         if isinstance(request, ResetRequest):
             return core.requests.on_reset(request.model_copy(update={"token": client.token}), self, now)
-        return self._told(core.told)
+        return self._told(core.description)
 
     def _greet(self, hello: Hello) -> list[Output]:
         outputs = self._port.core.on_hello(hello, self)

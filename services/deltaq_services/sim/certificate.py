@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.proximity import Look, Proximity
+from deltaq_cell.proximity import DistanceQuery, Proximity
 from deltaq_services.sim.tube import Piece
 
 NUMERICAL_TOLERANCE_M = 1e-5
@@ -116,11 +116,11 @@ class Certifier:
         strip = piece.strip()
         return self._proximity.place(robot, strip.middle, strip.half, strip.direction, among_themselves)
 
-    def _hopeless(self, look: Look) -> bool:
+    def _hopeless(self, look: DistanceQuery) -> bool:
         """The budget is spent, or bodies are too near even at the middle of the strip, where halving does not help."""
         return self._left < 0 or look.too_near
 
-    def _measure(self, groups: Sequence[Group]) -> tuple[Look, Binding | None]:
+    def _measure(self, groups: Sequence[Group]) -> tuple[DistanceQuery, Binding | None]:
         """Result of the groups, at least one, at the present placement, and the pair with the least room."""
         self._left -= 1
         look = self._proximity.look(groups, NUMERICAL_TOLERANCE_M)

@@ -211,8 +211,8 @@ class Sim:
         """The greatest id of a command so far."""
         return self._command_order.newest_id
 
-    def memory(self) -> GateMemory:
-        """Snapshot of all that decisions depend on, for `recall`."""
+    def snapshot(self) -> GateMemory:
+        """Snapshot of all that decisions depend on, for `restore`."""
         return GateMemory(
             epoch=self.epoch,
             number=self.taken,
@@ -221,20 +221,20 @@ class Sim:
             receipt=self._receipt,
             fingerprint=self.fingerprint,
             contacts=self.contacts.allowed,
-            violations=self.violations.memory(),
-            robots={name: robot.memory() for name, robot in self.robots.items()},
+            violations=self.violations.snapshot(),
+            robots={name: robot.snapshot() for name, robot in self.robots.items()},
             cell=self._cell,
         )
 
-    def recall(self, memory: GateMemory) -> None:
+    def restore(self, memory: GateMemory) -> None:
         """Go on from where another gate of this cell was, counters excepted."""
         self.epoch, self.taken, self._cell = memory.epoch, memory.number, memory.cell
         self._sequence, self._receipt = memory.sequence, memory.receipt
         self._command_order.newest_id = memory.command_id
         self.contacts.allow(memory.contacts)
-        self.violations.recall(memory.violations)
+        self.violations.restore(memory.violations)
         for name, robot in memory.robots.items():
-            self.robots[name].recall(robot)
+            self.robots[name].restore(robot)
 
     def nearest(self) -> NearestPair | None:
         """The nearest two bodies of different robots, or of a robot and the structure or itself, now."""

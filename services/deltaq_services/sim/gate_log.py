@@ -47,7 +47,7 @@ class GateLog:
             )
             self._entries.put(pack(entry))
         if began or memory_is_due(sim.taken):
-            self._memories.put(pack(sim.memory()))
+            self._memories.put(pack(sim.snapshot()))
 
 
 def _publisher(session: Any, topic: Topic, cell: str) -> Any:

@@ -36,11 +36,11 @@ class GatedRobot:
         self.inbox = Inbox(self.joints, topics.REQUEST.age_cycles(cycle_s, gate.max_request_age_s))
         self.dry_run_cycle = -1
 
-    def memory(self) -> RobotMemory:
-        """Snapshot for `recall`."""
+    def snapshot(self) -> RobotMemory:
+        """Snapshot for `restore`."""
         return RobotMemory(
-            tracker=self.tracker.memory(),
-            orders=self.orders.memory(),
+            tracker=self.tracker.snapshot(),
+            orders=self.orders.snapshot(),
             waiting=self.inbox.waiting,
             decided_cycle=self.inbox.decided_cycle,
             lease_epoch=self.inbox.lease_epoch,
@@ -48,10 +48,10 @@ class GatedRobot:
             dry_run_cycle=self.dry_run_cycle,
         )
 
-    def recall(self, memory: RobotMemory) -> None:
+    def restore(self, memory: RobotMemory) -> None:
         """Restore another gate's snapshot of this robot."""
-        self.tracker.recall(memory.tracker)
-        self.orders.recall(memory.orders)
+        self.tracker.restore(memory.tracker)
+        self.orders.restore(memory.orders)
         self.inbox.waiting, self.inbox.decided_cycle = memory.waiting, memory.decided_cycle
         self.inbox.lease_epoch, self.inbox.seq = memory.lease_epoch, memory.seq
         self.dry_run_cycle = memory.dry_run_cycle

@@ -35,8 +35,8 @@ class Orders:
         self._awaited_resets: list[int] = []
         self._awaited_stops: list[int] = []
 
-    def memory(self) -> OrdersMemory:
-        """Snapshot for `recall`."""
+    def snapshot(self) -> OrdersMemory:
+        """Snapshot for `restore`."""
         return OrdersMemory(
             standing_stop=self.standing_stop,
             resets=self.resets,
@@ -47,7 +47,7 @@ class Orders:
             awaited_stops=tuple(self._awaited_stops),
         )
 
-    def recall(self, memory: OrdersMemory) -> None:
+    def restore(self, memory: OrdersMemory) -> None:
         """Restore a snapshot of other orders to this robot."""
         self.standing_stop, self.resets = memory.standing_stop, memory.resets
         self.outputs = dict(memory.outputs)

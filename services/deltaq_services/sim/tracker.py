@@ -85,8 +85,8 @@ class Tracker:
         unseen = state.cycle - before.cycle - 1
         return bool(travel.any() and np.any(unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS))
 
-    def memory(self) -> TrackerMemory:
-        """Snapshot for `recall`."""
+    def snapshot(self) -> TrackerMemory:
+        """Snapshot for `restore`."""
         history = tuple(tuple(setpoint.tolist()) for setpoint in self._history)
         return TrackerMemory(
             state=self.state,
@@ -96,7 +96,7 @@ class Tracker:
             history=history,
         )
 
-    def recall(self, memory: TrackerMemory) -> None:
+    def restore(self, memory: TrackerMemory) -> None:
         """Restore a snapshot of another tracker of this robot."""
         self.state, self.in_flight, self.missed = memory.state, memory.in_flight, memory.missed
         self._history.clear()

@@ -51,14 +51,14 @@ class Violations:
         for pair in ended:
             del self._kept[pair]
 
-    def memory(self) -> tuple[KeptDistance, ...]:
-        """Snapshot for `recall`."""
+    def snapshot(self) -> tuple[KeptDistance, ...]:
+        """Snapshot for `restore`."""
         return tuple(
             KeptDistance(pair=(one, other), distance_m=distance)
             for (one, other), distance in sorted((sorted(pair), item) for pair, item in self._kept.items())
         )
 
-    def recall(self, memory: Iterable[KeptDistance]) -> None:
+    def restore(self, memory: Iterable[KeptDistance]) -> None:
         """Restore a snapshot of another gate."""
         self._kept = {frozenset(item.pair): item.distance_m for item in memory}
 

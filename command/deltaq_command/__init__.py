@@ -1,0 +1,76 @@
+"""The `deltaq` command: one small file a verb.
+
+Exit status: 0 done, 1 the thing reported is bad, 2 wrong usage or configuration, 3 a service could not be
+reached, 130 interrupted before there was a result.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import NoReturn
+
+USAGE = 2
+INTERRUPTED = 130
+"""Exit status that a shell gives to a program that Ctrl-C ended."""
+
+
+def main() -> None:
+    """Run the command; neither a user's mistake nor Ctrl-C ends in a traceback.
+
+    All imports happen in here, since a missing module and an interrupt are reported here.
+    """
+    try:
+        _run()
+    except ModuleNotFoundError as error:
+        _tell_what_is_missing(error)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except Exception as error:
+        if not _is_of_interrupt(error):
+            raise
+        sys.exit(INTERRUPTED)
+
+
+def _run() -> None:
+    from deltaq_command.app import app
+    from deltaq_command.errors import exit_status, report
+    from deltaq_protocol.errors import DeltaqError
+
+    try:
+        app(prog_name="deltaq")
+    except DeltaqError as error:
+        report(error)
+        sys.exit(exit_status(error))
+    except BrokenPipeError:
+        # the reader of the output (`| head`) has gone; nothing more can be printed
+        sys.stderr.close()
+        sys.exit(0)
+
+
+def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:
+    """Say what to install, unless a module of deltaq itself is missing.
+
+    Raises:
+        ModuleNotFoundError: a part of deltaq itself is missing, which no extra provides.
+    """
+    package = (error.name or "").partition(".")[0]
+    if not package or package.startswith("deltaq"):
+        raise error
+    print(
+        f"deltaq: {package} is not installed, and this command needs it: pip install 'deltaq[all]'\n"
+        "deltaq: controllers do without: what they import is deltaq_protocol, and it is complete",
+        file=sys.stderr,
+    )
+    sys.exit(USAGE)
+
+
+def _is_of_interrupt(error: BaseException | None) -> bool:
+    """Whether an interrupt caused it: libraries that are being loaded turn one into other errors."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+__all__ = ["main"]

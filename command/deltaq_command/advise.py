@@ -1,0 +1,222 @@
+"""`deltaq advise`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deltaq_command.errors import BAD
+from deltaq_command.options import CellOption, CriterionOption, JsonOption
+from deltaq_command.weights import weights_of
+
+if TYPE_CHECKING:
+    from deltaq_command.advice import Advice
+    from deltaq_controllers.advisor.advisor import Option
+
+NUMBERS_OF_A_POSE = 6
+
+
+def advise(
+    cell: CellOption = "dawm",
+    robot: Annotated[str, typer.Option(help="The robot; by default the first redundant one.")] = "",
+    hand: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Pose of a hand, NAME=X,Y,Z,ROLL,PITCH,YAW in m and deg; by default its present pose."
+        ),
+    ] = None,
+    options: Annotated[int, typer.Option(min=1, max=50, help="Greatest number of options.")] = 5,
+    method: Annotated[
+        str, typer.Option(help="annealing, shotgun, genetic, monte-carlo or brute-force.")
+    ] = "annealing",
+    criterion: CriterionOption = None,
+    effort: Annotated[
+        float, typer.Option(min=0.1, max=100, help="Length of the search; 1 suits an operator who waits.")
+    ] = 1.0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the search; the same seed gives the same options.")
+    ] = 0,
+    offline: Annotated[
+        bool, typer.Option("--offline", help="Start from the robot's home, without a running cell.")
+    ] = False,
+    execute: Annotated[
+        int, typer.Option(min=0, help="Drive to the option of this rank, through the gate.")
+    ] = 0,
+    bench: Annotated[
+        bool,
+        typer.Option(
+            "--bench", help="Time every method on twelve seeded tasks of the dual-arm cell instead."
+        ),
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Rank configurations that hold the hands at their present or at given poses; Ctrl-C ends the search early."""
+    from deltaq_command.advice import Request, advice
+    from deltaq_command.console import print_json
+
+    if bench:
+        _bench(json)
+        return
+    if offline and execute:
+        raise typer.BadParameter("--execute needs a running cell; leave out --offline")
+    request = Request(
+        cell=cell,
+        robot=robot,
+        hands=dict(_pose(text) for text in hand or []),
+        options=options,
+        method=method,
+        weights=weights_of(criterion, "--criterion"),
+        effort=effort,
+        seed=seed,
+        offline=offline,
+        execute=execute,
+    )
+    with _Watched() as watched:
+        found = advice(request, watched.go_on)
+    if json:
+        print_json(found.as_dict())
+    else:
+        _show(found)
+    if not found.options or (found.executed is not None and not found.executed.reached):
+        raise typer.Exit(BAD)
+
+
+def _bench(json: bool) -> None:
+    from deltaq_command.console import print_json, print_table
+    from deltaq_command.progress import progress_bar
+    from deltaq_experiments.advisor_bench import run
+
+    with progress_bar("every method on every task") as move:
+        table = run(on_step=move)
+    if json:
+        print_json(table.model_dump(mode="json"))
+        return
+    columns = (
+        "method",
+        "s",
+        "worst s",
+        "cpu s",
+        "above best %",
+        "worst %",
+        "within 1 %",
+        "least options",
+        "trials",
+    )
+    print_table(
+        f"methods on {table.tasks} seeded tasks",
+        columns,
+        (
+            (
+                row.method,
+                f"{row.median_s:.2f}",
+                f"{row.worst_s:.2f}",
+                f"{row.median_cpu_s:.2f}",
+                "-" if row.median_gap is None else f"{100 * row.median_gap:.2f}",
+                "-" if row.worst_gap is None else f"{100 * row.worst_gap:.2f}",
+                row.good,
+                row.least_options,
+                row.trials,
+            )
+            for row in table.rows
+        ),
+    )
+    for answer in table.answers:
+        typer.echo(
+            f"{answer.robot}: {answer.options:.1f} options, paths to {answer.ways:.1f}, {answer.barred:.1f} barred, "
+            f"in {answer.median_cpu_s:.2f} s of the processor, at worst {answer.worst_cpu_s:.2f} s"
+        )
+    typer.echo(
+        f"closed form of the Titan II, all branches: {table.inverse_poses_per_s / 1e6:.2f} million poses/s, "
+        f"one by one {table.inverse_one_by_one_per_s / 1e3:.1f} thousand"
+    )
+
+
+class _Watched:
+    """Shows progress on standard error; the first Ctrl-C ends the search."""
+
+    def __init__(self) -> None:
+        self._told_to_end = False
+
+    def __enter__(self) -> _Watched:
+        import signal
+        import sys
+
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        from deltaq_command.console import console
+
+        output = console(sys.stderr)
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        self._bar = Progress(*columns, console=output, transient=True, disable=not output.is_terminal)
+        self._task = self._bar.add_task("searching", total=1.0)
+        self._bar.start()
+        self._before = signal.signal(signal.SIGINT, self._interrupted)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import signal
+
+        signal.signal(signal.SIGINT, self._before)
+        self._bar.stop()
+
+    def _interrupted(self, *_: object) -> None:
+        if self._told_to_end:
+            raise KeyboardInterrupt
+        self._told_to_end = True
+
+    def go_on(self, progress: Any) -> bool:
+        """Show the advisor's progress; False once Ctrl-C was pressed."""
+        text = f"{progress.doing}, best energy {progress.energy:.4f}, {progress.trials} trials"
+        self._bar.update(self._task, completed=progress.done, description=text)
+        return not self._told_to_end
+
+
+def _pose(text: str) -> tuple[str, tuple[float, ...]]:
+    name, _, numbers = text.partition("=")
+    try:
+        values = tuple(float(number) for number in numbers.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != NUMBERS_OF_A_POSE:
+        raise typer.BadParameter(f"--hand takes NAME=X,Y,Z,ROLL,PITCH,YAW in m and deg, got {text!r}")
+    return name, values
+
+
+def _show(found: Advice) -> None:
+    from deltaq_command.console import counts, print_table
+
+    names = list(found.weights)
+    columns = ("rank", "energy", *names, "clearance mm", "tightest pair", "nearest limit", "path")
+    print_table(
+        f"{found.robot}: options by {found.method}, {found.trials} trials in {found.elapsed_s:.2f} s",
+        columns,
+        (_row(rank, option, names) for rank, option in enumerate(found.options, start=1)),
+    )
+    if not found.options:
+        typer.echo(
+            "no configuration holds the hands there clear of limits and obstacles; move them, or raise --effort"
+        )
+    if found.executed is not None:
+        there = "at" if found.executed.reached else "stopped on the path to"
+        typer.echo(
+            f"{found.robot} is {there} option {found.executed.option}; gate: {counts(found.executed.outcomes)}"
+        )
+
+
+def _row(rank: int, option: Option, names: list[str]) -> tuple[str, ...]:
+    path = option.no_path if option.path is None else f"{len(option.path)} points"
+    if option.path is not None and option.hands_move:
+        path += ", hands move"
+    costs = (f"{option.costs[name]:.3f}" for name in names)
+    pair = " and ".join(option.clearance.pair)
+    limit = f"{option.nearest_limit} {100 * option.limit_share:.0f} %"
+    return (
+        str(rank),
+        f"{option.energy:.4f}",
+        *costs,
+        f"{1000 * option.clearance.distance_m:.0f}",
+        pair,
+        limit,
+        path,
+    )

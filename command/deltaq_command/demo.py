@@ -1,0 +1,168 @@
+"""`deltaq demo`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deltaq_command.errors import BAD
+from deltaq_command.options import CellOption, JsonOption
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from deltaq_cell.description import CellDescription
+    from deltaq_command.observer import Track
+    from deltaq_launch.launcher import Launcher
+    from deltaq_protocol.messages import Status
+
+FOLLOWS = "paper"
+"""The follower's default camera controller."""
+TICK_S = 0.25
+TOLD_EVERY_S = 10.0
+
+
+def demo(
+    cell: CellOption = "lab",
+    duration_s: Annotated[
+        float,
+        typer.Option(min=1.0, envvar="DEMO_S", help="How long the leader moves and the camera follows."),
+    ] = 60.0,
+    json: JsonOption = False,
+) -> None:
+    """Start an emulated cell; a scripted leader moves one arm, and the other follows it with its camera."""
+    from functools import partial
+
+    from deltaq_cell.load import load_cell
+    from deltaq_command.console import console, prefixed_log, print_json
+    from deltaq_command.progress import shown_compiled_ahead
+    from deltaq_launch.bring_to_rest import bring_to_rest
+    from deltaq_launch.launcher import Launcher
+    from deltaq_launch.services import cell_services, demo_controllers
+
+    description = load_cell(cell)
+    services = (*cell_services(description, cell), *demo_controllers(description))
+    output = console(sys.stderr)
+    log = prefixed_log(output, [service.name for service in services])
+    launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
+    with shown_compiled_ahead([FOLLOWS]), launcher:
+        launcher.start()
+        launcher.say(
+            f"cell {description.cell} is up; the camera follows for {duration_s:g} s, Ctrl-C ends it"
+        )
+        summary, problems = _follow(launcher, description, duration_s, output)
+    if json:
+        print_json(summary)
+    else:
+        show(summary)
+    for problem in problems:
+        typer.echo(f"deltaq: {problem}", err=True)
+    if problems:
+        raise typer.Exit(BAD)
+
+
+def _follow(
+    launcher: Launcher, cell: CellDescription, duration_s: float, output: Console
+) -> tuple[dict[str, Any], list[str]]:
+    from deltaq_command.observer import Observer
+    from deltaq_launch.cell_connection import connect, listen
+
+    with connect(cell, "deltaq demo") as running, listen(cell) as listener:
+        observer = Observer(listener, tuple(cell.robots))
+        problems = _wait(launcher, duration_s, output)
+        observer.close()
+        status = running.status()
+    # each prints its figures as it ends
+    launcher.stop_service("follower")
+    launcher.stop_service("leader")
+    summary = summarise(cell, observer.tracks, status, launcher.last_json("follower"))
+    still = [name for name, track in observer.tracks.items() if not any(track.travel)]
+    return summary, [*problems, *(f"{name} did not move" for name in still)]
+
+
+def _wait(launcher: Launcher, duration_s: float, output: Console) -> list[str]:
+    """Show progress until the time is over, a service ends or a signal comes; returns what went wrong."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from deltaq_launch.child_process import Exited
+    from deltaq_launch.launcher import Interrupted, describe_exit
+
+    begin = time.monotonic()
+    told_s = 0.0
+    columns = (TextColumn("the camera follows"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=output, transient=True, disable=not output.is_terminal) as progress:
+        task = progress.add_task("", total=duration_s)
+        while (elapsed := time.monotonic() - begin) < duration_s:
+            progress.update(task, completed=elapsed)
+            if not output.is_terminal and elapsed - told_s >= TOLD_EVERY_S:
+                told_s = elapsed
+                launcher.say(f"{elapsed:.0f} of {duration_s:g} s")
+            match launcher.wait(min(TICK_S, duration_s - elapsed)):
+                case Interrupted(number):
+                    launcher.say(f"{number.name}: bringing the robots to rest")
+                    return []
+                case Exited(name, status):
+                    return [f"{describe_exit(name, status)} during the demonstration"]
+    return []
+
+
+def summarise(
+    cell: CellDescription, tracks: dict[str, Track], status: Status, tracking: dict[str, Any] | None
+) -> dict[str, Any]:
+    """The figures of a demonstration, as `--json` prints them."""
+    from dataclasses import asdict
+
+    return {
+        "cell": cell.cell,
+        "cycle_s": cell.cycle_s,
+        "robots": {
+            name: {
+                "phase": status.robots[name].phase.value,
+                "cycles": asdict(track.rate),
+                "missed": track.missed,
+                "travel": track.travel,
+                "counters": status.robots[name].counters,
+            }
+            for name, track in tracks.items()
+        },
+        "tracking": tracking,
+        "gate": status.gate,
+        "hli": status.hli,
+    }
+
+
+def show(summary: dict[str, Any]) -> None:
+    """Print the summary as people read it."""
+    from deltaq_command.console import counts, flat, print_table
+
+    def ms(value: float | None) -> str | None:
+        return None if value is None else f"{value * 1000:.2f}"
+
+    rows = []
+    for name, robot in summary["robots"].items():
+        cycles = robot["cycles"]
+        rows.append(
+            (
+                name,
+                cycles["count"],
+                robot["missed"],
+                ms(cycles["period_median_s"]),
+                ms(cycles["period_p99_s"]),
+                ms(cycles["period_max_s"]),
+            )
+        )
+    print_table(
+        f"cycles of {summary['cycle_s'] * 1000:g} ms, as a client saw them",
+        ("robot", "seen", "missed", "median ms", "p99 ms", "longest ms"),
+        rows,
+    )
+    tracking = summary["tracking"]
+    if tracking:
+        print_table("tracking", ("what", "value"), flat(tracking))
+    print(f"gate: {counts(summary['gate'])}")
+    print(f"hli: {counts(summary['hli'])}")
+    for name, robot in summary["robots"].items():
+        print(f"{name}: {counts(robot['counters'])}")

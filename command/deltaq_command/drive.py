@@ -1,0 +1,164 @@
+"""`deltaq drive`."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deltaq_command.errors import BAD
+from deltaq_command.options import CellOption, CriterionOption, JsonOption, RobotOption
+from deltaq_command.weights import weights_of
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from deltaq_cell.description import CellDescription
+    from deltaq_controllers.modes.teleoperator import Teleoperator
+    from deltaq_controllers.operator_input.interface import OperatorInput
+    from deltaq_protocol.errors import DeltaqError
+
+MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
+FRAMES = ("world", "tool")
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that bring the robot to rest and end the drive."""
+
+
+def drive(
+    robot: RobotOption,
+    mode: Annotated[str, typer.Option(help=f"Mode to begin with: {', '.join(MODES)}.")] = "joint",
+    cell: CellOption = "lab",
+    frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
+    criterion: CriterionOption = None,
+    script: Annotated[
+        Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
+    ] = None,
+    gamepad: Annotated[
+        Path | None, typer.Option(help="A joystick device, e.g. /dev/input/js0, in place of the keyboard.")
+    ] = None,
+    speed_m_s: Annotated[
+        float, typer.Option(min=0.001, max=0.5, help="Hand speed of keyboard and gamepad.")
+    ] = 0.1,
+    json: JsonOption = False,
+) -> None:
+    """Drive a robot by keyboard, gamepad or script; however the drive ends, the robot comes to rest and is released."""
+    from contextlib import ExitStack
+
+    from deltaq_cell.load import load_cell
+    from deltaq_command.console import print_json
+    from deltaq_command.drive_summary import show
+    from deltaq_launch.cell_connection import known_robot
+
+    if mode not in MODES:
+        raise typer.BadParameter(f"no mode {mode!r}; there are {', '.join(MODES)}", param_hint="--mode")
+    if frame not in FRAMES:
+        raise typer.BadParameter(f"no frame {frame!r}; there are {', '.join(FRAMES)}", param_hint="--frame")
+    if script is not None and gamepad is not None:
+        raise typer.BadParameter("choose one of --script and --gamepad")
+    description = load_cell(cell)
+    known_robot(description, robot)
+    weights = weights_of(criterion, "--criterion")
+    choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s)
+    with ExitStack() as terminal:
+        # a terminal is given back last: keys that are still held are not for the shell
+        summary, error = choice.run(terminal)
+        if json:
+            print_json(summary)
+        else:
+            show(summary)
+    if error is not None:
+        raise error
+    if script is not None and summary["missed"]:
+        raise typer.Exit(BAD)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Options of the drive."""
+
+    cell: CellDescription
+    robot: str
+    mode: str
+    frame: str
+    weights: dict[str, float] | None
+    script: Path | None
+    gamepad: Path | None
+    speed_m_s: float
+
+    def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+        """Drive, and return the summary and the error that ended the drive, if one did.
+
+        Args:
+            terminal: gives the operator's device back.
+
+        Raises:
+            DeltaqError: the drive could not begin.
+        """
+        import asyncio
+
+        return asyncio.run(self._drive(terminal))
+
+    async def _drive(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
+        import asyncio
+        from contextlib import ExitStack
+
+        from deltaq_command.drive_display import Display
+        from deltaq_command.drive_summary import summary
+        from deltaq_command.teleoperator import teleoperator_for
+        from deltaq_controllers.modes.motion import Frame, ModeName
+        from deltaq_controllers.statistics import ControlStatistics
+        from deltaq_controllers.teleoperation import DriveLog, teleoperate
+        from deltaq_launch.cell_connection import OtherCellError
+        from deltaq_protocol import connect
+        from deltaq_protocol.errors import DeltaqError
+
+        async with connect(self.cell.hli, client="deltaq drive") as running:
+            if running.description.cell != self.cell.cell:
+                raise OtherCellError(
+                    f"{self.cell.hli} serves cell {running.description.cell}, not {self.cell.cell}; "
+                    "name the right one with --cell"
+                )
+            cycle_s = running.description.cycle_s
+            with ExitStack() as stack:
+                modes = ModeName(self.mode), Frame(self.frame)
+                teleoperator = teleoperator_for(running, self.robot, stack, *modes, self.weights)
+                log, statistics, enough = (
+                    DriveLog(teleoperator, cycle_s),
+                    ControlStatistics(),
+                    asyncio.Event(),
+                )
+                for number in _ENDING:
+                    asyncio.get_running_loop().add_signal_handler(number, enough.set)
+                operator = terminal.enter_context(self._input(teleoperator))
+                display = Display(teleoperator, operator)
+
+                def watch(q: Any) -> None:
+                    log.add(q)
+                    display.show()
+
+                ended_by = None
+                try:
+                    await teleoperate(running, teleoperator, operator, statistics, watch, enough)
+                except DeltaqError as error:
+                    if not log.legs:
+                        raise
+                    ended_by = error
+        return summary(self.robot, log, statistics, ended_by), ended_by
+
+    def _input(self, teleoperator: Teleoperator) -> OperatorInput:
+        from deltaq_controllers.operator_input.gamepad import Gamepad
+        from deltaq_controllers.operator_input.keyboard import HELP, Keyboard
+        from deltaq_controllers.operator_input.script import Script
+
+        if self.script is not None:
+            return Script.load(self.script, teleoperator)
+        teleoperator.make_modes()  # the operator may switch to any of them
+        if self.gamepad is not None:
+            return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
+        print(HELP, file=sys.stderr)
+        return Keyboard(teleoperator, speed_m_s=self.speed_m_s)

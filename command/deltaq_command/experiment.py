@@ -1,0 +1,125 @@
+"""`deltaq experiment`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deltaq_command.errors import BAD
+from deltaq_command.options import CellOption, JsonOption
+
+
+class Experiment(StrEnum):
+    """The experiments, each a module of `deltaq_experiments`."""
+
+    APPROACH = "approach"
+    TRACKING = "tracking"
+    ZOOM = "zoom"
+    COLLISION = "collision"
+    ATTACK = "attack"
+
+
+CONTROLLERS = (
+    "paper, predictive, qp, a printed variant (printed, printed-decay, …), or package.module:function."
+)
+
+
+def experiment(
+    name: Annotated[Experiment, typer.Argument(help="Which experiment.")],
+    cell: CellOption = "lab",
+    controller: Annotated[str, typer.Option(help=f"Who moves the camera: {CONTROLLERS}")] = "paper",
+    leader_speed_m_s: Annotated[float, typer.Option(min=0.0, help="Speed of the leader's tool.")] = 0.25,
+    latency_s: Annotated[float, typer.Option(min=0.0, help="Time from command to motion.")] = 0.06,
+    duration_s: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Length of the run, in the cell's time; 40, and 5 for each approach."),
+    ] = None,
+    settle_s: Annotated[
+        float, typer.Option(min=0.0, help="Duration of the start-up, which the figures leave out.")
+    ] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the run; the same seed gives the same run.")] = 0,
+    target: Annotated[
+        str, typer.Option(help="What a collision aims at: lens, wrist, elbow or all.")
+    ] = "lens",
+    live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
+    json: JsonOption = False,
+    figure: Annotated[Path | None, typer.Option(help="Picture to write, laid out as in the paper.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="MCAP file to record to, for `deltaq replay`; it must not exist.")
+    ] = None,
+) -> None:
+    """Run an experiment in virtual time, or live, and report figures; exit status 1 on a violation."""
+    import importlib
+
+    from deltaq_command.console import print_json
+    from deltaq_command.progress import progress_bar, shown_compiled_ahead
+    from deltaq_experiments.figures import draw
+    from deltaq_experiments.options import Options
+    from deltaq_services.recorder.writer import RecordingError
+
+    if name is Experiment.ATTACK:
+        if live or figure is not None or record is not None:
+            raise typer.BadParameter(
+                "attack runs in virtual time, and takes --seed, --duration-s and --json alone"
+            )
+        _attack(cell, seed, duration_s or 60.0, json)
+        return
+    if record is not None and record.exists():
+        raise RecordingError(
+            f"{record} is there already; a recording is never written over, name another file"
+        )
+    options = Options(
+        cell=cell,
+        controller=controller,
+        leader_speed_m_s=leader_speed_m_s,
+        latency_s=latency_s,
+        duration_s=duration_s,
+        seed=seed,
+        settle_s=settle_s,
+        live=live,
+        target=target,
+        record=record,
+    )
+    with shown_compiled_ahead([controller]):
+        # imported here, since these modules search for their machine code on import
+        module = importlib.import_module(f"deltaq_experiments.{name.value}")
+        length = f"{name.value}, {duration_s or module.DURATION_S:g} s"
+        with progress_bar(f"{length} live" if live else length):
+            outcome = module.run(options)
+    report = outcome.report.model_dump(mode="json")
+    if figure is not None:
+        title = f"{name.value}, controller {controller}, leader at {leader_speed_m_s:g} m/s, seed {seed}"
+        draw(outcome.panels, title, figure)
+    if json:
+        print_json(report)
+    else:
+        _show(report)
+    if any(report["limits"].values()):
+        raise typer.Exit(BAD)
+
+
+def _attack(cell: str, seed: int, duration_s: float, json: bool) -> None:
+    from deltaq_command.console import print_json
+    from deltaq_command.progress import progress_bar
+    from deltaq_verification.attack import run
+
+    with progress_bar(f"attack, {duration_s:g} s") as move:
+        outcome = run(cell, seed=seed, duration_s=duration_s, on_cycle=move)
+    report = outcome.model_dump(mode="json")
+    if json:
+        print_json(report)
+    else:
+        _show(report | {"controller": "adversaries"})
+    if outcome.violations or any(report["limits"].values()):
+        raise typer.Exit(BAD)
+
+
+def _show(report: dict[str, Any]) -> None:
+    from deltaq_command.console import flat, print_table
+
+    print_table(
+        f"{report['experiment']} with the {report['controller']} controller", ("what", "value"), flat(report)
+    )

@@ -1,0 +1,54 @@
+"""The teleoperator of a robot of a running cell, with all modes that the robot can be driven in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import partial
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.advisor.process import AdvisorProcess
+from deltaq_controllers.criteria.postures import RobotData
+from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
+from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
+from deltaq_controllers.modes.coupled import CoupledMode, weighed
+from deltaq_controllers.modes.motion import Frame, ModeName
+from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
+from deltaq_protocol.client import Cell
+
+
+def teleoperator_for(
+    running: Cell,
+    robot: str,
+    stack: ExitStack,
+    mode: ModeName = ModeName.JOINT,
+    frame: Frame = Frame.WORLD,
+    weights: Mapping[str, float] | None = None,
+) -> Teleoperator:
+    """A teleoperator as `deltaq drive` uses it; no mode but the first is made yet.
+
+    Args:
+        running: connection to the cell.
+        robot: name of the robot.
+        stack: ends what the modes have going on.
+        mode: to begin with.
+        frame: axes in which hands are moved.
+        weights: of the criteria of `coupled` and `advisor`; their own if not given.
+
+    Raises:
+        ControllerError: the robot is unknown, or cannot be driven in that mode.
+        CriterionError: an unknown criterion, or a weight that is negative or not finite.
+    """
+    description = running.description
+    model = model_of(robot_models(description), robot)
+
+    def advisor_mode(robot: RobotModel) -> AdvisorMode:
+        others = where_others_are(running, robot.name)
+        advisor = AdvisorProcess(description, tracker_of(robot), others, weights)
+        return AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
+
+    modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    if weights is not None:
+        criteria = (weighed(RobotData(cell_model(description), robot), weights),)
+        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
+    return Teleoperator(model, description.cycle_s, mode, frame, modes)

@@ -1,0 +1,74 @@
+"""`deltaq up`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deltaq_command.errors import BAD
+from deltaq_command.options import CellOption
+
+if TYPE_CHECKING:
+    from deltaq_launch.launcher import Launcher
+
+
+def up(
+    cell: CellOption = "lab",
+    only: Annotated[str, typer.Option(help="Only these services or kinds, e.g. hli,sim,robot-server.")] = "",
+    real: Annotated[bool, typer.Option("--real", help="Real robots: start no emulator.")] = False,
+    record: Annotated[str, typer.Option(metavar="FILE", help="Also record to this MCAP file.")] = "",
+) -> None:
+    """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
+    from contextlib import nullcontext
+    from functools import partial
+
+    from deltaq_cell.find import find_cell
+    from deltaq_cell.load import load_cell
+    from deltaq_command.console import console, prefixed_log
+    from deltaq_command.progress import shown_compiled_ahead
+    from deltaq_launch.bring_to_rest import bring_to_rest
+    from deltaq_launch.launcher import Launcher
+    from deltaq_launch.real import refuse_unreal
+    from deltaq_launch.services import Role, cell_services, recorder, select
+
+    description = load_cell(cell)
+    services = cell_services(description, cell, real)
+    if record:
+        services = (*services, recorder(cell, record))
+    if only:
+        services = select(services, [name.strip() for name in only.split(",")])
+    if real:
+        servers = [service for service in services if service.role is Role.ROBOT_SERVER]
+        refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
+    output = console()
+    log = prefixed_log(output, [service.name for service in services])
+    launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
+    has_gate = any(service.role is Role.SIM for service in services)
+    with shown_compiled_ahead([]) if has_gate else nullcontext(), launcher:
+        launcher.start()
+        log("deltaq", f"cell {description.cell} is up: {', '.join(service.name for service in services)}")
+        if "hli" in launcher.ready:
+            lines = f"{description.tcp_address}:{description.tcp_port}"
+            log("deltaq", f"zenoh clients at {description.hli}, JSON lines at {lines}; Ctrl-C ends it")
+        ended = watch(launcher, cell)
+    if ended:
+        raise typer.Exit(BAD)
+
+
+def watch(launcher: Launcher, cell: str) -> list[str]:
+    """Wait for a signal, or until no service is left; returns the services that ended on their own."""
+    from deltaq_launch.child_process import Exited
+    from deltaq_launch.launcher import Interrupted, describe_exit
+
+    ended: list[str] = []
+    while len(ended) < len(launcher.services):
+        match launcher.wait():
+            case Interrupted(number):
+                launcher.say(f"{number.name}: bringing the robots to rest, then ending the services")
+                return ended
+            case Exited(name, status):
+                ended.append(name)
+                again = f"deltaq up --cell {cell} --only {name}"
+                launcher.say(f"{describe_exit(name, status)}; the others go on; `{again}` starts it again")
+    return ended

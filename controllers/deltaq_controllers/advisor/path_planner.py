@@ -1,0 +1,137 @@
+"""Collision-free paths from one configuration to others, with the hands fixed or not.
+
+They are straight in the free joints where that is clear; otherwise two trees grow towards each other. The tree about
+the start is kept, so that the path to one goal helps to find that to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.motion_validator import FINE_SHARE, MARGIN_M, MotionValidator
+from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.space import Space
+from deltaq_controllers.advisor.trees import Tree, connected
+
+Array = NDArray[np.float64]
+
+ROUNDS = 30
+"""How often a tree is grown in search of one path."""
+CHECKED = 2
+"""Of so many configurations of a path one is measured exactly; the gate measures every one that is driven."""
+ROUNDED = 31
+"""Configurations of a path over which a corner is rounded."""
+WIDER = (1.0, 2.0)
+"""Factors of the margin to bodies with which a path is searched for, one after the other."""
+
+
+class NoPathError(Exception):
+    """There is no path, or none was found; the text says why."""
+
+
+class PathPlanner:
+    """Finds paths from one configuration.
+
+    Args:
+        problem: the task, for the robot and the bodies about.
+        space: in which to look.
+        exact: measures the paths that are returned.
+        generator: of random numbers.
+        start: (n,) where they begin, in the space.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        space: Space,
+        exact: ExactClearance,
+        generator: np.random.Generator,
+        start: Array,
+    ) -> None:
+        self._problem, self._space, self._exact, self._generator = problem, space, exact, generator
+        self._start = start
+        self._limits = problem.robot.lower[space.free], problem.robot.upper[space.free]
+        self._trees: dict[float, Tree] = {}
+
+    def to(self, goal: Array, go_on: Callable[[], bool] = lambda: True) -> Array:
+        """A path to a configuration.
+
+        Args:
+            goal: (n,) in the space.
+            go_on: asked now and then.
+
+        Returns:
+            (P, n) configurations, neighbours no further apart than `FINE` in the free joints.
+
+        Raises:
+            NoPathError: there is none, or none was found.
+        """
+        barred = self._space.barred(self._start, goal)
+        if barred:
+            raise NoPathError(barred)
+        ends = np.stack([self._start, goal])
+        room_m = min(FINE_SHARE * MARGIN_M, *(max(0.0, 0.8 * self._exact.measure(q).room_m) for q in ends))
+        for wider in WIDER:
+            ground = MotionValidator(self._problem, self._space, ends, wider)
+            corners = connected(self._tree(wider), goal, ground, self._limits, self._generator, ROUNDS, go_on)
+            if not go_on():
+                raise NoPathError("the search for a path was ended")
+            if corners is None:
+                raise NoPathError("no collision-free path was found within the search time")
+            for path in _paths(ground, corners):
+                if ground.within(path, FINE_SHARE).all() and self._exact.keeps(path[::CHECKED], room_m):
+                    return path
+        raise NoPathError("all paths found pass too close to limits or obstacles")
+
+    def _tree(self, wider: float) -> Tree:
+        if wider not in self._trees:
+            ground = MotionValidator(self._problem, self._space, self._start[None], wider)
+            self._trees[wider] = Tree(self._start, ground)
+        return self._trees[wider]
+
+
+def _paths(ground: MotionValidator, corners: Array) -> Iterator[Array]:
+    """Paths along corners, best first; whether they are clear is not known yet."""
+    short = _shortened(ground, corners)
+    path = ground.fine(short)
+    if path is not None:
+        rounded = _rounded(ground, path)
+        if rounded is not None:
+            yield rounded
+        yield path
+    if len(short) < len(corners):
+        path = ground.fine(corners)
+        if path is not None:
+            yield path
+
+
+def _shortened(ground: MotionValidator, corners: Array) -> Array:
+    """Leave out corners where the straight path is clear."""
+    first = 0
+    while first < len(corners) - 2:
+        later = corners[first + 2 :]
+        passes = np.flatnonzero(ground.straight(np.broadcast_to(corners[first], later.shape), later))
+        if len(passes):
+            corners = np.concatenate([corners[: first + 1], corners[first + 2 + passes[-1] :]])
+        first += 1
+    return corners
+
+
+def _rounded(ground: MotionValidator, path: Array) -> Array | None:
+    """The path with its corners rounded, since a robot would have to crawl round them; None if a joint jumps then."""
+    window = min(ROUNDED, 2 * ((len(path) - 1) // 2) + 1)
+    half = window // 2
+    free = path[:, ground.space.free]
+    # mirrored about either end, so that the ends stay where they are
+    before, after = 2.0 * free[0] - free[half:0:-1], 2.0 * free[-1] - free[-2 : -half - 2 : -1]
+    padded = np.concatenate([before, free, after])
+    smooth = np.column_stack(
+        [np.convolve(column, np.full(window, 1.0 / window), "valid") for column in padded.T]
+    )
+    rounded = ground.space.placed(smooth, path)
+    rounded[[0, -1]] = path[[0, -1]]
+    return rounded if np.isfinite(rounded).all() and ground.is_steady(rounded) else None

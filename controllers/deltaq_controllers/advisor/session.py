@@ -1,0 +1,119 @@
+"""An advisor for one robot, question by question."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.advisor.advisor import Option, Progress, advise
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
+from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.space import HandsKept
+from deltaq_controllers.inverse.tracking import ConstraintTracker
+
+Array = NDArray[np.float64]
+GoOn = Callable[[Progress], bool]
+
+
+class AdvisorSession:
+    """Finds options that keep the hands, and paths to them, from the robot's present configuration.
+
+    Args:
+        cell: model of the cell.
+        robot: name of the robot.
+        weights: of the criteria; the advisor's own if not given.
+        options: how many at most.
+        effort: of the search.
+        seed: of the search.
+
+    Attributes:
+        tracker: of the robot.
+
+    Raises:
+        AdvisorError: the robot is unknown or not redundant.
+        TrackingError: its arms have no closed form.
+        CriterionError: an unknown criterion.
+    """
+
+    def __init__(
+        self,
+        cell: CellModel,
+        robot: str,
+        weights: Mapping[str, float] | None = None,
+        *,
+        options: int = 5,
+        effort: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        self.tracker = ConstraintTracker(cell.robots[robot])
+        self._problem = Problem(
+            cell, robot, self.tracker.hands(cell.robots[robot].home), weights, self.tracker
+        )
+        self._exact = ExactClearance(cell, robot)
+        self._count, self._effort = options, effort
+        self._generator = np.random.default_rng(seed)
+        self._first: tuple[Option, ...] = ()
+        self._progress = Progress("searching", 0.0, float("inf"), 0)
+
+    def ask(self, q: Array, others: Mapping[str, Array], go_on: GoOn) -> None:
+        """Look for options that keep the hands where they are.
+
+        Args:
+            q: (n,) where the robot stands.
+            others: (n,) where each other robot is.
+            go_on: called with every step, and with the options as they become known; returns whether anybody still
+                waits.
+        """
+        self._problem = self._problem.at(self.tracker.hands(q))
+        self._exact.place(others)
+
+        def noted(progress: Progress) -> bool:
+            self._progress, self._first = progress, progress.options
+            return go_on(progress)
+
+        advise(
+            self._problem,
+            q,
+            generator=self._generator,
+            options=self._count,
+            effort=self._effort,
+            exact=self._exact,
+            go_on=noted,
+        )
+
+    def seek(self, back: Array, rank: int, others: Mapping[str, Array], go_on: GoOn) -> None:
+        """Search for a path to one of the options.
+
+        Args:
+            back: (P, n) a path from where the robot stands to where it stood when options were asked for. If there
+                is no other path, that to the option leads back along this one.
+            rank: of the option, from 1.
+            others: (n,) where each other robot is.
+            go_on: called with the options at the end, and now and then; returns whether anybody still waits.
+        """
+        self._exact.place(others)
+        space = HandsKept(self.tracker, self._problem.poses)
+        first = self._first[rank - 1]
+
+        def path(start: Array) -> Array:
+            ways = PathPlanner(self._problem, space, self._exact, self._generator, start)
+            return ways.to(first.q, lambda: go_on(self._progress))
+
+        try:
+            try:
+                found = path(back[0])
+            except NoPathError:
+                onwards = path(first.start) if first.path is None else first.path
+                found = np.concatenate([back, onwards])
+            option = replace(first, start=back[0], path=found, no_path="")
+        except NoPathError as error:
+            option = replace(first, start=back[0], path=None, no_path=str(error))
+        known = list(self._progress.options)
+        known[rank - 1] = option
+        self._progress = replace(self._progress, options=tuple(known))
+        go_on(self._progress)

@@ -1,0 +1,253 @@
+"""The teleoperator: a controller whose mode can be switched while the robot moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import ControllerError, LastIncrement, View
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.modes import speed_scaling
+from deltaq_controllers.modes.coupled import CoupledMode
+from deltaq_controllers.modes.decoupled import DecoupledMode
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.joint import JointMode
+from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_joint, of_speed
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.self_motion import SelfMotionMode
+from deltaq_protocol.messages import Verdict
+
+Array = NDArray[np.float64]
+
+ModeTable = Mapping[ModeName, Callable[[RobotModel], Mode]]
+
+MODES: ModeTable = {
+    ModeName.JOINT: JointMode,
+    ModeName.DECOUPLED: DecoupledMode,
+    ModeName.SELF_MOTION: SelfMotionMode,
+    ModeName.COUPLED: CoupledMode,
+}
+"""The modes that need no more than the robot; `advisor` needs to know the cell."""
+
+
+class Teleoperator:
+    """Drives a robot as its operator commands.
+
+    Set `command` and ask for the increment, once a cycle; an empty command brings the robot to rest. Another mode
+    takes over when the robot has come to rest in the one before, a fraction of a second after it was commanded.
+
+    Args:
+        robot: the robot.
+        cycle_s: its cycle [s].
+        mode: the mode to begin with.
+        frame: the axes in which hands are moved.
+        modes: makers of the modes.
+
+    Attributes:
+        robot, cycle_s: as given.
+        command: what the operator commands now.
+        frame: the axes in which hands are moved.
+        limitation: what limits the operator in this cycle; None if nothing does.
+
+    Raises:
+        ControllerError: the robot cannot be driven in that mode.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        cycle_s: float,
+        mode: ModeName = ModeName.JOINT,
+        frame: Frame = Frame.WORLD,
+        modes: ModeTable = MODES,
+    ) -> None:
+        self.robot = robot
+        self._table = modes
+        self.command = OperatorCommand()
+        self.frame = frame
+        self.limitation: Limitation | None = None
+        self.limits = IncrementLimits.of(robot, cycle_s)
+        self._hands = Hands(robot)
+        self.cycle_s = cycle_s
+        self._last = LastIncrement(self.limits.max_ddq)
+        self._modes: dict[ModeName, Mode] = {}
+        self._mode = self.mode_named(mode)
+        self._next: Mode | None = self._mode
+        self._rest = Motion.rest(robot.n, len(self._hands.names))
+        self._motion = self._rest
+        self._asked = np.zeros(robot.n)
+        self._is_moving = False
+        self._settle_cycles = self._still_cycles = math.ceil(SETTLE_S / cycle_s)
+
+    @property
+    def mode(self) -> ModeName:
+        """The mode that drives the robot now."""
+        return self._mode.name
+
+    @property
+    def status(self) -> str:
+        """The mode's status, beside what limits it."""
+        return self._mode.status
+
+    @property
+    def arrived_at(self) -> int | None:
+        """The advisor's option that the robot stands at."""
+        return self._mode.arrived_at
+
+    @property
+    def hand_names(self) -> tuple[str, ...]:
+        """Names of the robot's hands."""
+        return self._hands.names
+
+    @property
+    def made_modes(self) -> tuple[Mode, ...]:
+        """The modes made so far."""
+        return tuple(self._modes.values())
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the robot was last asked to stand still, and did."""
+        return not self._is_moving
+
+    def mode_named(self, name: ModeName) -> Mode:
+        """The mode of that name, made when it is first asked for.
+
+        Raises:
+            ControllerError: the robot cannot be driven in it.
+        """
+        if name not in self._table:
+            known = ", ".join(self._table)
+            raise ControllerError(f"mode {name.value} is not available; there are {known}")
+        if name not in self._modes:
+            self._modes[name] = self._table[name](self.robot)
+        return self._modes[name]
+
+    def make_modes(self) -> None:
+        """Make every mode that the robot can be driven in, for an operator who may switch to any of them."""
+        for name in self._table:
+            with suppress(ControllerError):  # the robot is not redundant
+                self.mode_named(name)
+
+    def check(self, command: OperatorCommand, mode: ModeName) -> None:
+        """Check that a command can be followed in a mode.
+
+        Raises:
+            ControllerError: the robot has no such axis, or the mode does not drive it.
+        """
+        driver = self.mode_named(mode)
+        joints = self.robot.joint_names
+        if command.option is not None and mode is not ModeName.ADVISOR:
+            raise ControllerError(f"option {command.option}: options are for mode advisor, not {mode.value}")
+        for axis in command.rates:
+            hand, _, plain = axis.rpartition(".")
+            is_hand = plain in HAND_AXES and (not hand or hand in self.hand_names)
+            driven = driver.drives_hands if is_hand else axis in joints
+            if not is_hand and driven:
+                driven = bool(driver.drives_joints[joints.index(axis)])
+            if not driven:
+                known = "not driven in" if is_hand or axis in joints else "unknown to"
+                drives = ", ".join(self.axes(mode)) or "to an option of its own"
+                raise ControllerError(
+                    f"axis {axis!r} is {known} mode {mode.value} of robot {self.robot.name}; it drives {drives}"
+                )
+
+    def axes(self, mode: ModeName) -> tuple[str, ...]:
+        """The axes that an operator drives in a mode."""
+        driver = self.mode_named(mode)
+        named = zip(self.robot.joint_names, driver.drives_joints, strict=True)
+        joints = tuple(name for name, driven in named if driven)
+        if not driver.drives_hands:
+            return joints
+        several = self.hand_names if len(self.hand_names) > 1 else ()
+        return (*joints, *HAND_AXES, *(f"{hand}.{axis}" for hand in several for axis in HAND_AXES))
+
+    def increment(self, view: View) -> Array:
+        """The increment for this cycle, (n,) [rad or m]."""
+        q_cmd, dq_last = view.own.q_cmd, self._last.update(view.own)
+        moving = bool((np.abs(dq_last) > _STILL).any())
+        self._take_command()
+        self._still_cycles = 0 if moving else self._still_cycles + 1
+        if self._next is not None and self._still_cycles >= self._settle_cycles:
+            self._mode.leave()
+            self._mode, self._next = self._next, None
+            self._mode.enter(q_cmd)
+            self._motion = self._rest
+        asked = self._rest if self._next else self._commanded(q_cmd)
+        commanded = self._mode.bounded(q_cmd, asked) if asked else asked
+        previous = self._motion.scaled(self._made(dq_last))
+        step = self._step_from(q_cmd)
+        found = speed_scaling.fit(step, previous, commanded, self.limits, q_cmd, dq_last)
+        self._motion, self._asked = found.motion, found.dq
+        self._is_moving = moving or bool(found.dq.any())
+        self.limitation = self._limited(found, q_cmd, asked) if asked else None
+        return found.dq
+
+    def take_verdict(self, verdict: Verdict | None) -> None:
+        """Take the verdict on the increment; the gate's reason takes precedence over the mode's own."""
+        found = from_verdict(verdict) if verdict is not None else None
+        if found is not None:
+            self.limitation = found
+
+    def _take_command(self) -> None:
+        if self.command.frame is not None:
+            self.frame = self.command.frame
+        if self.command.mode is not None:
+            wanted = self.mode_named(self.command.mode)
+            if wanted is not (self._next or self._mode):
+                self._next = wanted
+        self._mode.choose(self.command.option)
+
+    def _step_from(self, q_cmd: Array) -> Callable[[Motion], Array]:
+        return lambda motion: self._mode.step(q_cmd, motion, self.cycle_s)
+
+    def _commanded(self, q: Array) -> Motion:
+        """The command as a motion of the axes that the mode drives."""
+        rest = Motion.rest(self.robot.n, len(self.hand_names))
+        if self.mode is ModeName.ADVISOR:
+            return rest if self.command.option is None else replace(rest, along=1.0)
+        motion = rest
+        joints = self.robot.joint_names
+        for axis, rate in self.command.rates.items():
+            hand, _, plain = axis.rpartition(".")
+            if axis in joints:
+                motion.joints[joints.index(axis)] = rate
+            elif plain in HAND_AXES and (not hand or hand in self.hand_names):
+                rows = self.hand_names.index(hand) if hand else slice(None)
+                motion.hands[rows, HAND_AXES.index(plain)] = rate
+        motion.joints[~self._mode.drives_joints] = 0.0
+        if not self._mode.drives_hands:
+            motion.hands[:] = 0.0
+        elif self.frame is Frame.TOOL:
+            self._hands.update(q)
+            for hand, rotation in zip(motion.hands, self._hands.rotations, strict=True):
+                hand[:3], hand[3:] = rotation @ hand[:3], rotation @ hand[3:]
+        return motion
+
+    def _made(self, dq_last: Array) -> float:
+        """Fraction of the motion last asked for that the robot was commanded: the gate may have braked it."""
+        size = float(self._asked @ self._asked)
+        return min(1.0, max(0.0, float(self._asked @ dq_last) / size)) if size > 0.0 else 0.0
+
+    def _limited(self, found: speed_scaling.Fit, q: Array, commanded: Motion) -> Limitation | None:
+        geometry = self._mode.limitation(q, commanded)
+        if geometry is not None:
+            return geometry
+        names, revolute = self.robot.joint_names, self.robot.revolute
+        if found.at_limit is not None:
+            joint = found.at_limit
+            return of_joint(names[joint], float(q[joint]), bool(revolute[joint]))
+        return of_speed(names[found.too_fast]) if found.too_fast is not None else None
+
+
+SETTLE_S = 0.12
+"""How long the setpoint stands still before another mode takes over: the drives lag behind it [s]."""
+
+_STILL = 1e-12
+"""An increment below this is none [rad or m]."""

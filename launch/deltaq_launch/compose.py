@@ -1,0 +1,104 @@
+"""Writes `deploy/compose.yaml` from the table of services: `python -m deltaq_launch.compose`.
+
+With the name or the file of a cell it prints that cell's instead.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from deltaq_cell.find import find_cell
+from deltaq_cell.load import load_cell
+from deltaq_launch.services import Role, Service, cell_services, demo_controllers
+from deltaq_services.guarded_key import KEY_FILE, off_loopback
+
+FILE = Path(__file__).parents[1] / "compose.yaml"
+CELL = "lab"
+HEADER = """\
+# The lab cell in containers: the services of `deltaq up`, and with `--profile demo` the controllers of
+# `deltaq demo`. Written by `make docs` from deltaq_launch.services; do not edit.
+#
+#   make image                                              build the image
+#   docker compose -f deploy/compose.yaml up --wait         the emulated cell
+#   docker compose -f deploy/compose.yaml up --wait hli     the same without emulators: real robots
+"""
+
+
+_SECRET = "deltaq-guarded-key"
+_GUARDED = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
+
+
+def compose_document(cell_name: str = CELL) -> dict[str, Any]:
+    """The compose document of a cell: one container a service.
+
+    Where the guarded realm leaves the loopback, its key is a secret of those that speak there.
+    """
+    cell = load_cell(cell_name)
+    services = cell_services(cell, cell_name)
+    document: dict[str, Any] = {service.name: _container(service, cell_name) for service in services}
+    for controller in demo_controllers(cell):
+        # numba writes to the folder in which it finds machine code
+        demo = {"profiles": ["demo"], "tmpfs": ["/tmp"]}
+        document[controller.name] = _container(controller, cell_name) | demo
+    if off_loopback(cell) is None:
+        return {"name": "deltaq", "services": document}
+    for service in services:
+        if service.role in _GUARDED:
+            document[service.name]["environment"] = {KEY_FILE: f"/run/secrets/{_SECRET}"}
+            document[service.name]["secrets"] = [_SECRET]
+    needed = f"name a file made with `deltaq key` in {KEY_FILE}"
+    secret = {"file": f"${{{KEY_FILE}:?{needed}}}"}  # compose refuses to start anything without it
+    return {"name": "deltaq", "services": document, "secrets": {_SECRET: secret}}
+
+
+def compose_text(cell_name: str = CELL) -> str:
+    """The same as YAML, with its header."""
+    yaml = YAML()
+    yaml.default_flow_style = False
+    yaml.width = 110
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    stream = io.StringIO()
+    yaml.dump(compose_document(cell_name), stream)
+    return HEADER + stream.getvalue()
+
+
+def _container(service: Service, cell_name: str) -> dict[str, Any]:
+    container: dict[str, Any] = {
+        "image": "deltaq",
+        "pull_policy": "never",  # `make image` makes it
+        "command": ["python", *service.arguments],
+        # RSI counts single milliseconds, and a KRC on the plant's network sends to this host's address
+        "network_mode": "host",
+        "restart": "unless-stopped",
+        "read_only": True,
+        "cap_drop": ["ALL"],
+        "security_opt": ["no-new-privileges:true"],
+    }
+    if Path(cell_name).is_absolute():
+        container["volumes"] = [f"{cell_name}:{cell_name}:ro"]
+    if service.role in (Role.EMULATOR, Role.ROBOT_SERVER, Role.SIM, Role.HLI):
+        container["cap_add"] = ["SYS_NICE"]  # for real-time priority
+    if service.needs:
+        container["depends_on"] = {name: {"condition": "service_healthy"} for name in service.needs}
+    if service.probe is not None:
+        container["healthcheck"] = {
+            "test": ["CMD", "deltaq", "health", service.name, "--cell", cell_name],
+            # each costs half a second of a core
+            "interval": "10s",
+            "timeout": "10s",
+            "retries": 3,
+            "start_period": "60s",
+        }
+    return container
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        print(compose_text(str(find_cell(sys.argv[1]).resolve())), end="")
+    else:
+        FILE.write_text(compose_text(), encoding="utf-8")

@@ -1,0 +1,248 @@
+"""Starts the services of a cell on this machine, watches them, and leaves nothing running."""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from deltaq_launch.child_process import Child, Exited, Ready
+from deltaq_launch.services import BRAKING_ROLES, Listener, Service
+from deltaq_launch.warden import Warden
+from deltaq_protocol.errors import DeltaqError
+
+SHOWN_LINES = 12
+GRACE_S = 5.0
+START_TIMEOUT_S = 60.0
+
+
+class LaunchError(DeltaqError):
+    """A service could not be started, or ended before it served."""
+
+
+class LaunchInterruptedError(DeltaqError):
+    """Somebody asked to stop while services were still starting."""
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """The launcher was asked to stop."""
+
+    number: signal.Signals
+
+
+Event = Ready | Exited | Interrupted
+
+
+class Launcher:
+    """Processes of a cell, one a service; a context manager that ends them all.
+
+        with Launcher(cell_services(cell, "lab"), on_line=print) as launcher:
+            launcher.start()
+            launcher.wait()
+
+    SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one. Should this process be
+    killed, its warden ends the services, those last that robots need to come to rest.
+    """
+
+    def __init__(
+        self,
+        services: Sequence[Service],
+        on_line: Callable[[str, str], None],
+        bring_to_rest: Callable[[], None] | None = None,
+        grace_s: float = GRACE_S,
+        python: Sequence[str] = (sys.executable,),
+    ) -> None:
+        """Prepare; nothing starts yet.
+
+        Args:
+            services: rows of the table, each after those that it needs.
+            on_line: called from a thread with a service's name and each line of its output.
+            bring_to_rest: called before services are stopped while robots may still move.
+            grace_s: how long a service may take to end by itself.
+            python: the interpreter that runs the services.
+        """
+        self.services = tuple(services)
+        self.children: dict[str, Child] = {}
+        self.ready: set[str] = set()
+        self._on_line = on_line
+        self._bring_to_rest = bring_to_rest
+        self._grace_s = grace_s
+        self._python = tuple(python)
+        # signal handlers may put into a SimpleQueue at any time, not into a Queue
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._handlers: dict[signal.Signals, Any] = {}
+        self._warden: Warden | None = None
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                self._handlers[number] = signal.signal(number, self._interrupt)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.stop()
+        finally:
+            if self._warden is not None:
+                self._warden.close()
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
+
+    def start(self, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Start every service as soon as those it needs serve, and wait until all serve.
+
+        Raises:
+            LaunchError: if a port is taken, or a service ends or stays silent instead of serving.
+            LaunchInterruptedError: if a signal came first.
+        """
+        self._start(self.services, timeout_s)
+
+    def restart(self, name: str, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Start a service again that has ended; raises as `start` does."""
+        self.stop_service(name)
+        self._start([service for service in self.services if service.name == name], timeout_s)
+
+    def wait(self, timeout_s: float | None = None) -> Event | None:
+        """The next event, or None if there is none within `timeout_s`."""
+        try:
+            event = self._events.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        match event:
+            case Ready(name):
+                self.ready.add(name)
+            case Exited(name):
+                self.ready.discard(name)
+        return event
+
+    def stop_service(self, name: str) -> None:
+        """End one service; its output can still be read."""
+        child = self.children.get(name)
+        if child is None:
+            return
+        self.ready.discard(name)
+        if not child.stop(self._grace_s):
+            self._on_line(name, f"did not end within {self._grace_s:g} s of SIGTERM and was killed")
+
+    def stop(self) -> None:
+        """Bring the robots to rest, then end every service, the last started first."""
+        running = [name for name, child in self.children.items() if child.status is None]
+        if self._bring_to_rest and any(self._role_moves(name) for name in running):
+            try:
+                self._bring_to_rest()
+            except DeltaqError as error:
+                # the services' own watchdogs do it then
+                self.say(f"the robots could not be asked to rest: {error}")
+        for name in reversed(self.children):
+            self.stop_service(name)
+
+    def say(self, line: str) -> None:
+        """Print a line of the launcher between the services' lines."""
+        self._on_line("deltaq", line)
+
+    def last_lines(self, name: str, count: int = SHOWN_LINES) -> list[str]:
+        """The last lines of a service."""
+        child = self.children.get(name)
+        return list(child.lines)[-count:] if child else []
+
+    def last_json(self, name: str) -> dict[str, Any] | None:
+        """The last line of a service that is a JSON object, decoded; None if it printed none."""
+        for line in reversed(self.last_lines(name, count=sys.maxsize)):
+            try:
+                data = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(data, dict):
+                return data
+        return None
+
+    def _role_moves(self, name: str) -> bool:
+        return name == "hli" and name in self.ready
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - signal's signature
+        self._events.put(Interrupted(signal.Signals(number)))
+
+    def _start(self, services: Sequence[Service], timeout_s: float) -> None:
+        check_ports(services)
+        if self._warden is None:
+            self._warden = Warden()
+        here = {service.name for service in self.services}
+        waiting = list(services)
+        starting = {service.name for service in services}
+        pending: set[str] = set()
+        deadline = time.monotonic() + timeout_s
+        while waiting or pending:
+            for service in [s for s in waiting if here.intersection(s.needs) <= self.ready]:
+                waiting.remove(service)
+                pending.add(service.name)
+                command = [*self._python, *service.arguments]
+                child = Child(service.name, command, self._events.put, self._on_line)
+                self._warden.keep(child.pid, child.output, brakes=service.role in BRAKING_ROLES)
+                self.children[service.name] = child
+            match self.wait(max(0.0, deadline - time.monotonic())):
+                case Ready(name):
+                    pending.discard(name)
+                case Exited(name, status) if name in starting and self.children[name].status is not None:
+                    when = "before it served" if name in pending else "while others were starting"
+                    raise LaunchError(f"{describe_exit(name, status)} {when}{self._quote(name)}")
+                case Interrupted(number):
+                    raise LaunchInterruptedError(f"stopped by {number.name} while services were starting")
+                case Exited():
+                    pass  # the process that one of these replaces, or another service
+                case None:
+                    raise LaunchError(
+                        f"{', '.join(sorted(pending))} did not serve within {timeout_s:g} s"
+                        + "".join(self._quote(name) for name in sorted(pending))
+                    )
+
+    def _quote(self, name: str) -> str:
+        lines = self.last_lines(name)
+        if not lines:
+            return f"; {name} printed nothing"
+        return f"; {name} said last:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def describe_exit(name: str, status: int) -> str:
+    """Say how a service ended."""
+    if status < 0:
+        return f"{name} was ended by {signal.Signals(-status).name}"
+    return f"{name} ended with exit status {status}"
+
+
+def check_ports(services: Iterable[Service]) -> None:
+    """Check that nobody else listens on the ports of these services.
+
+    Raises:
+        LaunchError: naming the service, the port, and where the cell's file sets it.
+    """
+    for service in services:
+        for listener in service.listens:
+            try:
+                _bind(listener)
+            except OSError as error:
+                raise LaunchError(
+                    f"{service.name} cannot listen on {listener.transport} {listener.address}:{listener.port}"
+                    f" ({error.strerror}); is another cell up (`deltaq status`)? Otherwise change"
+                    f" `{listener.field}` in the cell's file"
+                ) from error
+
+
+def _bind(listener: Listener) -> None:
+    kind = socket.SOCK_STREAM if listener.transport == "tcp" else socket.SOCK_DGRAM
+    family = socket.AF_INET6 if ":" in listener.address else socket.AF_INET
+    with socket.socket(family, kind) as probe:
+        if kind is socket.SOCK_STREAM:
+            # connections of the last run that are still closing do not block the port, a listener does
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((listener.address, listener.port))

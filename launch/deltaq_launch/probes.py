@@ -1,0 +1,112 @@
+"""Asking one service whether it is healthy, as its row of the table says."""
+
+from __future__ import annotations
+
+import socket
+import time
+from dataclasses import dataclass
+from typing import assert_never
+
+from pydantic import BaseModel
+
+from deltaq_cell.description import CellDescription
+from deltaq_launch.services import Probe, Service
+from deltaq_protocol import topics
+from deltaq_protocol.codec import unpack
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_protocol.guarded import Health
+from deltaq_protocol.session import open_session
+
+TIMEOUT_S = 3.0
+
+
+class NoProbeError(DeltaqError):
+    """A service that cannot be asked."""
+
+
+class _Panel(BaseModel):
+    """The part of an emulator's panel status that is used."""
+
+    ok: bool
+    state: str
+    message: str | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A service's report on itself."""
+
+    healthy: bool
+    detail: str
+
+
+def probe(service: Service, cell: CellDescription) -> Answer:
+    """Ask a service for its health.
+
+    Raises:
+        ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
+        NoProbeError: if it has nothing to be asked at.
+        GuardedKeyError: if its answer is sealed, and there is no key.
+    """
+    if service.probe is None or service.endpoint is None:
+        raise NoProbeError(f"{service.name} has no health to ask for")
+    match service.probe:
+        case Probe.HEALTH_TOPIC:
+            return _ask_health_topic(service.name, service.endpoint, cell)
+        case Probe.STATUS_QUERY:
+            return _ask_hli(cell)
+        case Probe.PANEL:
+            return _ask_panel(service.name, service.endpoint)
+        case _:
+            assert_never(service.probe)
+
+
+def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> Answer:
+    import zenoh
+
+    from deltaq_services.guarded_key import guarded_seal
+
+    seal = guarded_seal(cell)
+    session = open_session(connect=[endpoint], must_connect=True)
+    try:
+        key = topics.HEALTH.key(cell.cell, service=name)
+        with session.declare_subscriber(key, zenoh.handlers.FifoChannel(4)) as subscriber:
+            deadline = time.monotonic() + TIMEOUT_S
+            while (sample := subscriber.try_recv()) is None:
+                if time.monotonic() > deadline:
+                    raise _silent(name, endpoint)
+                time.sleep(0.01)
+            health = unpack(Health, seal.open(key, sample.payload.to_bytes()))
+            return Answer(health.healthy, health.detail)
+    finally:
+        session.close()
+
+
+def _ask_hli(cell: CellDescription) -> Answer:
+    from deltaq_launch.cell_connection import connect
+
+    with connect(cell, "deltaq health") as running:
+        status = running.status()
+    if status.gate_age_s is None or status.gate_age_s > topics.HEALTH.age_s(cell.cycle_s):
+        return Answer(False, "the SIM is silent")
+    lagging = f", lagging: {'; '.join(status.lagging)}" if status.lagging else ""
+    return Answer(True, f"{len(status.robots)} robots{lagging}")
+
+
+def _ask_panel(name: str, endpoint: str) -> Answer:
+    address, _, port = endpoint.removeprefix("udp/").rpartition(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
+        panel.settimeout(TIMEOUT_S)
+        try:
+            panel.connect((address, int(port)))
+            panel.send(b'{"op":"status"}')
+            answer = _Panel.model_validate_json(panel.recv(65536))
+        except (OSError, ValueError) as error:
+            raise _silent(name, endpoint) from error
+    return Answer(answer.ok, answer.message or answer.state)
+
+
+def _silent(name: str, endpoint: str) -> ServiceUnreachableError:
+    return ServiceUnreachableError(
+        f"{name} at {endpoint} did not answer within {TIMEOUT_S:g} s; is the cell up (`deltaq up`)?"
+    )

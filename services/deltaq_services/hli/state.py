@@ -1,0 +1,159 @@
+"""The state of the HLI: leases, robots, commands and counters, and what happens when a lease ends."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import topics
+from deltaq_protocol.guarded import Command, Health
+from deltaq_protocol.identity import CellIdentity, mismatch
+from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.commands import Commands
+from deltaq_services.hli.leases import Lease, Leases
+from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
+from deltaq_services.hli.refusals import refusal
+from deltaq_services.hli.robot_link import Asked, RobotLink
+
+
+class HliState:
+    """State of the HLI, shared by the parts of its core.
+
+    Args:
+        cell: description of the cell.
+        identity: its name and hash.
+        new_token: makes a secret, different each time.
+        first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
+    """
+
+    def __init__(
+        self,
+        cell: CellDescription,
+        identity: CellIdentity,
+        new_token: Callable[[], str],
+        first_epoch: int,
+    ) -> None:
+        age_s = cell.gate.max_request_age_s
+        self.cell = cell
+        self.identity = identity
+        self.mismatches: dict[str, str] = {}
+        self.counters: Counter[str] = Counter()
+        self.leases = Leases(cell.robots, cell.lease_s, new_token, first_epoch)
+        self.commands = Commands(first_epoch)
+        self.links = {
+            name: RobotLink(
+                len(robot.joints),
+                topics.INCREMENT.age_cycles(cell.cycle_s, age_s),
+                topics.SERVER_STATE.age_s(cell.cycle_s, age_s),
+            )
+            for name, robot in cell.robots.items()
+        }
+
+    def compare(self, health: Health) -> None:
+        """Compare the cell that a service has read with this one's."""
+        theirs = CellIdentity.parse(health.cell)
+        if self.identity.is_same(theirs):
+            self.mismatches.pop(health.service, None)
+            return
+        self.counters["signs_of_life_of_another_cell"] += 1
+        self.mismatches[health.service] = mismatch(health.service, theirs, self.identity)
+
+    def mismatch(self) -> Reason | None:
+        """Why nothing moves, where a service has read another cell than this one."""
+        for said in self.mismatches.values():
+            return Reason(code=ReasonCode.CELL_MISMATCH, what=said)
+        return None
+
+    def tick(self, time_s: float) -> list[Output]:
+        """Let leases and commands run out, and send again what stops the gate has not answered."""
+        outputs: list[Output] = []
+        for lease in self.leases.expired(time_s):
+            self.counters["leases_expired"] += 1
+            outputs += self._told_of_expiry(lease) + self.holder_lost(lease, time_s)
+        late, answers = self.commands.overdue(time_s)
+        self.counters["commands_unanswered"] += late
+        stops = self.commands.stops_again(time_s)
+        self.counters["stops_sent_again"] += len(stops)
+        return [*outputs, *answers, *stops]
+
+    def learn_epoch(self, verdict: Verdict) -> list[Output]:
+        """Where the gate knows of a greater epoch than was ever granted here, end what is numbered below it."""
+        outputs: list[Output] = []
+        for reason in verdict.reasons:
+            if reason.code is ReasonCode.LEASE_NOT_HELD and reason.bound is not None:
+                for lease in self.leases.count_on_from(int(reason.bound)):
+                    self.counters["leases_outdated"] += 1
+                    outputs += self.end_lease(lease)
+        return outputs
+
+    def refuse(self, robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
+        """Refuse an increment: count it, and send the verdict to the sender and to every watcher."""
+        self.counters["refused"] += 1
+        self.counters[f"refused_{reason.code}"] += 1
+        return refusal(robot, cycle, seq, reason, sender)
+
+    def refuse_asked(self, asked: Asked, reason: Reason) -> list[Output]:
+        """Refuse an increment that had been accepted before."""
+        increment = asked.increment
+        return self.refuse(increment.robot, increment.cycle, increment.seq, reason, asked.sender)
+
+    def end_lease(self, lease: Lease) -> list[Output]:
+        """End a lease; nothing that was queued under it survives."""
+        self.leases.end(lease)
+        asked = self.links[lease.robot].drop()
+        if asked is None:
+            return []
+        return self.refuse_asked(asked, Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"))
+
+    def holder_lost(self, lease: Lease, time_s: float) -> list[Output]:
+        """The holder vanished without releasing: stop its robot, if it was used."""
+        outputs = self.end_lease(lease)
+        moving = self.links[lease.robot].phase(time_s) in (Phase.ENGAGED, Phase.BRAKING)
+        if not (moving or lease.used):
+            return outputs
+        self.counters["controllers_lost"] += 1
+        command = self.new_command(kind="stop", robot=lease.robot, reason=ReasonCode.CONTROLLER_LOST)
+        return outputs + self.command(command, None, Done(what="stop"), time_s)
+
+    def _told_of_expiry(self, lease: Lease) -> list[Output]:
+        if lease.connection is None:
+            return []
+        bound = f"{self.cell.lease_s:g} s"
+        text = f"the lease of {lease.robot} has run out: {lease.client} sent nothing for {bound}"
+        renewal = f'{{"type":"lease","robot":"{lease.robot}","action":"renew"}}'
+        hint = f"acquire it again, and send any valid line at least every {bound}, e.g. {renewal}"
+        error = Error(code=ReasonCode.LEASE_NOT_HELD, message=text, hint=hint, robot=lease.robot)
+        return [ToSender(lease.connection, error)]
+
+    def drop_all(self, reason: Reason) -> list[Output]:
+        """Refuse every increment that waits, of all robots."""
+        dropped = [link.drop() for link in self.links.values()]
+        return [output for asked in dropped if asked for output in self.refuse_asked(asked, reason)]
+
+    def new_command(self, **fields: Any) -> Command:
+        """A command with these fields, bound to the gate and to the robots' newest states."""
+        cycles = {name: link.state.cycle for name, link in self.links.items() if link.state is not None}
+        return self.commands.numbered(Command(id=0, cycles=cycles, **fields))
+
+    def command(
+        self, command: Command, sender: Sender | None, done: Done | IoReply | None, time_s: float
+    ) -> list[Output]:
+        """Send a command to the gate and remember whom to tell `done`, or the reply's verdict, when it has answered.
+
+        Where a service has read another cell, nothing but a stop is sent.
+        """
+        if command.kind != "stop" and self.mismatches:
+            said = "; ".join(self.mismatches.values())
+            error = Error(
+                code=ReasonCode.CELL_MISMATCH,
+                message=f"{command.kind} refused: {said}",
+                hint="start every service of the cell from the same description",
+                request=command.kind,
+                robot=command.robot,
+            )
+            return [] if sender is None else [ToSender(sender, error)]
+        self.commands.sent(command, sender, done, time_s)
+        return [ToGuarded(topics.COMMAND, "", command)]

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_command.errors import exit_status
+from deltaq_launch.launcher import LaunchError, LaunchInterruptedError
+from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+
+
+def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(write_private_cell(tmp_path_factory.mktemp("cell")))
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (ServiceUnreachableError("gone"), 3),
+        (RefusedError("cause_stands", "no"), 1),
+        (LaunchError("died"), 1),
+        (LaunchInterruptedError("stopped by SIGINT"), 130),
+        (ProtocolError("garbled"), 2),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError, status: int) -> None:
+    assert exit_status(error) == status
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("status",),
+        ("stop",),
+        ("reset", "--robot", "fr"),
+        ("lease", "--robot", "fr"),
+        ("health", "sim"),
+        ("hz",),
+        ("drive", "--robot", "fr"),
+        ("record", "never-written.mcap"),
+        ("dry-run", "--robot", "fr", "--dq", "0,0,0,0,0,0"),
+        ("contact",),
+        ("advise", "--robot", "gr"),
+        ("fault", "inject", "krc-hiccup", "--robot", "fr"),
+    ],
+    ids=" ".join,
+)
+def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
+    cell: str, arguments: tuple[str, ...]
+) -> None:
+    done = deltaq(*arguments, "--cell", cell)
+    assert done.returncode == 3
+    assert done.stdout == ""
+    assert done.stderr.startswith("deltaq: ")
+    assert "is the cell up" in done.stderr
+    assert ".rs:" not in done.stderr, "where in zenoh's source it happened"
+    assert done.stderr.count("\n") == 1
+    assert ".rs:" not in done.stderr  # zenoh adds where in its own source it happened
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("status", "--cell", "labb"), "did you mean 'lab'?"),
+        (("health", "simm"), "no service 'simm' in this cell; it has robot-server-fr"),
+        (("up", "--only", "hlii"), "no service 'hlii'"),
+        (("reset", "--robot", "rf"), "no robot 'rf' in cell lab; it has fr, gr"),
+        (("lease", "--robot", "fr", "--take", "--release"), "choose one of --take and --release"),
+        (("echo", "stat"), "did you mean 'state'?"),
+        (("echo", "admission"), "is in the guarded realm"),
+        (("echo", "lease"), "is a query; those that can be watched are state"),
+        (("schema", "stat"), "did you mean 'state'?"),
+        (("experiment", "tracing"), "'tracing' is not"),
+        (("experiment", "tracking", "--duration-s", "many"), "--duration-s"),
+        (("hz", "--duration-s", "0"), "0.1"),
+        (("dry-run", "--robot", "fr", "--dq", "1,x"), "finite numbers"),
+        (("dry-run", "--robot", "fr", "--dq", "nan,0,0,0,0,0"), "finite numbers"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_wrong_usage_is_exit_status_2_and_says_what_is_allowed(arguments: tuple[str, ...], told: str) -> None:
+    done = deltaq(*arguments)
+    assert done.returncode == 2
+    assert told in " ".join(done.stderr.replace("│", " ").split())
+    assert "Traceback" not in done.stderr
+
+
+def test_a_good_cell_passes_its_check() -> None:
+    done = deltaq("check", "lab", "--json")
+    assert done.returncode == 0, done.stdout
+    assert json.loads(done.stdout)["ok"] is True
+
+
+def test_a_bad_cell_fails_its_check_with_file_line_and_field(tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("extends: lab\ngate:\n  stop_distance_m: -0.1\n", encoding="utf-8")
+    done = deltaq("check", str(file))
+    assert done.returncode == 1
+    assert "bad.yaml:3: gate.stop_distance_m:" in done.stdout
+    problem = json.loads(deltaq("check", str(file), "--json").stdout)["problems"][0]
+    assert (problem["line"], problem["field"], problem["value"]) == (3, "gate.stop_distance_m", -0.1)
+
+
+def test_the_schema_describes_every_topic_and_the_lines_of_tcp() -> None:
+    schema = json.loads(deltaq("schema").stdout)
+    assert schema["increment"]["message"]["properties"]["dq"]["type"] == "array"
+    assert schema["stop"]["reply"]["title"] == "Done"
+    assert schema["json-lines"]["only over TCP"][0]["title"] == "Hello"
+    assert list(json.loads(deltaq("schema", "state").stdout)) == ["state"]
+
+
+def test_the_doctor_says_what_it_found_about_this_machine(cell: str) -> None:
+    done = deltaq("doctor", "--cell", cell, "--json")
+    report = json.loads(done.stdout)
+    assert done.returncode == 0, report
+    assert report["fit"] is True
+    found = {finding["what"]: finding["verdict"] for finding in report["findings"]}
+    assert found["Python"] == "good"
+    assert found["ports of hli"] == "good"
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys; from deltaq_command.app import app;"
+        "heavy = {'pinocchio', 'coal', 'matplotlib', 'deltaq_experiments', 'ruamel'};"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

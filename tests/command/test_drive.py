@@ -1,0 +1,262 @@
+"""`deltaq drive` against a cell that `deltaq up` runs: real processes, real zenoh, real UDP."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_cell.load import load_cell
+from deltaq_launch.cell_connection import connect
+from deltaq_protocol.messages import RobotState, RobotStatus
+
+pytestmark = pytest.mark.live
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+SCRIPT = """\
+- {duration_s: 5, mode: advisor, option: 1}
+- {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}}
+- {duration_s: 1.2, mode: self-motion, move: {a1_deg_s: 10}}
+- {duration_s: 0.8, mode: decoupled, frame: tool, move: {z_mm_s: 50, e2_m_s: 0.05}}
+- {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}}
+"""
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    file = write_private_cell(tmp_path_factory.mktemp("cell"))
+    with subprocess.Popen(
+        [DELTAQ, "up", "--cell", str(file)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as launcher:
+        assert launcher.stdout is not None
+        lines = []
+        for line in launcher.stdout:
+            lines.append(line)
+            if "cell lab is up" in line:
+                break
+        else:
+            pytest.fail("".join(lines))
+        try:
+            wait_for_phase(file, "ready")
+            yield file
+        finally:
+            launcher.send_signal(signal.SIGINT)
+            launcher.communicate(timeout=60)
+
+
+def deltaq(cell: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [DELTAQ, *arguments, "--cell", str(cell)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL
+    )
+
+
+def status(cell: Path) -> RobotStatus:
+    with connect(load_cell(cell), "test") as running:
+        return running.status().robots["gr"]
+
+
+def wait_for(cell: Path, reached: Callable[[RobotState], bool]) -> None:
+    """Until a state of gr is as it shall be."""
+    deadline = time.monotonic() + 30
+    with connect(load_cell(cell), "test") as running:
+        for state in running.states("gr"):
+            if reached(state):
+                return
+            assert time.monotonic() < deadline, state.phase
+
+
+def wait_for_phase(cell: Path, wanted: str) -> None:
+    wait_for(cell, lambda state: state.phase == wanted)
+
+
+def wait_for_motion(cell: Path) -> None:
+    """Until A1 of gr has moved by a hundredth of a radian."""
+    seen: list[float] = []
+
+    def moved(state: RobotState) -> bool:
+        seen.append(state.q[3])
+        return abs(seen[-1] - seen[0]) > 0.01
+
+    wait_for(cell, moved)
+
+
+def written(folder: Path, text: str) -> str:
+    file = folder / "task.yaml"
+    file.write_text(text, encoding="utf-8")
+    return str(file)
+
+
+def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, SCRIPT)
+    arguments = (
+        "--robot",
+        "gr",
+        "--script",
+        script,
+        "--criterion",
+        "travel=1",
+        "--criterion",
+        "clearance=0.5",
+    )
+    done = deltaq(cell, "drive", *arguments, "--mode", "advisor", "--json")
+    # the way to an option takes longer than the step, and that is told
+    assert done.returncode == 1, done.stderr
+    assert "option 1: energy" in done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["missed"] == [1]
+    assert summary["legs"][0]["options"] == [{"option": 1, "reached": False}]
+    legs = {leg["mode"]: leg["hands"]["tool"] for leg in summary["legs"]}
+    assert list(legs) == ["advisor", "coupled", "self-motion", "decoupled", "joint"]
+    assert legs["advisor"]["farthest_mm"] < 0.1
+    assert legs["advisor"]["farthest_deg"] < 0.01
+    # how far each goes depends on how busy the machine is; `tests/controllers/test_modes.py` holds the amounts
+    assert 0.1 < legs["coupled"]["moved_mm"] < 50
+    assert legs["self-motion"]["farthest_mm"] < 0.1
+    assert legs["self-motion"]["farthest_deg"] < 0.01
+    assert legs["decoupled"]["moved_mm"] > 0.1
+    assert 0.1 < legs["joint"]["turned_deg"] < 20
+    assert summary["gate"]["admitted"] > 0.5 * summary["cycles"]
+    wait_for_phase(cell, "ready")
+
+
+def test_an_interrupt_brings_the_robot_to_rest_and_gives_it_back(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
+    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
+        wait_for_motion(cell)
+        driver.send_signal(signal.SIGINT)
+        out, error = driver.communicate(timeout=30)
+    assert driver.returncode == 0, error
+    assert json.loads(out)["legs"][0]["hands"]["tool"]["farthest_mm"] > 0
+    assert status(cell).lease.holder is None
+    wait_for_phase(cell, "ready")
+
+
+def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: 4}}\n")
+    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--cell", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
+        wait_for_motion(cell)
+        with connect(load_cell(cell), "test") as running:
+            running.stop()
+        _, error = driver.communicate(timeout=30)
+    assert driver.returncode == 1
+    assert "gr is held: somebody pressed stop" in error
+    assert "`deltaq reset --robot gr`" in error
+    again = deltaq(cell, "drive", "--robot", "gr", "--script", script)
+    assert (again.returncode, "gr is held" in again.stderr) == (1, True)
+    with connect(load_cell(cell), "test") as running:
+        for robot in ("fr", "gr"):
+            running.reset(robot)
+    wait_for_phase(cell, "ready")
+
+
+def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tmp_path: Path) -> None:
+    script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
+    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
+        wait_for_motion(cell)
+        with connect(load_cell(cell), "thief") as running, running.lease("gr", take=True):
+            out, error = driver.communicate(timeout=30)
+    assert driver.returncode == 1
+    assert "lease_not_held" in error
+    told = json.loads(out)
+    assert told["error"]["code"] == "lease_not_held"
+    assert "deltaq status" in told["error"]["hint"]
+    assert told["legs"][0]["mode"] == "joint"
+    wait_for_phase(cell, "ready")
+
+
+class Terminal:
+    """A terminal with `deltaq drive` in it, as a shell would start it."""
+
+    def __init__(self, cell: Path) -> None:
+        self.keys, self._file = pty.openpty()
+        self.before = termios.tcgetattr(self._file)
+        # one that beginners have: lines, with echo
+        assert self.before[3] & termios.ECHO
+        assert self.before[3] & termios.ICANON
+        command = [DELTAQ, "drive", "--robot", "gr", "--mode", "joint", "--json", "--cell", str(cell)]
+        self.driver = subprocess.Popen(
+            command, stdin=self._file, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def press(self, keys: str) -> None:
+        os.write(self.keys, keys.encode())
+
+    def hold(self, cell: Path) -> None:
+        """Hold arrow up until the robot moves."""
+        seen: list[float] = []
+
+        def moves(state: RobotState) -> bool:
+            self.press("\x1b[A")
+            seen.append(state.q_cmd[0])
+            return abs(seen[-1] - seen[0]) > 0.002
+
+        wait_for(cell, moves)
+
+    def ended(self) -> tuple[int, str, str]:
+        """Exit status and output; the terminal is as it was, and what was typed last is in nobody's way."""
+        out, error = self.driver.communicate(timeout=60)
+        assert termios.tcgetattr(self._file) == self.before
+        assert not select.select([self._file], [], [], 0.0)[0]
+        os.close(self.keys)
+        os.close(self._file)
+        return self.driver.returncode, out, error
+
+
+def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_shell(cell: Path) -> None:
+    terminal = Terminal(cell)
+    terminal.hold(cell)
+    terminal.press("qrm -rf\n" + "\x1b[A" * 20)
+    status_, out, error = terminal.ended()
+    assert status_ == 0, error
+    summary = json.loads(out)
+    assert [leg["mode"] for leg in summary["legs"]] == ["joint"]
+    assert summary["error"] is None
+    assert status(cell).lease.holder is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, number: int) -> None:
+    terminal = Terminal(cell)
+    terminal.hold(cell)
+    terminal.driver.send_signal(number)
+    terminal.press("w" * 10)
+    status_, out, error = terminal.ended()
+    assert status_ == 0, error
+    assert json.loads(out)["error"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--robot", "gr", "--mode", "fly"), "no mode 'fly'"),
+        (("--robot", "gr", "--frame", "mars"), "no frame 'mars'"),
+        (("--robot", "xx"), "no robot 'xx' in cell lab; it has fr, gr"),
+        (("--robot", "fr", "--mode", "self-motion"), "self-motion needs more than 6 joints"),
+        (("--robot", "gr", "--script", "missing.yaml"), "missing.yaml: cannot be read"),
+        (("--robot", "gr", "--gamepad", "/dev/input/none"), "no gamepad at /dev/input/none"),
+        (("--robot", "gr"), "the keyboard needs a terminal"),
+        (("--robot", "fr", "--mode", "advisor"), "advisor needs a redundant robot, 'fr' is not"),
+        (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),
+        (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
+    ],
+)
+def test_wrong_usage_is_told_in_a_line(cell: Path, arguments: tuple[str, ...], told: str) -> None:
+    done = deltaq(cell, "drive", *arguments)
+    assert done.returncode == 2
+    assert told in " ".join(done.stderr.replace("│", "").split())
+    assert "Traceback" not in done.stderr

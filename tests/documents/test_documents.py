@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from deltaq_command.app import app
+from deltaq_command.reference import FOLDER, pages
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined] # it is a group
+
+
+@pytest.mark.parametrize("name", sorted(pages()))
+def test_a_reference_page_is_what_the_code_gives(name: str) -> None:
+    assert (FOLDER / name).read_text(encoding="utf-8") == pages()[name], "write it anew with `make docs`"
+
+
+def test_no_reference_page_is_left_over() -> None:
+    assert {file.name for file in FOLDER.iterdir()} == set(pages())
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
+def test_every_link_to_a_file_leads_somewhere(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    links = re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", text)
+    dead = [link for link in links if not (document.parent / link).exists()]
+    assert dead == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
+def test_every_deltaq_command_in_the_documents_is_understood(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    for line in "\n".join(blocks).splitlines():
+        words = shlex.split(line.removesuffix(" &"), comments=True)
+        if not words or words[0] != "deltaq":
+            continue
+        command = COMMANDS[words[1]]
+        # parses the options, and runs nothing
+        context = command.make_context(words[1], list(words[2:]))
+        context.close()
+
+
+def test_the_citation_file_follows_its_format() -> None:
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.citation-file-format"]
+    checked = subprocess.run(
+        [*command, str(ROOT / "CITATION.cff")], capture_output=True, text=True, check=False
+    )
+    assert checked.returncode == 0, checked.stdout
+
+
+def test_help_is_there_for_every_verb() -> None:
+    for name in COMMANDS:
+        result = CliRunner().invoke(app, [name, "--help"])
+        assert result.exit_code == 0
+        assert "Usage" in result.output
+
+
+def test_the_constraints_pin_versions_and_name_no_address() -> None:
+    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        assert re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][A-Za-z0-9.+!]*", line), line

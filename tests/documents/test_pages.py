@@ -1,0 +1,204 @@
+"""README, tutorial and every how-to, word for word: in an empty folder, with the wheel in an environment of its own."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import pages
+import pytest
+from installed import ROOT, Installed
+
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    *sorted((DOCS / "tutorial").glob("*.md")),
+    *sorted((DOCS / "how-to").glob("*.md")),
+]
+SHORT = ("first-motion.md", "describe-a-cell.md", "record.md")
+"""What a reader does first; the other pages follow in `make nightly`."""
+
+NOT_RUN = {
+    "bring-your-own-robot.md": ["installs from a package index", "a line of a cell"],
+    "commission.md": [
+        "tests/documents/test_commission.py runs it beside an emulated controller",
+        "waits for keys",
+        "tests/documents/test_commission.py runs it beside an emulated controller",
+        "tests/documents/test_commission.py runs it beside an emulated controller",
+    ],
+    "talk-over-a-socket.md": ["tests/services/test_printed_conversation.py holds it with a running HLI"],
+    "README.md": [
+        "makes an environment of its own; the next block runs the same demonstration",
+        "installs from a package index",
+        "needs MATLAB; the tutorial runs the same messages from Python",
+    ],
+    "ask-the-advisor.md": ["takes many minutes"],
+    "containers.md": [
+        "needs a container engine; tests/launch/test_containers.py",
+        "needs a container engine; tests/launch/test_containers.py",
+        "needs two machines; tests/live/test_sealed_realm.py runs a cell off the loopback",
+        "needs a container engine; tests/launch/test_containers.py",
+    ],
+    "drive-by-hand.md": [
+        "waits for keys; tests/command/test_drive.py drives a terminal",
+        "steps of a script; tests/command/test_drive.py runs the like",
+    ],
+    "faults.md": [
+        "takes some minutes; tests/verification runs every fault",
+        "takes a quarter of an hour; tests/live run its parts",
+    ],
+    "install.md": ["installs from a package index"],
+    "run-a-cell.md": [
+        "tests/launch/test_running_cell.py kills a service and starts it again this way",
+        "needs real robots",
+    ],
+}
+"""All that no test does as it is printed, and why: whoever adds to the pages' marks adds it here."""
+
+OTHER_COMMENTS = {"table"}
+"""Comments that other tests read."""
+
+BUSY = "while True: pass"
+
+
+@cache
+def own_network() -> list[str] | None:
+    """A command's beginning that gives it a network of its own, so that the pages' ports are free; None if refused."""
+    up = ["sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
+    for unshare in (["unshare", "--net"], ["unshare", "--net", "--map-root-user"]):
+        if (
+            shutil.which("unshare")
+            and not subprocess.run([*unshare, *up, "true"], capture_output=True, check=False).returncode
+        ):
+            return [*unshare, *up]
+    return None
+
+
+def _works(command: list[str]) -> bool:
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Other programs of ordinary priority that never rest."""
+    programs = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
+
+
+def read(page: Path, installed: Installed, folder: Path, *options: str, timeout_s: float = 900.0) -> None:
+    network = own_network()
+    if network is None:
+        pytest.skip("no network namespace is allowed here, and the pages name the ports of the lab cell")
+    home, empty = folder / "home", folder / "empty"
+    home.mkdir()
+    empty.mkdir()
+    command = [*network, sys.executable, pages.__file__, str(page), str(empty), *options]
+    # in a group of its own, which a page that hangs is ended with
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=installed.environment(HOME=str(home)),
+        process_group=0,
+    ) as reader:
+        try:
+            told, _ = reader.communicate(timeout=timeout_s)
+        except BaseException:
+            reader.send_signal(signal.SIGINT)  # it ends what it started
+            raise
+    assert reader.returncode == 0, told
+
+
+@pytest.mark.live
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name in SHORT], ids=lambda page: page.name)
+def test_what_a_reader_does_first_works_word_for_word(
+    page: Path, complete: Installed, tmp_path: Path
+) -> None:
+    read(page, complete, tmp_path)
+
+
+@pytest.mark.live
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_page_works_word_for_word_on_a_busy_machine(
+    page: Path, complete: Installed, tmp_path: Path
+) -> None:
+    with busy(2):
+        read(page, complete, tmp_path, "--nightly", timeout_s=3500)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_of_a_page_says_what_a_reader_does_with_it(page: Path) -> None:
+    steps = list(pages.steps(page.read_text(encoding="utf-8")))
+    silent = [step.line for step in steps if not step.kind and step.language in pages.TESTED_LANGUAGES]
+    assert silent == [], "lines of blocks without a mark; tests/support/pages.py explains the marks"
+    reasons = [step.argument for step in steps if step.kind == "not run"]
+    assert reasons == NOT_RUN.get(page.name, [])
+    assert all(reasons)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_mark_or_block_of_a_page_is_overlooked(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    steps = list(pages.steps(text))
+    comments = [comment for comment in re.findall(r"<!-- (.*?) -->", text) if comment not in OTHER_COMMENTS]
+    assert len([step for step in steps if step.kind]) == len(comments)
+    assert len([step for step in steps if step.text]) * 2 == len(re.findall(r"^ *```", text, re.MULTILINE))
+
+
+def page_of(*blocks: str) -> str:
+    return "\n\n".join(blocks)
+
+
+SAYS = "<!-- run: sh -->\n```sh\necho one; echo two\n```"
+SERVES = "<!-- background: up -->\n```sh\ntrap 'exit 0' INT; echo up; while true; do sleep 1; done\n```"
+
+
+def test_a_reader_writes_files_types_commands_and_looks_at_what_is_printed(tmp_path: Path) -> None:
+    write = "<!-- write: a.txt -->\n```text\nhello\n```"
+    run = "<!-- run: sh -->\n```sh\ncat a.txt\n```"
+    pages.Reader(tmp_path).read(page_of(write, run, "<!-- prints -->\n```text\nhello\n```"))
+
+
+@pytest.mark.parametrize(
+    ("page", "told"),
+    [
+        (page_of("<!-- run: sh -->\n```sh\nfalse\n```"), "line 1: status 1"),
+        (page_of("text", "<!-- run: python -->\n```python\nraise SystemExit(3)\n```"), "line 3: status 3"),
+        (page_of(SAYS, "<!-- prints -->\n```text\ntwo\none\n```"), "'one' was not printed"),
+        ("<!-- background: up -->\n```sh\necho down\n```", "'up' was never printed, but\ndown"),
+        ("<!-- background: up -->\n```sh\necho up; exit 4\n```", "status 4 after Ctrl-C"),
+        ("<!-- runs: sh -->\n```sh\ntrue\n```", "'runs' is none of"),
+    ],
+    ids=["fails", "fails in python", "wrong order", "never up", "ends badly", "unknown mark"],
+)
+def test_a_page_that_is_wrong_is_found(tmp_path: Path, page: str, told: str) -> None:
+    with pytest.raises(pages.PageError, match=re.escape(told)):
+        pages.Reader(tmp_path).read(page)
+
+
+def test_a_terminal_runs_until_ctrl_c_or_the_end_of_the_page(tmp_path: Path) -> None:
+    pages.Reader(tmp_path).read(page_of(SERVES, SAYS, "<!-- Ctrl-C -->", SERVES))
+
+
+def test_what_takes_long_is_left_to_the_night(tmp_path: Path) -> None:
+    long = "<!-- nightly: sh -->\n```sh\ntouch done\n```"
+    pages.Reader(tmp_path).read(long)
+    assert not (tmp_path / "done").exists()
+    pages.Reader(tmp_path, patient=True).read(long)
+    assert (tmp_path / "done").exists()

@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from deltaq_launch.child_process import Exited
+from deltaq_launch.launcher import Interrupted, Launcher, LaunchError, LaunchInterruptedError
+from deltaq_launch.services import Listener, Role, Service
+from deltaq_protocol.errors import DeltaqError
+
+SERVES = "import signal; print('ready: here', flush=True); signal.pause()"
+STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);" + SERVES
+DIES = "import sys; print('no such cell'); sys.exit(3)"
+SILENT = "import signal; signal.pause()"
+
+
+def service(name: str, code: str, **fields: object) -> Service:
+    return Service(name=name, role=Role.SIM, arguments=("-c", code), **fields)  # type: ignore[arg-type] # tests pass what they like
+
+
+def nothing(name: str, line: str) -> None: ...
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_service_starts_only_after_those_it_needs_are_ready() -> None:
+    order: list[tuple[str, str]] = []
+    services = [service("sim", SERVES), service("hli", SERVES, needs=("sim", "not started here"))]
+    with Launcher(services, lambda *line: order.append(line)) as launcher:
+        launcher.start()
+        assert launcher.ready == {"sim", "hli"}
+        assert list(launcher.children) == ["sim", "hli"]
+    assert [line for line in order if line[1] == "ready: here"] == [
+        ("sim", "ready: here"),
+        ("hli", "ready: here"),
+    ]
+
+
+def test_leaving_the_block_ends_every_service_the_last_first() -> None:
+    launcher = Launcher([service("sim", SERVES), service("hli", SERVES, needs=("sim",))], nothing)
+    with launcher:
+        launcher.start()
+        pids = [child.pid for child in launcher.children.values()]
+    assert not any(is_running(pid) for pid in pids)
+    ended = []
+    while (event := launcher.wait(0)) is not None:
+        ended.append(event)
+    assert ended == [Exited("hli", -signal.SIGTERM), Exited("sim", -signal.SIGTERM)]
+
+
+def test_a_service_that_dies_early_is_reported_with_its_own_last_words() -> None:
+    with (
+        Launcher([service("sim", SERVES), service("hli", DIES)], nothing) as launcher,
+        pytest.raises(
+            LaunchError,
+            match=r"hli ended with exit status 3 before it served; hli said last:\n  no such cell",
+        ),
+    ):
+        launcher.start()
+    assert all(child.status is not None for child in launcher.children.values())
+
+
+def test_a_service_that_never_serves_is_reported_and_ended() -> None:
+    with (
+        Launcher([service("sim", SILENT)], nothing) as launcher,
+        pytest.raises(LaunchError, match=r"sim did not serve within 0.3 s; sim printed nothing"),
+    ):
+        launcher.start(timeout_s=0.3)
+    assert launcher.children["sim"].status == -signal.SIGTERM
+
+
+def test_a_service_that_ignores_sigterm_is_killed_after_the_grace() -> None:
+    said: list[tuple[str, str]] = []
+    with Launcher([service("sim", STUBBORN)], lambda *line: said.append(line), grace_s=0.2) as launcher:
+        launcher.start()
+    assert launcher.children["sim"].status == -signal.SIGKILL
+    assert said[-1] == ("sim", "did not end within 0.2 s of SIGTERM and was killed")
+
+
+def test_the_children_of_a_service_end_with_it() -> None:
+    code = "import subprocess, sys; p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True);" + SERVES
+    with Launcher([service("sim", code)], nothing) as launcher:
+        launcher.start()
+        grandchild = int(launcher.last_lines("sim")[0])
+        assert is_running(grandchild)
+    # it is no child of this process: init reaps it, until then it is a zombie
+    status = Path(f"/proc/{grandchild}/stat")
+    assert not status.exists() or status.read_text().rsplit(")", 1)[1].split()[0] == "Z"
+
+
+def test_a_service_that_dies_later_is_an_event_and_can_be_started_again() -> None:
+    with Launcher([service("sim", SERVES)], nothing) as launcher:
+        launcher.start()
+        assert launcher.wait(0) is None
+        os.kill(launcher.children["sim"].pid, signal.SIGKILL)
+        assert launcher.wait(10) == Exited("sim", -signal.SIGKILL)
+        assert launcher.ready == set()
+        launcher.restart("sim")
+        assert launcher.ready == {"sim"}
+
+
+@pytest.mark.parametrize(
+    ("transport", "kind"), [("tcp", socket.SOCK_STREAM), ("udp", socket.SOCK_DGRAM)], ids=["tcp", "udp"]
+)
+def test_a_taken_port_is_named_before_anything_starts(transport: str, kind: int) -> None:
+    with socket.socket(socket.AF_INET, kind) as taken:
+        taken.bind(("127.0.0.1", 0))
+        if kind == socket.SOCK_STREAM:
+            taken.listen()
+        port = taken.getsockname()[1]
+        listener = Listener(transport, "127.0.0.1", port, "tcp_port")  # type: ignore[arg-type] # a parameter
+        with (
+            Launcher([service("hli", SERVES, listens=(listener,))], nothing) as launcher,
+            pytest.raises(
+                LaunchError, match=rf"hli cannot listen on {transport} 127.0.0.1:{port} .*`tcp_port`"
+            ),
+        ):
+            launcher.start()
+        assert launcher.children == {}
+
+
+def test_the_robots_are_brought_to_rest_before_the_hli_is_ended() -> None:
+    alive: list[bool] = []
+    hli = service("hli", SERVES)
+    launcher = Launcher([hli], nothing, lambda: alive.append(launcher.children["hli"].status is None))
+    with launcher:
+        launcher.start()
+    assert alive == [True]
+
+
+def test_services_are_ended_even_if_the_robots_cannot_be_asked_to_rest() -> None:
+    def unreachable() -> None:
+        raise DeltaqError("no answer")
+
+    said: list[str] = []
+    with Launcher([service("hli", SERVES)], lambda _, line: said.append(line), unreachable) as launcher:
+        launcher.start()
+    assert launcher.children["hli"].status == -signal.SIGTERM
+    assert "the robots could not be asked to rest: no answer" in said
+
+
+def test_nobody_is_asked_to_rest_when_the_hli_never_served() -> None:
+    asked: list[bool] = []
+    launcher = Launcher([service("hli", DIES)], nothing, lambda: asked.append(True))
+    with launcher, pytest.raises(LaunchError):
+        launcher.start()
+    assert asked == []
+
+
+def test_a_signal_is_an_event_while_services_run() -> None:
+    with Launcher([service("sim", SERVES)], nothing) as launcher:
+        launcher.start()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert launcher.wait(10) == Interrupted(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_signal_ends_a_start() -> None:
+    with Launcher([service("sim", SILENT)], nothing) as launcher:
+        os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(LaunchInterruptedError, match="SIGTERM"):
+            launcher.start()
+    assert launcher.children["sim"].status is not None
+
+
+def test_the_last_json_line_of_a_service_is_found_among_others() -> None:
+    code = "print('[1]'); print('{\"a\": 1}'); print('{broken'); " + SERVES
+    with Launcher([service("sim", code)], nothing) as launcher:
+        launcher.start()
+        assert launcher.last_json("sim") == {"a": 1}
+        assert launcher.last_json("nobody") is None
+
+
+def test_no_service_outlives_a_launcher_that_is_killed() -> None:
+    program = textwrap.dedent(f"""
+        from deltaq_launch.launcher import Launcher
+        from deltaq_launch.services import Role, Service
+        with Launcher([Service("sim", Role.SIM, ("-c", {SERVES!r}))], lambda *line: None) as launcher:
+            launcher.start()
+            print(launcher.children["sim"].pid, flush=True)
+            launcher.wait()
+    """)
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        pid = int(process.stdout.readline())
+        watched = os.pidfd_open(pid)
+        process.kill()
+    try:
+        with os.fdopen(watched) as ended:
+            assert select.select([ended], [], [], 60)[0], "the service is still running"
+    finally:
+        if is_running(pid):
+            os.kill(pid, signal.SIGKILL)
+
+
+def test_ready_is_the_line_that_begins_so() -> None:
+    code = "print('not ready: yet', flush=True);" + SERVES
+    with Launcher([service("sim", code)], nothing) as launcher:
+        launcher.start()
+        assert launcher.last_lines("sim") == ["not ready: yet", "ready: here"]

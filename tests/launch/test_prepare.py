@@ -1,0 +1,173 @@
+"""Controllers are compiled before anything runs, once, and wherever there is room for it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltaq_cell import machine_code
+from deltaq_launch import prepare
+from deltaq_launch.launcher import LaunchError
+
+ONE_LAW = """
+import sys
+from deltaq_cell.compiled import compiled, told_of_compiling
+
+@compiled
+def one(x: float) -> float:
+    return x + 1.0
+
+with told_of_compiling(lambda name: print("told", name)):
+    one(1.0)
+    one(2.0)
+"""
+
+
+HERE = Path(__file__).parent
+
+
+def compiler(monkeypatch: pytest.MonkeyPatch, code: str, gate: str = "") -> None:
+    monkeypatch.setattr(prepare, "GATE_COMPILER", ("-c", gate))
+    monkeypatch.setattr(prepare, "COMPILER", ("-c", code))
+
+
+def ahead(told: list[str], functions: list[str], names: tuple[str, ...] = ("paper",)):  # type: ignore[no-untyped-def]
+    return prepare.compiled_ahead(names, told.append, functions.append)
+
+
+def test_each_function_is_told_as_it_is_compiled_and_the_block_comes_after(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    compiler(monkeypatch, "import sys; print('compiling near'); print('compiling', *sys.argv[1:])")
+    told: list[str] = []
+    functions: list[str] = []
+    with ahead(told, functions, ("paper", "qp")):
+        assert functions == ["near", "paper qp"]
+    assert told == []
+
+
+def test_a_compiler_that_fails_ends_the_start_with_its_last_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler(monkeypatch, "print('compiling near'); print('no space left'); raise SystemExit(1)")
+    with pytest.raises(LaunchError, match=r"could not be compiled:\n  no space left$"), ahead([], []):
+        pytest.fail("the block was entered")
+
+
+def test_where_no_folder_can_be_written_to_one_of_this_run_serves_and_one_line_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(machine_code, "folder", lambda _: "")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/nowhere")
+    compiler(monkeypatch, "import os; print('compiling', os.environ['XDG_CACHE_HOME'])")
+    told: list[str] = []
+    functions: list[str] = []
+    with ahead(told, functions):
+        kept = Path(os.environ["XDG_CACHE_HOME"])
+        assert kept.is_dir()
+        assert functions == [str(kept)]
+    assert told == [prepare.NOWHERE]
+    assert os.environ["XDG_CACHE_HOME"] == "/nowhere"
+    assert not kept.exists()
+
+
+def test_a_run_without_any_room_at_all_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(machine_code, "folder", lambda _: "")
+    monkeypatch.setattr(prepare.tempfile, "tempdir", str(tmp_path / "missing"))
+    told: list[str] = []
+    entered = False
+    with ahead(told, []):
+        entered = True
+    assert entered
+    assert told == [prepare.NOWHERE]
+
+
+def test_what_was_compiled_completely_is_neither_loaded_nor_looked_at_again(tmp_path: Path) -> None:
+    code = (
+        "import sys; from deltaq_controllers.camera import __main__ as camera;"
+        "where = sys.argv[1]; camera.folder = lambda _: where; camera.mark_complete(where, 'paper', camera._PACKAGE);"
+        "sys.argv = ['camera', 'paper']; status = camera.main();"
+        "print(status, sorted({'numba', 'pinocchio', 'numpy'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout == "0 []\n"
+
+
+def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_path: Path) -> None:
+    machine_code.mark_complete(str(tmp_path), "paper", HERE)
+    assert machine_code.is_complete(str(tmp_path), "paper", HERE)
+    assert not machine_code.is_complete(str(tmp_path), "paper", HERE.parent / "cell"), "of another package"
+    assert not machine_code.is_complete(str(tmp_path), "qp", HERE)
+    assert not machine_code.is_complete(str(tmp_path / "other"), "paper", HERE)
+    machine_code.mark_complete("", "paper", HERE)
+    assert not machine_code.is_complete("", "paper", HERE)
+
+
+def test_the_gate_is_compiled_before_the_controllers_and_also_where_there_are_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    compiler(monkeypatch, "print('compiling near')", gate="print('compiling look')")
+    for names, expected in (((), ["look"]), (("paper",), ["look", "near"])):
+        functions: list[str] = []
+        with ahead([], functions, names):
+            assert functions == expected
+
+
+def test_a_gate_that_cannot_be_compiled_ends_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler(monkeypatch, "", gate="print('no space left'); raise SystemExit(1)")
+    said = r"the gate's kernel could not be compiled:\n  no space left$"
+    with pytest.raises(LaunchError, match=said), ahead([], []):
+        pytest.fail("the block was entered")
+
+
+def test_a_gate_that_was_compiled_is_neither_loaded_nor_looked_at_again(tmp_path: Path) -> None:
+    code = (
+        "import sys; from deltaq_cell import __main__ as gate;"
+        "where = sys.argv[1]; gate.folder = lambda _: where; gate.mark_complete(where, 'gate', gate._PACKAGE);"
+        "print(gate.main(), sorted({'numba', 'pinocchio', 'numpy'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout == "0 []\n"
+
+
+@pytest.mark.long
+def test_a_function_is_told_when_it_is_compiled_and_not_when_it_is_found_on_disk(tmp_path: Path) -> None:
+    law = tmp_path / "law.py"
+    law.write_text(ONE_LAW)
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    runs = [
+        subprocess.run(
+            [sys.executable, str(law)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=60,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert runs == ["told one\n", ""]
+
+
+def test_an_interrupt_ends_the_compiler_too() -> None:
+    code = (
+        "import os, signal; from deltaq_launch import prepare\n"
+        "prepare.GATE_COMPILER = ('-c', 'import os, signal; print(\"compiling\", os.getpid()); signal.pause()')\n"
+        "def begun(pid):\n"
+        "    print(pid, flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "with prepare.compiled_ahead(['paper'], print, begun): pass\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == -signal.SIGINT
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout), 0)

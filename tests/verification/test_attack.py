@@ -1,0 +1,33 @@
+"""Adversaries on both robots, over wires that lose, delay, double and reorder: no invariant gives way."""
+
+import pytest
+
+from deltaq_verification.attack import run
+
+
+def assert_nothing_gave_way(report):
+    assert report.violations == ()
+    assert report.limits.total == 0
+    assert report.gate.admitted > 0
+    assert report.gate.scaled > 0
+    assert report.gate.held > 0
+    assert report.gate.refused > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(4))
+def test_thousands_of_decisions_under_attack_break_nothing(seed):
+    report = run(seed=seed, duration_s=30.0)
+    assert_nothing_gave_way(report)
+    assert report.decided > 3000
+
+
+def test_one_seed_is_one_run():
+    assert run(seed=3, duration_s=1.2) == run(seed=3, duration_s=1.2)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("seed", range(1000, 1250))
+def test_a_million_decisions_under_attack_break_nothing(seed):
+    assert_nothing_gave_way(run(seed=seed, duration_s=30.0))

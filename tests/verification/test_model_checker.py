@@ -1,0 +1,216 @@
+"""The explorer: what holds of Robot Server and SIM within its bounds, and that it can find what does not."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from collections import deque
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from deltaq_protocol.messages import Phase
+from deltaq_services.robot_server.mode_probe import KinematicMode
+from deltaq_services.robot_server.session import Belief, _Run
+from deltaq_verification.model_checker.attacked import AttackedSystem
+from deltaq_verification.model_checker.explore import explore
+from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, STEP
+from deltaq_verification.model_checker.rsi_line import SECOND_AT
+from deltaq_verification.model_checker.safety_monitor import Property
+from deltaq_verification.model_checker.seeded_bugs import BROKEN
+from deltaq_verification.model_checker.system import System
+
+MOST_CYCLES = 40
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "what-is-proved-of-the-phases.md"
+
+
+def documented():
+    blocks = re.findall(r"^```sh\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in block.splitlines()]
+
+
+@pytest.mark.long
+def test_the_services_hold_every_property_whatever_is_asked_of_them():
+    assert explore(System(), faults=0, cycles=MOST_CYCLES).counterexample is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("line", documented(), ids=lambda line: line.partition("model ")[2])
+def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_the_page_tells(line):
+    command = [sys.executable, *shlex.split(line)[1:]]
+    ended = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    printed = json.loads(ended.stdout)
+    cycles = "any number" if printed["complete"] else printed["cycles"]
+    attacks = "" if printed["attacks"] is None else f"| {printed['attacks']} "
+    row = f"{attacks}| {printed['faults']} | {cycles} | {printed['states']} | {printed['moves']} |"
+    assert row in PAGE.read_text(encoding="utf-8").splitlines()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize(("faults", "cycles"), [(1, 8), (2, 4)])
+def test_with_more_faults_every_property_holds(faults, cycles):
+    assert explore(System(), faults, cycles).counterexample is None
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.system.__name__)
+def test_a_broken_system_is_found_out(broken):
+    found = explore(broken.system(), broken.faults, cycles=10)
+    assert found.counterexample is not None
+    assert found.counterexample.violation.broken is broken.breaks
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "broken",
+    [one for one in BROKEN if issubclass(one.system, AttackedSystem)],
+    ids=lambda broken: broken.system.__name__,
+)
+def test_the_system_that_is_not_broken_holds_further_than_a_broken_one_is_followed(broken):
+    found = explore(broken.system(), broken.faults, cycles=10)
+    assert found.counterexample is not None
+    assert explore(AttackedSystem(), broken.faults, found.cycles + 1).counterexample is None
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize(("attacks", "faults", "cycles"), [(1, 0, 7), (2, 0, 5), (1, 1, 4)])
+def test_with_more_attacks_every_property_holds(attacks, faults, cycles):
+    assert explore(AttackedSystem(attacks), faults, cycles).counterexample is None
+
+
+def test_what_tells_one_moment_of_the_wire_from_another_leaves_out_no_memory_of_the_driver():
+    line = AttackedSystem(1).start(0).line
+    fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero", "_lower", "_upper"}
+    of_one_call = {"unmoved", "implausible", "fault", "detail", "_outputs"}
+    assert (
+        set(vars(line.driver)) == {"session", "_origin", "_sent", "_earlier", "_opened"} | fixed | of_one_call
+    )
+    told = {"belief", "step", "last", "_time_s", "_run"}
+    fixed = {"_given_step", "_plausible", "_near", "_cycle_s", "_silence_s", "_silence_cycles", "_least_s"}
+    assert set(vars(line.driver.session)) == told | fixed
+    assert set(vars(line.peer)) == {"address", "_heard_s"} | {"stranger", "_krc_address", "_silence_s"}
+
+
+def _changed_sessions(line):
+    last = line.driver.session.last
+    return {
+        "belief": Belief.DOUBTED,
+        "step": IPOC_STEP + 1,
+        "last": last._replace(ipoc=last.ipoc - IPOC_STEP),
+        "_time_s": line.driver.session._time_s - CYCLE_S,
+        "_run": _Run(1, line.driver.session._time_s, None, last),
+    }
+
+
+def _changed_drivers(line):
+    origin, sent = line.driver._origin, line.driver._sent
+    return {
+        "_origin": origin + STEP,
+        "_sent": sent + STEP,
+        "_earlier": deque([(origin, sent)]),
+        "_opened": True,
+    }
+
+
+def _changed_peers(line):
+    return {"address": SECOND_AT, "_heard_s": line.peer._heard_s - CYCLE_S}
+
+
+@pytest.mark.parametrize(
+    ("of", "changes"),
+    [
+        (lambda line: line.driver.session, _changed_sessions),
+        (lambda line: line.driver, _changed_drivers),
+        (lambda line: line.peer, _changed_peers),
+    ],
+    ids=["session", "driver", "peer"],
+)
+def test_two_moments_of_the_wire_that_differ_in_one_memory_are_told_apart(of, changes):
+    system = AttackedSystem(1)
+    system_state = system.start(0)
+    for name, value in changes(system_state.line).items():
+        other = system.start(0)
+        assert other.key() == system_state.key()
+        assert hasattr(of(other.line), name)
+        setattr(of(other.line), name, value)
+        assert other.key() != system_state.key(), name
+
+
+def test_two_moments_of_the_wire_that_differ_in_the_correction_of_an_earlier_session_are_told_apart():
+    system = AttackedSystem(1)
+    one, other = system.start(0), system.start(0)
+    origin, sent = one.line.driver._origin, one.line.driver._sent
+    one.line.driver._earlier.append((origin, sent))
+    other.line.driver._earlier.append((origin, sent + STEP))
+    assert one.key() != other.key()
+
+
+def test_a_counterexample_is_a_shortest_way():
+    late = next(broken for broken in BROKEN if broken.system.__name__ == "LateIsTaken")
+    found = explore(late.system(), late.faults, cycles=10).counterexample
+    assert found is not None
+    turns = len(found.moves)
+    assert turns % 3 == 1  # it ends with the telegram that moved the robot
+    shorter = explore(late.system(), late.faults, cycles=turns // 3)
+    assert shorter.counterexample is None
+
+
+def test_every_phase_is_reached():
+    system, phases = System(), set()
+    frontier, seen = [system.start(0)], set()
+    while frontier and phases != set(Phase):
+        system_state = frontier.pop(0)
+        if system_state.server.state is not None:
+            phases.add(system_state.server.state.phase)
+        for move in system.moves(system_state):
+            assert move.system_state is not None
+            key = repr(move.system_state.key())
+            if key not in seen:
+                seen.add(key)
+                frontier.append(move.system_state)
+    assert phases == set(Phase)
+
+
+def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_server():
+    told = {
+        "state": {
+            "process", "_q_cmd", "_dq", "_plan", "_plan_dq", "_epoch", "_sequence", "_phase", "_reason", "_cycle",
+            "_q_reset", "_told",
+        },
+        "key": {
+            "_cycles_without_gate", "_cycles_missed", "_settling", "_resets", "_state", "motion_stop",
+        },
+        "fixed or only counted": {
+            "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles", "_identity",
+        },
+        "fixed since the robot is kinematic": {"_mode", "_new_mode"},
+        "taken from each telegram": {"_q"},
+    }  # fmt: skip
+    server = System().start(0).server
+    assert set(vars(server)) == set.union(*told.values())
+    settling = {"key": {"cycles_at_rest", "q_settled"}, "fixed": {"tolerance", "lag_cycles"}}
+    assert {field.name for field in fields(server._settling)} == set.union(*settling.values())
+
+
+@pytest.mark.parametrize("system", [System, AttackedSystem])
+def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
+    system_state = system().start(0)
+    while system_state.server.state is None:
+        system_state = next(system().moves(system_state)).system_state
+    assert type(system_state.server._mode) is KinematicMode
+    assert not vars(system_state.server._mode)
+
+
+def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():
+    command = [sys.executable, "-m", "deltaq_verification.model_checker", "--json", "--broken", "LateIsTaken"]
+    ended = subprocess.run([*command, "--cycles", "6"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 1, ended.stderr
+    printed = json.loads(ended.stdout)
+    assert printed["holds"] is False
+    assert printed["faults"] == 1  # what it takes to see it
+    assert printed["counterexample"]["moves"][-1].startswith("telegram")
+    assert set(printed["properties"]) == {one.name.lower() for one in Property}

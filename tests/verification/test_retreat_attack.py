@@ -1,0 +1,46 @@
+"""Retreat keeps its word: no pair comes nearer than it was, in situations that a seed draws."""
+
+import pytest
+
+from deltaq_services.sim.retreat import Retreat
+from deltaq_verification.retreat_attack import TOLERANCE_M, RetreatAttack, summary
+
+
+@pytest.fixture(scope="module")
+def attack():
+    return RetreatAttack("lab")
+
+
+@pytest.mark.long
+def test_nothing_comes_nearer_than_it_was(attack):
+    figures = summary([attack.run(seed) for seed in range(20)])
+    assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures
+    assert figures["moving"] > 5
+    assert figures["decisions"]["admitted"] + figures["decisions"]["scaled"] > 50
+
+
+@pytest.mark.long
+def test_who_stands_in_a_violation_is_let_out_of_it(attack):
+    outwards = [attack.run(seed, ask="outwards") for seed in range(100, 118)]
+    figures = summary(outwards)
+    assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures
+    assert figures["outwards"]["let_out"] == figures["outwards"]["situations"] >= 4
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("forgotten", ["between setpoints", "since it began"])
+def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkeypatch, forgotten):
+    if forgotten == "between setpoints":
+        monkeypatch.setattr(Retreat, "_keep", lambda *_: True)
+    else:
+        monkeypatch.setattr("deltaq_services.sim.violations.ALLOWANCE_M", 1e-3)
+    outcomes = [attack.run(seed, ask="inwards") for seed in range(200, 206)]
+    assert summary(outcomes)["nearer_m"]["worst"] > 10 * TOLERANCE_M
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("first", range(1000, 11_000, 100))
+def test_ten_thousand_situations_come_no_nearer(attack, first):
+    figures = summary([attack.run(seed) for seed in range(first, first + 100)])
+    assert figures["nearer_m"]["worst"] <= TOLERANCE_M, figures

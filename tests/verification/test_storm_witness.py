@@ -1,0 +1,208 @@
+"""The witness of RSI's wire: it knows an admission and its brake again, and says so of nothing else."""
+
+import numpy as np
+import pytest
+from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
+
+from deltaq_services.robot_server.mode_probe import pulse_offsets
+from deltaq_services.robot_server.shell import sensor_codec
+from deltaq_verification.storm.admitted import ROUNDING, Admitted
+from deltaq_verification.storm.forger import Forger, Sender
+from deltaq_verification.storm.pulses import Pulses
+from deltaq_verification.storm.witness import UNHEARD, Kind, Passed, UnexplainedError, Witness
+
+PULSES = pulse_offsets(FR, CELL.cycle_s)
+
+
+class Wire:
+    """What passes between a KRC and a Robot Server, and what was admitted."""
+
+    def __init__(self):
+        self.krc = KrcSide()
+        self.passed, self.admissions = [], []
+
+    def cycle(self, increment=None):
+        self.krc.tick()
+        own = self.krc.own()
+        admission = None if increment is None else self.krc.admission(increment)
+        if admission is not None:
+            self.admissions.append(admission)
+        answer = self.krc.answer(own, admission)
+        self.passed.append((Kind.TELEGRAM, own))
+        if answer is not None:
+            self.passed.append((Kind.REPLY, answer))
+            self.krc.correction = KRC.decode(answer).correction
+
+    def begin(self):
+        while self.krc.server.state is None or self.krc.server.state.phase != "ready":
+            self.cycle()
+        return self
+
+    def drive(self):
+        for count in (1, 2, 3, 3):
+            self.cycle(count * MAX_DV)
+        for _ in range(6):
+            self.cycle()
+        return self
+
+    def judge(self, admissions=None):
+        witness = Witness(sensor_codec(CELL, "fr", XML), KRC, PULSES)
+        passed = [Passed(kind, datagram, stamp) for stamp, (kind, datagram) in enumerate(self.passed)]
+        heard = self.admissions if admissions is None else admissions
+        witness.judge(passed, Admitted(heard, "fr", FR, CELL.cycle_s))
+        return witness.counts
+
+    def move_last(self, off):
+        """The last reply, with a correction that is off."""
+        told = KRC.decode(self.passed[-1][1])
+        self.passed[-1] = (
+            Kind.REPLY,
+            self.krc.driver._codec.encode(told.ipoc, told.correction + off, {}),
+        )
+
+
+@pytest.fixture
+def wire():
+    return Wire().begin()
+
+
+def test_admissions_and_their_brakes_are_told_from_one_another_and_from_the_probe(wire):
+    counts = wire.drive().judge()
+    assert counts["by an admission"] == 4
+    assert counts["by a brake"] == 2
+    assert counts["by a probe"] == 2 * (len(PULSES) + 1)
+    assert counts[UNHEARD] == 0
+    assert counts["unmoved"] == counts["replies"] - 6 - counts["by a probe"]
+
+
+def renumbered(admissions, number):
+    """As from a gate that never made the one of this number."""
+    return [
+        one.model_copy(update={"sequence": one.sequence - (place > number)})
+        for place, one in enumerate(admissions)
+        if place != number
+    ]
+
+
+@pytest.mark.parametrize("missing", range(4))
+def test_a_step_of_which_the_gate_knows_nothing_is_not_explained(wire, missing):
+    wire.drive()
+    with pytest.raises(UnexplainedError, match="moved by"):
+        wire.judge(renumbered(wire.admissions, missing))
+
+
+@pytest.mark.parametrize("missing", [1, 2])
+def test_an_admission_that_was_lost_on_its_way_explains_one_step_and_is_counted_apart(wire, missing):
+    wire.drive()
+    heard = [one for place, one in enumerate(wire.admissions) if place != missing]
+    counts = wire.judge(heard)
+    assert (counts["by an admission"], counts[UNHEARD], counts["by a brake"]) == (3, 1, 2)
+
+
+def test_the_brake_of_an_admission_that_was_lost_on_its_way_is_known(wire):
+    wire.cycle(MAX_DV)
+    wire.cycle(2 * MAX_DV)
+    wire.cycle(3 * MAX_DV)
+    for _ in range(4):
+        wire.cycle()
+    wire.cycle(MAX_DV)
+    heard = [wire.admissions[0], wire.admissions[1], wire.admissions[3]]
+    counts = wire.judge(heard)
+    assert (counts["by an admission"], counts[UNHEARD], counts["by a brake"]) == (3, 1, 2)
+
+
+@pytest.mark.parametrize("share", [1.01, -1.01, 2.0, 50.0])
+def test_an_admission_that_was_lost_on_its_way_explains_no_step_that_it_could_not_make(wire, share):
+    wire.drive()
+    for _ in range(4):
+        wire.cycle()
+    wire.move_last(share * MAX_DV)
+    first, *rest = wire.admissions
+    last = first.model_copy(update={"sequence": rest[-1].sequence + 2})
+    with pytest.raises(UnexplainedError):
+        wire.judge([*wire.admissions, last])
+
+
+def test_an_admission_that_was_lost_on_its_way_explains_no_second_step(wire):
+    for _ in range(2):
+        wire.cycle(MAX_DV)
+        for _ in range(3):
+            wire.cycle()
+    first, second = wire.admissions
+    elsewhere = {"follows_q_cmd": (9.0,) * 6}
+    before, after = ({**elsewhere, "sequence": one} for one in (first.sequence - 1, second.sequence + 1))
+    around = [first.model_copy(update=before), second.model_copy(update=after)]
+    assert wire.judge([*around, first])[UNHEARD] == 1
+    assert wire.judge(around)[UNHEARD] == 2
+    with pytest.raises(UnexplainedError):
+        wire.judge([*around, first.model_copy(update=elsewhere)])
+
+
+@pytest.mark.parametrize("off_rad", [1e-6, 0.02])
+def test_a_reply_that_is_off_by_little_or_much_is_not_explained(wire, off_rad):
+    wire.drive().cycle()
+    wire.move_last(off_rad)
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1, -1.0])
+def test_a_step_that_is_nearly_that_of_a_probe_is_not_explained(wire, share):
+    wire.drive().cycle()
+    wire.move_last(share * PULSES[0])
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+def test_a_pulse_that_does_not_end_where_it_began_is_not_explained(wire):
+    wire.drive().cycle()
+    wire.move_last(PULSES[0])
+    assert wire.judge()["by a probe"] == 2 * (len(PULSES) + 1) + 1
+    wire.cycle()
+    wire.move_last(2 * PULSES[0])
+    wire.cycle()
+    wire.move_last(1.5 * PULSES[0])
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+def test_an_admission_explains_one_step_only(wire):
+    wire.drive()
+    last = next(place for place, one in enumerate(wire.passed) if one[0] is Kind.REPLY)
+    steps = [one for one in wire.passed[last:] if one[0] is Kind.REPLY]
+    wire.passed += [steps[0], *steps]  # back to where it began, and the same way again
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+def test_a_session_that_begins_anew_has_no_correction(wire):
+    wire.drive()
+    krc = wire.krc
+    krc.tick(40)
+    programmed = krc.q
+    wire.passed.append((Kind.TELEGRAM, telegram(krc.ipoc, programmed, programmed)))
+    codec = krc.driver._codec
+    wire.passed.append((Kind.REPLY, codec.encode(krc.ipoc, np.zeros(6), {})))
+    wire.judge()
+    wire.passed[-1] = (Kind.REPLY, codec.encode(krc.ipoc, krc.correction, {}))
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
+def test_the_forger_makes_every_kind_and_most_of_them_seem_to_be_somebody_else_s():
+    forger = Forger(0)
+    assert forger.forge() is None
+    forger.overhear(telegram(1000, FR.home))
+    forged = [forger.forge() for _ in range(20_000)]
+    assert {one.kind for one in forged} == set(forger._kinds)
+    assert sum(one.sender is not Sender.KRC for one in forged) > 10_000
+
+
+def test_a_reply_to_a_telegram_of_an_earlier_session_does_not_end_a_trial():
+    pulses = Pulses(PULSES, 2 * ROUNDING)
+    steps = np.diff(np.concatenate([np.zeros((1, 6)), PULSES, np.zeros((1, 6))]), axis=0)
+    assert not pulses.explains(-steps[0])
+    assert all(pulses.explains(step) for step in steps)
+    pulses.begin()
+    assert all(pulses.explains(-step) for step in steps)
+    assert not pulses.explains(-steps[0])

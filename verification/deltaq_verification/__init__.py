@@ -1,0 +1,1 @@
+"""What verifies: the virtual cell, faults, impaired wires, the model checker, attacks and replay."""

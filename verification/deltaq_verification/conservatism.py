@@ -1,0 +1,151 @@
+"""How conservative the gate is: of what it scaled or held for clearance, how much would really have come too near?
+
+`python -m deltaq_verification.conservatism` drives both robots with adversaries over perfect links. For every decision
+that clearance limited, an oracle of dense samples (an independent implementation) checks whether the tube of the
+blend that velocity, acceleration and position would have allowed really violates the stop distance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.core import Decider
+from deltaq_services.sim.gate import Decision
+from deltaq_services.sim.limits import Limits
+from deltaq_services.sim.tracker import Tracker
+from deltaq_services.sim.tube import Branch, Windows
+from deltaq_verification.adversary import Adversary
+from deltaq_verification.lockstep import Lockstep
+from deltaq_verification.oracle import ClearanceOracle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Decisions that clearance limited, and the oracle's judgement of them."""
+
+    decisions: int
+    bound_by_clearance: int
+    asked: int
+    confirmed: int
+
+    @property
+    def confirmed_share(self) -> float | None:
+        """Fraction of the checked decisions that the oracle would have refused too; None if none was checked."""
+        return self.confirmed / self.asked if self.asked else None
+
+
+class Auditor:
+    """Wraps a gate, and asks the oracle about a sample of the decisions that clearance limited.
+
+    Args:
+        gate: makes the decisions.
+        cell: its cell.
+        every: one decision in this many is checked.
+        samples: configurations of each tube that are measured.
+    """
+
+    def __init__(self, gate: Decider, cell: CellModel, every: int, samples: int) -> None:
+        self.decisions = self.bound = self.asked = self.confirmed = 0
+        self._gate = gate
+        self._oracle = ClearanceOracle(cell)
+        self._stop = cell.description.gate.stop_distance_m
+        self._self_stop = cell.description.gate.self_stop_distance_m
+        cycle_s = cell.description.cycle_s
+        self._limits = {name: Limits.of(robot, cycle_s) for name, robot in cell.description.robots.items()}
+        self._every, self._samples = every, samples
+
+    def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
+        """Decide one request."""
+        decision = self._gate.decide(robot, others, request)
+        self.decisions += 1
+        if any(reason.code is ReasonCode.CLEARANCE for reason in decision.reasons):
+            self.bound += 1
+            if self.bound % self._every == 0:
+                self.asked += 1
+                self.confirmed += self._too_near(robot, others, request)
+        return decision
+
+    def _too_near(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> bool:
+        """Whether a dense sample of what the limits alone would allow is nearer than the stop distance."""
+        assert robot.state is not None  # the gate has just decided on it
+        limits, brake = self._limits[robot.name], robot.brake()
+        scale, _ = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
+        scale, _ = limits.position_scale(brake, request, robot.q_cmd, scale)
+        dq = brake + scale * (request - brake)
+        mine = self._along(robot.tube(Branch(dq, limits.brake_cycles(dq), -1)))
+        theirs = {other.name: self._along(tube) for other in others for tube in other.tubes()}
+        for q in mine:
+            where = {robot.name: q}
+            if self._oracle.of_one_robot(where | {n: rows[0] for n, rows in theirs.items()}).distance_m < (
+                self._self_stop
+            ):
+                return True
+            for name, rows in theirs.items():
+                for q_other in rows[:: max(1, len(rows) // 8)]:
+                    near = self._oracle.between_robots_and_structure(where | {name: q_other})
+                    if near.distance_m < self._stop:
+                        return True
+        return False
+
+    def _along(self, tube: Windows) -> Array:
+        """(samples, n) configurations along the setpoints of a tube, the end included."""
+        points = tube.points[max(0, tube.first - tube.lag) :]
+        places = np.linspace(0, len(points) - 1, self._samples)
+        return np.array([np.interp(places, np.arange(len(points)), column) for column in points.T]).T
+
+
+def run(
+    cell_name: str = "lab", seed: int = 0, cycles: int = 1500, every: int = 10, samples: int = 60
+) -> Figures:
+    """Measure; arguments as for `Auditor`, `cycles` of both robots."""
+    random = np.random.default_rng(seed)
+    stack = Lockstep(cell_name)
+    auditor = Auditor(stack.sim.gate, stack.cell, every, samples)
+    stack.sim.gate = auditor
+    cycle_s = stack.cell.description.cycle_s
+    adversaries = {name: Adversary(robot, cycle_s, random) for name, robot in stack.cell.robots.items()}
+    stack.run_until_ready()
+    for name in stack.arms:
+        stack.acquire(name, "adversary")
+    for _ in range(cycles):
+        stack.cycle()
+        q_cmd = {name: np.array(arm.state.q_cmd) for name, arm in stack.arms.items() if arm.state is not None}
+        tools = {name: robot.forward(q_cmd[name])[:3, 3] for name, robot in stack.cell.robots.items()}
+        for name, adversary in adversaries.items():
+            target = next(tool for other, tool in tools.items() if other != name)
+            stack.ask(name, adversary.increment(q_cmd[name], target))
+    return Figures(auditor.decisions, auditor.bound, auditor.asked, auditor.confirmed)
+
+
+def main() -> None:
+    """Print the figures as one JSON object."""
+    parser = argparse.ArgumentParser(
+        description="How conservative the gate is, by an oracle of dense samples."
+    )
+    parser.add_argument("--cell", default="lab", help="cell with two robots (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="one seed is one run (default: %(default)s)")
+    parser.add_argument(
+        "--cycles", type=int, default=1500, help="cycles of both robots (default: %(default)s)"
+    )
+    parser.add_argument("--every", type=int, default=10, help="ask about one decision in so many")
+    parser.add_argument("--samples", type=int, default=60, help="samples of each tube (default: %(default)s)")
+    options = parser.parse_args()
+    for name in ("cycles", "every", "samples"):
+        if (count := getattr(options, name)) < 1:
+            parser.error(f"--{name} {count}: at least 1")
+    figures = run(options.cell, options.seed, options.cycles, options.every, options.samples)
+    print(json.dumps(vars(figures) | {"confirmed_share": figures.confirmed_share}))
+
+
+if __name__ == "__main__":
+    main()

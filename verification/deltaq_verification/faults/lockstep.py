@@ -1,0 +1,238 @@
+"""One fault in virtual time: move, inject, watch, lift, bring back, judge."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_emulator.faults import LinkFaults
+from deltaq_emulator.states import KrcState
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Done, Phase
+from deltaq_verification.faults.actions import (
+    AskPanel,
+    BeginInThePast,
+    Bombard,
+    Freeze,
+    Impair,
+    Kill,
+    Misbehave,
+    PressStop,
+    Process,
+    Slow,
+    StepClock,
+)
+from deltaq_verification.faults.arm import Life
+from deltaq_verification.faults.catalogue import CHANGE_S, Fault
+from deltaq_verification.faults.cell import VirtualCell
+from deltaq_verification.faults.cell_factory import CellFactory
+from deltaq_verification.faults.mover import CRUISE_RAD_S
+from deltaq_verification.faults.panel import checked, describe, pendant_message, recovery
+from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle
+
+Array = NDArray[np.float64]
+
+CRUISE_CYCLES = 40
+"""From the first full increment to the fault."""
+FAULT_S = 1.4
+"""How long a fault stands: longer than every timeout of the shipped cells, and a brake after it."""
+BACK_S = 0.4
+"""How long the robot may take to move again."""
+ANSWER_CYCLES = 10
+"""How long a reset may take to be answered."""
+ATTEMPTS = 4
+_START_CYCLES = 300
+
+
+class FaultRunError(DeltaqError):
+    """The robot did not move before there was any fault."""
+
+
+def run_fault(fault: Fault, loaded: CellFactory, robot: str, seed: int = 0) -> Row:
+    """Let a moving robot suffer one fault.
+
+    Args:
+        fault: from the catalogue.
+        loaded: the cell.
+        robot: the one that moves.
+        seed: of the wires' random numbers.
+
+    Raises:
+        FaultRunError: if the robot never got to its cruising speed.
+    """
+    run = _Run(loaded, robot, seed)
+    run.reach_cruise()
+    injected = len(run.setpoints) - 1
+    run.inject(fault)
+    named = None
+    for cycle in range(round(FAULT_S / run.cycle_s)):
+        run.cycle()
+        if named is None and run.phase() is Phase.HELD:
+            named = (cycle + 1) * run.cycle_s
+    motion = motion_after(run.model, np.array(run.setpoints[injected:]), run.cycle_s, run.cruise)
+    # a Robot Server that does not run leaves the HLI with an old state, which it shows as offline
+    state = run.arm.state if run.arm.life is Life.RUNNING else None
+    phase = Phase.OFFLINE if state is None else state.phase
+    recovery = run.recover(fault)
+    sample = run.arm.krc.sample
+    kept = judged(
+        run.model,
+        np.array(run.setpoints),
+        run.cycle_s,
+        sample.counters["unanswered"] + run.running - sample.counters["sent"],
+        (run.least_m, run.least_own_m),
+        run.protest,
+        run.arm.to_pc.counts["flipped"],
+    )
+    gate = run.stack.cell.description.gate
+    return Row(
+        fault=fault.name,
+        what=fault.what,
+        live=False,
+        motion=motion,
+        phase=phase,
+        reason=None if state is None else state.reason,
+        named_after_s=named,
+        recovery=recovery,
+        kept=kept,
+        good=recovery != NEVER and is_good(kept, (gate.stop_distance_m, gate.self_stop_distance_m)),
+    )
+
+
+class _Run:
+    """A cell, the record of its robot, and the oracle that watches."""
+
+    def __init__(self, loaded: CellFactory, robot: str, seed: int) -> None:
+        self.stack = VirtualCell(loaded, robot, seed)
+        self.model = self.stack.cell.robots[robot]
+        self.arm = self.stack.arms[robot]
+        self.cycle_s = self.stack.cell.description.cycle_s
+        self.cruise = float(CRUISE_RAD_S * self.cycle_s)
+        self.setpoints: list[Array] = [self.arm.krc.sample.q_setpoint]
+        self.running = 0
+        self.least_m = self.least_own_m = np.inf
+        self.protest: str | None = None
+        self._oracle = ClearanceOracle(self.stack.cell)
+
+    def cycle(self) -> None:
+        """One cycle, recorded."""
+        self.stack.cycle()
+        sample = self.arm.krc.sample
+        self.setpoints.append(sample.q_setpoint)
+        self.running += sample.state is KrcState.RSI_RUNNING
+        self.protest = self.protest or pendant_message(sample.message)
+        actual = {name: arm.krc.sample.q for name, arm in self.stack.arms.items()}
+        self.least_m = min(self.least_m, self._oracle.between_robots_and_structure(actual).distance_m)
+        self.least_own_m = min(self.least_own_m, self._oracle.of_one_robot(actual).distance_m)
+
+    def phase(self) -> Phase | None:
+        """Phase of the robot as its server shows it; None while it is dead or has not begun."""
+        return None if self.arm.state is None else self.arm.state.phase
+
+    def reach_cruise(self) -> None:
+        """Cycle until the robot has moved at its cruising speed for a while."""
+        for _ in range(_START_CYCLES):
+            self.cycle()
+            if self._step() > self.cruise - TELEGRAM_STEP:
+                break
+        else:
+            raise FaultRunError(f"{self.stack.robot} did not reach its speed in {_START_CYCLES} cycles")
+        for _ in range(CRUISE_CYCLES):
+            self.cycle()
+
+    def inject(self, fault: Fault) -> None:
+        """Let the fault begin."""
+        stack = self.stack
+        match fault.action:
+            case Kill(process) | BeginInThePast(process, _):
+                stack.kill(process)
+            case Freeze(process):
+                stack.freeze(process)
+            case Slow(process, delay_s):
+                for wire in stack.links_from(process):
+                    wire.link.faults = LinkFaults(delay_s=delay_s)
+            case Impair(link, faults):
+                for wire in stack.links_of(link):
+                    wire.link.faults = faults
+            case Misbehave(how):
+                stack.controller.misbehaviour = how
+            case StepClock(Process.HLI, by_s):
+                stack.clock_s = by_s
+            case StepClock(_, by_s):
+                self.arm.clock_s = by_s
+            case AskPanel(request):
+                self._ask_panel(request)
+            case Bombard():
+                self.arm.bombard = fault.action
+            case PressStop():
+                stack.stop()
+
+    def recover(self, fault: Fault) -> str:
+        """Lift the fault and do what it takes until the robot moves; tells what it took."""
+        steps = self._lift(fault)
+        for _ in range(ATTEMPTS):
+            if self._moves():
+                return recovery_text(steps)
+            requests = recovery(self.arm.krc.state)
+            if requests:
+                for request in requests:
+                    self._ask_panel(request)
+                steps.append(describe(requests))
+                self._wait(BACK_S)
+            if self.phase() is Phase.HELD and self._reset():
+                steps.append("reset")
+        return recovery_text(steps) if self._moves() else NEVER
+
+    def _lift(self, fault: Fault) -> list[str]:
+        stack = self.stack
+        for wire in stack.wires.values():
+            wire.link.faults = LinkFaults()
+        stack.controller.misbehaviour = self.arm.bombard = None
+        stack.clock_s = self.arm.clock_s = 0.0
+        if fault.changes_program:
+            self._ask_panel({"op": "stop"})
+            self._wait(CHANGE_S)
+        if fault.lift is not None:
+            self._ask_panel(fault.lift)
+        match fault.action:
+            case Kill(process):
+                stack.restart(process)
+                return [f"restart of the {process}"]
+            case BeginInThePast(process, by_s):
+                stack.wall_clock_s = by_s
+                stack.restart(process)
+                return [f"restart of the {process}"]
+            case Freeze(process):
+                stack.thaw(process)
+        return []
+
+    def _reset(self) -> bool:
+        answers = self.stack.reset()
+        for _ in range(ANSWER_CYCLES):
+            self.cycle()
+        return any(isinstance(message, Done) for message in answers.received)
+
+    def _moves(self) -> bool:
+        for _ in range(round(BACK_S / self.cycle_s)):
+            self.cycle()
+            # the rest of a brake that was interrupted is motion too, but none that was asked for
+            if self._step() > self.cruise / 2 and self.phase() is Phase.ENGAGED:
+                return True
+        return False
+
+    def _step(self) -> float:
+        return float(np.abs(self.setpoints[-1] - self.setpoints[-2]).max())
+
+    def _wait(self, duration_s: float) -> None:
+        for _ in range(round(duration_s / self.cycle_s)):
+            self.cycle()
+
+    def _ask_panel(self, request: Mapping[str, Any]) -> None:
+        answers: list[bytes] = []
+        self.arm.panel.take(json.dumps(request).encode(), answers.append)
+        checked(answers[0])

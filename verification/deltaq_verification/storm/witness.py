@@ -1,0 +1,165 @@
+"""Whether each correction that went over RSI's wire is explained: by an admission, its brake, a probe, or not moving.
+
+The witness reads telegrams and replies off the wire, and admissions off the gate's topics; it asks the Robot Server
+nothing. An admission that was lost on its way to the witness explains no more than an admission could do, and is
+counted apart.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_protocol.rsi import KrcCodec, SensorCodec, TelegramError
+from deltaq_verification.storm.admitted import ROUNDING, Admitted
+from deltaq_verification.storm.pulses import Pulses
+
+Array = NDArray[np.float64]
+Origin = tuple[float, ...]
+"""Programmed position of a session of the KRC's program [rad or m]."""
+
+UNHEARD = "by an admission that was not heard"
+_REMEMBERED = 4096
+
+
+class UnexplainedError(Exception):
+    """A correction changed, and nothing explains it."""
+
+
+class Kind(Enum):
+    """Whose datagram it is."""
+
+    TELEGRAM = 0
+    """Of the KRC itself."""
+    FORGERY = 1
+    """Of an attacker."""
+    REPLY = 2
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A datagram that passed, and when [ns]."""
+
+    kind: Kind
+    datagram: bytes
+    stamp_ns: int
+
+
+class Witness:
+    """Judges what passed, in its order.
+
+    Args:
+        of_krc: reads telegrams; of_server: reads replies.
+        pulses: (k, n) of the probe of a session's mode, see `pulse_offsets` [rad or m].
+
+    Attributes:
+        counts: replies by what explains them, telegrams, and sessions of the KRC.
+    """
+
+    def __init__(self, of_krc: SensorCodec, of_server: KrcCodec, pulses: Array) -> None:
+        self.counts: Counter[str] = Counter()
+        self._of_krc, self._of_server = of_krc, of_server
+        self._pulses = Pulses(pulses, 2 * ROUNDING)
+        self._programmed: OrderedDict[int, Origin] = OrderedDict()
+        self._origins: set[Origin] = set()
+        self._origin: Origin | None = None
+        self._correction = np.zeros(of_krc.joints)
+        self._moved = np.zeros(of_krc.joints)
+        self._course: list[Array] = []
+
+    def judge(self, passed: Sequence[Passed], admitted: Admitted) -> None:
+        """Judge a whole run, in the order of its stamps.
+
+        Raises:
+            UnexplainedError: at the first correction that is not explained.
+        """
+        for one in sorted(passed, key=lambda one: one.stamp_ns):
+            match one.kind:
+                case Kind.REPLY:
+                    self._reply(one.datagram, admitted)
+                case Kind.TELEGRAM:
+                    self._telegram(one.datagram)
+                case Kind.FORGERY:
+                    self._forgery(one.datagram)
+
+    def _telegram(self, datagram: bytes) -> None:
+        try:
+            telegram = self._of_krc.decode(datagram)
+        except TelegramError as error:
+            raise UnexplainedError(f"the KRC's own telegram cannot be read: {error}") from error
+        self.counts["telegrams"] += 1
+        if telegram.q_programmed is not None:
+            origin = tuple(telegram.q_programmed.tolist())
+            self._origins.add(origin)
+            self._remember(telegram.ipoc, origin)
+
+    def _forgery(self, datagram: bytes) -> None:
+        """What is forged may be answered, in the session whose programmed position it repeats."""
+        try:
+            telegram = self._of_krc.decode(datagram)
+        except TelegramError:
+            return
+        if telegram.q_programmed is not None and telegram.ipoc not in self._programmed:
+            origin = tuple(telegram.q_programmed.tolist())
+            if origin in self._origins:
+                self._remember(telegram.ipoc, origin)
+
+    def _remember(self, ipoc: int, origin: Origin) -> None:
+        self._programmed[ipoc] = origin
+        while len(self._programmed) > _REMEMBERED:
+            self._programmed.popitem(last=False)
+
+    def _reply(self, datagram: bytes, admitted: Admitted) -> None:
+        reply = self._of_server.decode(datagram)
+        self.counts["replies"] += 1
+        origin = self._programmed.get(reply.ipoc, self._origin)
+        if origin != self._origin:
+            # another session of the KRC's program, which begins without a correction
+            self.counts["sessions"] += 1
+            self._origin, self._correction, self._course = origin, np.zeros_like(reply.correction), []
+            self._pulses.begin()
+        moved = reply.correction - self._correction
+        setpoint = self._correction if origin is None else np.array(origin) + self._correction
+        self._correction = reply.correction
+        if not self._is_at_rest(moved):
+            self._step(setpoint, moved, admitted)
+
+    def _is_at_rest(self, moved: Array) -> bool:
+        if not (np.abs(moved) <= ROUNDING).all() or (self._course and _near(moved, self._course[0])):
+            return False
+        self.counts["unmoved"] += 1
+        if not self._course:
+            self._moved = np.zeros_like(
+                moved
+            )  # a brake that is not over may go on after a reply that was missed
+        return True
+
+    def _step(self, setpoint: Array, moved: Array, admitted: Admitted) -> None:
+        if self._course and _near(moved, self._course[0]):
+            self._course.pop(0)
+            self.counts["by a brake"] += 1
+        elif (brake := admitted.take(setpoint, moved)) is not None:
+            self._course = brake
+            self.counts["by an admission"] += 1
+        elif self._pulses.explains(moved):
+            self._course = []
+            self.counts["by a probe"] += 1
+        elif (brake := admitted.take_unheard(self._moved, moved)) is not None:
+            self._course = brake
+            self.counts[UNHEARD] += 1
+        else:
+            raise UnexplainedError(
+                f"reply {self.counts['replies']} moved by {moved} after {self._moved}; the brake's next is "
+                f"{self._course[:1]}"
+            )
+        self._moved = moved
+
+
+def _near(one: Array, other: Array) -> bool:
+    """Whether two steps are the same; each may be a difference of rounded corrections."""
+    return bool((np.abs(one - other) <= 2 * ROUNDING).all())
