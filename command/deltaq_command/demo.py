@@ -70,10 +70,11 @@ def _follow(
     from deltaq_command.observer import Observer
     from deltaq_launch.cell_connection import connect, listen
 
-    with connect(cell, "deltaq demo") as running, listen(cell) as listener:
+    with listen(cell) as listener:
         observer = Observer(listener, tuple(cell.robots))
         problems = _wait(launcher, duration_s, output)
         observer.close()
+    with connect(cell, "deltaq demo") as running:
         status = running.status()
     # each prints its figures as it ends
     launcher.stop_service("follower")

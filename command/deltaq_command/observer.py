@@ -14,6 +14,9 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
 
+_BATCH = 512
+"""States that wait to be decoded at most."""
+
 
 @dataclass
 class Track:
@@ -53,10 +56,15 @@ class Track:
 
 
 class Observer:
-    """Watches the states of robots from its construction to `close`."""
+    """Watches the states of robots from its construction to `close`.
+
+    States are stamped as they come and decoded later, many at a time: one who only watches should not take the
+    processor's time from those that are watched.
+    """
 
     def __init__(self, listener: Listener, robots: Sequence[str]) -> None:
         self.tracks = {robot: Track() for robot in robots}
+        self._waiting: list[tuple[float, bytes]] = []
         self._lock = threading.Lock()  # zenoh calls back from its own threads
         self._subscribers = [listener.subscribe(topics.STATE, self._take, robot) for robot in robots]
 
@@ -64,9 +72,18 @@ class Observer:
         """Stop watching; `tracks` is complete then."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
+        with self._lock:
+            self._decode()
 
     def _take(self, sample: Any) -> None:
         now = time.monotonic()
-        state = unpack(RobotState, sample.payload.to_bytes())
         with self._lock:
-            self.tracks[state.robot].take(state, now)
+            self._waiting.append((now, sample.payload.to_bytes()))
+            if len(self._waiting) >= _BATCH:
+                self._decode()
+
+    def _decode(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for time_s, payload in waiting:
+            state = unpack(RobotState, payload)
+            self.tracks[state.robot].take(state, time_s)

@@ -20,6 +20,7 @@ import atexit
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -56,6 +57,7 @@ from deltaq_protocol.session import open_session
 from deltaq_protocol.wire import Wire
 
 M = TypeVar("M", bound=Message)
+StateHolder = Newest[zenoh.Sample, RobotState]
 
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
 SILENCE_S = 1.0
@@ -79,18 +81,15 @@ class Cell:
         self._wire = wire
         self._client = client
         self._token = token
-        self._newest: dict[str, Newest[RobotState]] = {name: Newest() for name in self.robots}
-        self._verdict_listeners: set[Callable[[Verdict], None]] = set()
+        self._newest: dict[str, StateHolder] = {name: self._subscribed(name) for name in self.robots}
+        self._verdict_listeners: dict[str, set[Callable[[Verdict], None]]] = {}
         self._leases: set[LeasedRobot] = set()
-        for name in self.robots:
-            wire.subscribe(topics.STATE.key(description.cell, robot=name), self._take_state, capacity=1)
-        wire.subscribe(topics.VERDICT.key(description.cell), self._take_verdict, _VERDICTS_WAITING)
 
     def state(self, robot: str) -> RobotState | None:
         """The newest state of a robot; None before the first."""
         return self._newest[self._known(robot)].value
 
-    def newest(self, robot: str) -> Newest[RobotState]:
+    def newest(self, robot: str) -> StateHolder:
         """The holder of the newest state of a robot, for a reader in another thread."""
         return self._newest[self._known(robot)]
 
@@ -105,11 +104,10 @@ class Cell:
         seen = 0
         while True:
             try:
-                state = await newest.after(seen, SILENCE_S)
+                state, seen = await newest.after(seen, SILENCE_S)
             except TimeoutError:
                 await self.status()  # raises if the server is gone; a robot that is offline is waited for
                 continue
-            seen = newest.version
             yield state
 
     async def verdicts(self, robot: str) -> AsyncIterator[Verdict]:
@@ -123,12 +121,12 @@ class Cell:
         waiting: asyncio.Queue[Verdict] = asyncio.Queue(_VERDICTS_WAITING)
 
         def listen(verdict: Verdict) -> None:
-            if verdict.robot == robot:
-                if waiting.full():
-                    waiting.get_nowait()
-                waiting.put_nowait(verdict)
+            if waiting.full():
+                waiting.get_nowait()
+            waiting.put_nowait(verdict)
 
-        self._verdict_listeners.add(listen)
+        listeners = self._listeners(robot)
+        listeners.add(listen)
         try:
             while True:
                 try:
@@ -139,7 +137,7 @@ class Cell:
                 else:
                     yield verdict
         finally:
-            self._verdict_listeners.discard(listen)
+            listeners.discard(listen)
 
     async def stop(self) -> Done:
         """Bring every robot of the cell to rest; each is held until it is reset, and has shown so when this returns.
@@ -216,6 +214,7 @@ class Cell:
         request = LeaseRequest(
             robot=self._known(robot), action=action, client=client or self._client, token=self._token
         )
+        listeners = self._listeners(robot)  # before the lease, so that no verdict on it is missed
         payload = await self._wire.ask(topics.LEASE, self.description.cell, request, robot)
         reply = unpack(LeaseReply, payload)
         if not reply.granted:
@@ -229,14 +228,14 @@ class Cell:
             self._newest[robot],
             lambda: self.states(robot),
         )
-        self._verdict_listeners.add(leased.take_verdict)
+        listeners.add(leased.take_verdict)
         self._leases.add(leased)
         keeper = asyncio.create_task(leased.keep_lease())
         try:
             yield leased
         finally:
             keeper.cancel()
-            self._verdict_listeners.discard(leased.take_verdict)
+            listeners.discard(leased.take_verdict)
             await asyncio.shield(leased.release())
             self._leases.discard(leased)
 
@@ -260,17 +259,32 @@ class Cell:
             raise RefusedError(ReasonCode.UNKNOWN_ROBOT, f"the cell has no robot {robot!r}", f"it has {has}")
         return robot
 
-    def _take_state(self, sample: zenoh.Sample) -> None:
-        state = self._decoded(RobotState, sample)
-        if state is not None and state.robot in self._newest:
-            self._newest[state.robot].put(state)
+    def _subscribed(self, robot: str) -> StateHolder:
+        """The newest state of a robot; no other is decoded, and none that nobody reads."""
 
-    def _take_verdict(self, sample: zenoh.Sample) -> None:
-        if not self._verdict_listeners:
+        def state(sample: zenoh.Sample) -> RobotState | None:
+            state = self._decoded(RobotState, sample)
+            return state if state is not None and state.robot == robot else None
+
+        newest: StateHolder = Newest(asyncio.get_running_loop(), state)
+        self._wire.subscribe_newest(topics.STATE.key(self.description.cell, robot=robot), newest)
+        return newest
+
+    def _listeners(self, robot: str) -> set[Callable[[Verdict], None]]:
+        """Those that listen to the verdicts on a robot, which are subscribed to from the first one on."""
+        if robot not in self._verdict_listeners:
+            self._verdict_listeners[robot] = set()
+            key = topics.VERDICT.key(self.description.cell, robot=robot)
+            self._wire.subscribe(key, partial(self._take_verdict, robot), _VERDICTS_WAITING)
+        return self._verdict_listeners[robot]
+
+    def _take_verdict(self, robot: str, sample: zenoh.Sample) -> None:
+        listeners = self._verdict_listeners[robot]
+        if not listeners:
             return
         verdict = self._decoded(Verdict, sample)
-        if verdict is not None:
-            for listener in tuple(self._verdict_listeners):
+        if verdict is not None and verdict.robot == robot:
+            for listener in tuple(listeners):
                 listener(verdict)
 
     def _decoded(self, message_type: type[M], sample: zenoh.Sample) -> M | None:

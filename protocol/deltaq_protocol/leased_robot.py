@@ -55,7 +55,7 @@ class LeasedRobot:
         name: str,
         summary: RobotSummary,
         granted: LeaseReply,
-        newest: Newest[RobotState],
+        newest: Newest[zenoh.Sample, RobotState],
         states: Callable[[], AsyncIterator[RobotState]],
     ) -> None:
         self.name = name
@@ -205,9 +205,7 @@ class LeasedRobot:
         return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name))
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """A verdict has come; `Cell` calls this."""
-        if verdict.robot != self.name:
-            return
+        """A verdict on this robot has come; `Cell` calls this."""
         if (waiting := self._awaited.get(verdict.seq)) is not None:
             waiting.put_nowait(verdict)
         elif verdict.seq in self._sent:
@@ -257,9 +255,10 @@ class LeasedRobot:
         """The newest state, or the first."""
         self.check_lease()
         try:
-            return self._newest.value or await self._newest.after(0, _FIRST_STATE_DEADLINE_S)
+            state, _ = await self._newest.after(0, _FIRST_STATE_DEADLINE_S)
         except TimeoutError:
             raise self._without_state() from None
+        return state
 
     def _without_state(self) -> ServiceUnreachableError:
         return ServiceUnreachableError(

@@ -13,6 +13,7 @@ from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.inbox import Inbox
 from deltaq_protocol.messages import Error, Message
+from deltaq_protocol.newest import Newest
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
 
@@ -31,7 +32,8 @@ class Wire:
     def __init__(self, session: Any, loop: asyncio.AbstractEventLoop) -> None:
         self._session = session
         self._loop = loop
-        self._declared: list[tuple[Any, Inbox[zenoh.Sample]]] = []
+        self._declared: list[Any] = []
+        self._inboxes: list[Inbox[zenoh.Sample]] = []
 
     async def ask(
         self, topic: Topic, cell: str, request: Message, robot: str = "", deadline_s: float = QUERY_DEADLINE_S
@@ -88,8 +90,12 @@ class Wire:
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
         """Call `take` in the loop with the samples of a key; of waiting samples the newest `capacity` are kept."""
         inbox = Inbox[zenoh.Sample](self._loop, take, capacity)
-        callback = zenoh.handlers.Callback(inbox.put, indirect=False)
-        self._declared.append((self._session.declare_subscriber(key, callback), inbox))
+        self._inboxes.append(inbox)
+        self._declare(key, inbox.put)
+
+    def subscribe_newest(self, key: str, newest: Newest[zenoh.Sample, Any]) -> None:
+        """Put the samples of a key where the newest is kept, without waking the loop for those that nobody awaits."""
+        self._declare(key, newest.put)
 
     def publisher(self, topic: Topic, cell: str, robot: str) -> Any:
         """A publisher of a robot's topic; a session that was closed makes its `put` raise `ZError`."""
@@ -98,7 +104,11 @@ class Wire:
     def close(self) -> None:
         """Stop listening, then close: a session that closes with callbacks still running can panic."""
         while self._declared:
-            declared, inbox = self._declared.pop()
-            declared.undeclare()
+            self._declared.pop().undeclare()
+        for inbox in self._inboxes:
             inbox.close()
         self._session.close()
+
+    def _declare(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
+        callback = zenoh.handlers.Callback(put, indirect=False)
+        self._declared.append(self._session.declare_subscriber(key, callback))

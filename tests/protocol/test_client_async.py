@@ -278,7 +278,7 @@ async def test_a_server_that_restarts_is_found_again_and_the_old_lease_is_worth_
                     await move_for_ever(old)
                 await anext(cell.states("fr"))
                 async with cell.lease("fr") as new:
-                    await new._newest.after(new._newest.version, 10)
+                    await new._newest.after(new._newest.read()[1], 10)
                     assert (await new.move(DQ)).outcome is Outcome.ADMITTED
 
 

@@ -82,18 +82,107 @@ def test_a_loop_that_has_ended_does_not_trouble_the_thread_that_puts() -> None:
     inbox.put(1)
 
 
+def text_of_a_number(sample: str) -> int | None:
+    return int(sample) if sample.isdigit() else None
+
+
+def newest_of(decoded: list[str]) -> Newest[str, int]:
+    """A holder that keeps a list of what it decoded."""
+
+    def decode(sample: str) -> int | None:
+        decoded.append(sample)
+        return text_of_a_number(sample)
+
+    return Newest(asyncio.get_running_loop(), decode)
+
+
 async def test_everybody_who_waits_for_a_newer_value_is_woken_and_gets_the_newest() -> None:
-    newest: Newest[int] = Newest()
+    newest = newest_of([])
     waiting = [asyncio.create_task(newest.after(0, 10.0)) for _ in range(3)]
     await settled()
-    newest.put(1)
-    newest.put(2)
-    assert await asyncio.gather(*waiting) == [2, 2, 2]
-    assert await newest.after(1, 10.0) == 2
+    newest.put("1")
+    newest.put("2")
+    assert await asyncio.gather(*waiting) == [(2, 2)] * 3
+    assert await newest.after(1, 10.0) == (2, 2)
 
 
 async def test_whoever_has_seen_the_newest_value_waits_and_gives_up_at_the_deadline() -> None:
-    newest: Newest[int] = Newest()
-    newest.put(1)
+    newest = newest_of([])
+    newest.put("1")
     with pytest.raises(TimeoutError):
         await newest.after(1, 0.01)
+
+
+async def test_what_is_no_value_wakes_nobody_and_the_value_before_it_stands() -> None:
+    newest = newest_of([])
+    newest.put("1")
+    assert newest.value == 1
+    newest.put("none")
+    assert newest.read() == (1, 1)
+    with pytest.raises(TimeoutError):
+        await newest.after(1, 0.01)
+    waiting = asyncio.create_task(newest.after(1, 10.0))
+    await settled()
+    newest.put("nor this")
+    await settled()
+    assert not waiting.done()
+    newest.put("4")
+    assert await waiting == (4, 4)
+
+
+async def test_a_sample_is_decoded_once_and_only_if_somebody_reads_it() -> None:
+    decoded: list[str] = []
+    newest = newest_of(decoded)
+    for number in range(1000):
+        newest.put(str(number))
+    await settled()
+    assert decoded == []
+    assert (newest.value, newest.value) == (999, 999)
+    assert decoded == ["999"]
+
+
+async def test_the_loop_is_not_woken_for_a_sample_that_nobody_awaits(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = asyncio.get_running_loop()
+    woken: list[object] = []
+    newest = newest_of([])
+    monkeypatch.setattr(loop, "call_soon_threadsafe", woken.append)
+    newest.put("1")
+    assert woken == []
+    waiting = asyncio.create_task(newest.after(1, 10.0))
+    await settled()
+    newest.put("2")
+    assert len(woken) == 1
+    waiting.cancel()
+
+
+async def test_a_thread_that_waits_gets_a_value_that_another_thread_puts() -> None:
+    newest = newest_of([])
+    began = threading.Event()
+
+    def wait() -> tuple[int, int]:
+        began.set()
+        return newest.wait_after(0, 10.0)
+
+    waiting = asyncio.create_task(asyncio.to_thread(wait))
+    await asyncio.to_thread(began.wait)
+    for sample in ("none", "2"):
+        threading.Thread(target=newest.put, args=(sample,)).start()
+    assert await waiting == (2, 2)
+
+
+async def test_a_thread_that_waits_gives_up_at_the_deadline() -> None:
+    newest = newest_of([])
+    newest.put("1")
+    with pytest.raises(TimeoutError):
+        newest.wait_after(1, 0.01)
+
+
+def test_a_loop_that_has_ended_does_not_trouble_the_thread_that_puts_the_newest() -> None:
+    loop = asyncio.new_event_loop()
+    newest = Newest[str, int](loop, text_of_a_number)
+    waiting = loop.create_task(newest.after(0, 10.0))
+    loop.run_until_complete(settled())
+    waiting.cancel()
+    loop.close()
+    newest.put("1")
+    assert newest.value == 1
