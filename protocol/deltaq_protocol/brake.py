@@ -28,7 +28,7 @@ def brake_cycles(dq: Array, max_dv: Array) -> int:
     Returns:
         N >= 1 with `|dq| / N <= max_dv` for every joint.
     """
-    return max(1, math.ceil(float(np.max(np.abs(dq) / max_dv)) * (1.0 - _ROUNDING)))
+    return max(1, math.ceil(float((np.abs(dq) / max_dv).max()) * (1.0 - _ROUNDING)))
 
 
 def brake_increment(dq: Array, cycles: int, step: int) -> Array:

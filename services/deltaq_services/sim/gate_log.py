@@ -34,19 +34,26 @@ class GateLog:
         self._entries = _publisher(session, topics.GATE_LOG, cell)
         self._memories = _publisher(session, topics.GATE_MEMORY, cell)
 
-    def took(self, topic: Topic, payload: bytes, outputs: Sequence[tuple[str, bytes]]) -> None:
-        """The gate took a message and published its outputs, all as msgpack."""
+    def look_for_listeners(self) -> None:
+        """See whether anybody listens; to be called between messages, and now and then, since it takes its time.
+
+        Who has come gets a snapshot, and every message after it.
+        """
         began = not self._listened_to
         self._listened_to = self._entries.matching_status.matching
+        if began and self._listened_to:
+            self._memories.put(pack(self._sim.snapshot()))
+
+    def took(self, topic: Topic, payload: bytes, outputs: Sequence[tuple[str, bytes]]) -> None:
+        """The gate took a message and published its outputs, all as msgpack."""
         if not self._listened_to:
             return
         sim = self._sim
-        if not began:
-            entry = GateEntry(
-                epoch=sim.epoch, number=sim.taken, topic=topic.name, payload=payload, outputs=tuple(outputs)
-            )
-            self._entries.put(pack(entry))
-        if began or memory_is_due(sim.taken):
+        entry = GateEntry(
+            epoch=sim.epoch, number=sim.taken, topic=topic.name, payload=payload, outputs=tuple(outputs)
+        )
+        self._entries.put(pack(entry))
+        if memory_is_due(sim.taken):
             self._memories.put(pack(sim.snapshot()))
 
 

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 _SCALES = np.linspace(0.0, 1.0, 129)
 """Scales tried where the length of the brake, a whole number of cycles, makes the bound no formula."""
 
+_ROUNDING = 1e-12
+"""How far beyond a position limit a sum of increments may end [rad or m]."""
+
 _SLACK = 1e-9
 """Fraction of a bound by which rounding may exceed it."""
 
@@ -36,7 +39,7 @@ def shares_within(start: Array, end: Array, low: Array, high: Array) -> Array:
 
 def share_within(start: Array, end: Array, low: Array, high: Array) -> float:
     """How far all joints may go together, in [0, 1]."""
-    return float(np.clip(np.min(shares_within(start, end, low, high)), 0.0, 1.0))
+    return min(max(float(shares_within(start, end, low, high).min()), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
@@ -76,9 +79,9 @@ class Limits:
         slowest = np.maximum(-self.max_dq, last_dq - self.max_dv)
         fastest = np.minimum(self.max_dq, last_dq + self.max_dv)
         scales = shares_within(brake, request, slowest, fastest)
-        if np.all(scales >= 1.0 - _SLACK):
+        if (scales >= 1.0 - _SLACK).all():
             return 1.0, []
-        joint = int(np.argmin(scales))
+        joint = int(scales.argmin())
         bound = fastest[joint] if request[joint] > brake[joint] else slowest[joint]
         if abs(bound) >= self.max_dq[joint] * (1 - _SLACK):
             reason = Reason(
@@ -99,7 +102,7 @@ class Limits:
     def slow_scale(self, brake: Array, request: Array, share: float) -> float:
         """Largest s that leaves every joint within a fraction of its velocity limit; 0 while the brake is faster."""
         allowed = share * self.max_dq
-        if np.any(np.abs(brake) > allowed):
+        if (np.abs(brake) > allowed).any():
             return 0.0
         return share_within(brake, request, -allowed, allowed)
 
@@ -114,15 +117,11 @@ class Limits:
         Returns:
             s, and the reason if s < `at_most`.
         """
-        scales = np.append(_SCALES[at_most > _SCALES], at_most)[::-1]
-        dq = brake + scales[:, None] * (request - brake)
-        cycles = np.ceil(np.max(np.abs(dq) / self.max_dv, axis=1) * (1 - _SLACK)).clip(min=1)
-        ends = q_cmd + dq * ((cycles + 1) / 2)[:, None]
-        beyond = np.maximum(ends - np.maximum(self.upper, q_cmd), np.minimum(self.lower, q_cmd) - ends)
-        inside = np.all(beyond <= 1e-12, axis=1)
-        if inside[0]:
+        # nearly every request fits, so what is asked for is looked at by itself
+        ends, beyond = self._brake_ends(brake, request, q_cmd, np.array([at_most]))
+        if (beyond <= _ROUNDING).all():
             return at_most, []
-        joint = int(np.argmax(beyond[0]))
+        joint = int(beyond[0].argmax())
         up = ends[0, joint] > q_cmd[joint]
         reason = Reason(
             code=ReasonCode.POSITION_LIMIT,
@@ -130,7 +129,28 @@ class Limits:
             value=float(ends[0, joint]),
             bound=float(self.upper[joint] if up else self.lower[joint]),
         )
-        return (float(scales[int(np.argmax(inside))]) if inside.any() else 0.0), [reason]
+        scales = _SCALES[at_most > _SCALES][::-1]
+        _, beyond = self._brake_ends(brake, request, q_cmd, scales)
+        inside = (beyond <= _ROUNDING).all(axis=1)
+        return (float(scales[int(inside.argmax())]) if inside.any() else 0.0), [reason]
+
+    def _brake_ends(self, brake: Array, request: Array, q_cmd: Array, scales: Array) -> tuple[Array, Array]:
+        """Ends of the brakes after increments of some scales, and how far each joint is beyond its limits there.
+
+        Args:
+            brake: (n,) next increment of the brake.
+            request: (n,) increment asked for.
+            q_cmd: (n,) setpoint; a joint that stands outside its limits may come to rest there.
+            scales: (k,) to be tried.
+
+        Returns:
+            Both (k, n) [rad or m]; a joint inside its limits is beyond them by less than zero.
+        """
+        dq = brake + scales[:, None] * (request - brake)
+        cycles = np.ceil((np.abs(dq) / self.max_dv).max(axis=1) * (1 - _SLACK)).clip(min=1)
+        ends: Array = q_cmd + dq * ((cycles + 1) / 2)[:, None]
+        beyond: Array = np.maximum(ends - np.maximum(self.upper, q_cmd), np.minimum(self.lower, q_cmd) - ends)
+        return ends, beyond
 
     def brake_cycles(self, dq: Array) -> int:
         """Length of the brake that follows `dq`."""

@@ -58,11 +58,11 @@ class Shell:
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._log = GateLog(self._session, self._name, self.sim)
-        self._publishers: dict[str, Any] = {}
+        self._publishers: dict[tuple[str, str], Any] = {}
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
-                self._publisher(topic, robot=robot)
+                self._publisher(topic, robot)
 
     def run(self) -> None:
         """Serve until the process is ended by a signal."""
@@ -91,20 +91,23 @@ class Shell:
         outputs = []
         for output in self.sim.take(message):
             packed = pack(output.message)
-            self._publisher(output.topic, robot=output.robot).put(packed)
+            self._publisher(output.topic, output.robot).put(packed)
             outputs.append((output.topic.name, packed))
         self._log.took(topic, payload, outputs)
 
-    def _publisher(self, topic: Topic, **fields: str) -> Any:
-        key = topic.key(self._name, **fields)
-        if key not in self._publishers:
-            self._publishers[key] = declare_publisher(self._session, key, self._seal, topic.priority)
-        return self._publishers[key]
+    def _publisher(self, topic: Topic, robot: str = "") -> Any:
+        publisher = self._publishers.get((topic.name, robot))
+        if publisher is None:
+            key = topic.key(self._name, robot=robot, service="sim")
+            publisher = declare_publisher(self._session, key, self._seal, topic.priority)
+            self._publishers[topic.name, robot] = publisher
+        return publisher
 
     def _say_healthy(self) -> None:
         now_s = time.monotonic()
         if not self._pace.due(now_s):
             return
+        self._log.look_for_listeners()
         health = Health(
             service="sim",
             healthy=True,
@@ -117,4 +120,4 @@ class Shell:
             epoch=self.sim.epoch,
             newest_id=self.sim.newest_id,
         )
-        self._publisher(topics.HEALTH, service="sim").put(pack(health))
+        self._publisher(topics.HEALTH).put(pack(health))

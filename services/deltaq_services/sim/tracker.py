@@ -52,10 +52,12 @@ class Tracker:
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
+        self._past: tuple[Array, Array] | None = None
 
     def observe(self, state: ServerState) -> bool:
         """Take a state; returns False if no cycle of the robot has passed since the last."""
         self.restarted = self.displaced = False
+        self._past = None
         if state.process in self._ended:
             return False
         if self.state is not None and state.process != self.state.process:
@@ -83,7 +85,7 @@ class Tracker:
         # the increment is that of the last cycle, also where the KRC missed the reply and stands where it stood
         unexplained = np.abs(travel - np.array(state.dq))
         unseen = state.cycle - before.cycle - 1
-        return bool(travel.any() and np.any(unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS))
+        return bool(travel.any() and (unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS).any())
 
     def snapshot(self) -> TrackerMemory:
         """Snapshot for `restore`."""
@@ -103,6 +105,7 @@ class Tracker:
         self._history.extend(np.array(setpoint) for setpoint in memory.history)
         self._ended.clear()
         self._ended.extend(memory.ended_processes)
+        self._past = None
 
     @property
     def q_cmd(self) -> Array:
@@ -122,13 +125,13 @@ class Tracker:
     def tube(self, branch: Branch) -> Windows:
         """The tube of one course from the present setpoint."""
         assert self.state is not None  # asked only of robots that have been heard
-        history, q = np.array(self._history), np.array(self.state.q)
-        beyond = np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
-        return tube(history, branch, self._lag, q if np.any(beyond > _ROUNDING) else None)
+        history, off = self._measured()
+        measured = np.array(self.state.q) if (off > _ROUNDING).any() else None
+        return tube(history, branch, self._lag, measured)
 
     def tube_of_setpoints(self, branch: Branch) -> Windows:
         """The same, wherever the robot is measured to be."""
-        return tube(np.array(self._history), branch, self._lag)
+        return tube(self._measured()[0], branch, self._lag)
 
     def tubes(self) -> list[Windows]:
         """The tubes of every course that the robot may take."""
@@ -159,11 +162,16 @@ class Tracker:
 
     def off_path(self) -> tuple[int, float, float] | None:
         """The joint that left the commanded path by more than its tolerance: index, distance, tolerance."""
-        assert self.state is not None  # asked only of robots that have been heard
-        history = np.array(self._history)
-        q = np.array(self.state.q)
-        distance = np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
-        joint = int(np.argmax(distance / self._tolerance))
+        _, distance = self._measured()
+        joint = int((distance / self._tolerance).argmax())
         if distance[joint] <= self._tolerance[joint]:
             return None
         return joint, float(distance[joint]), float(self._tolerance[joint])
+
+    def _measured(self) -> tuple[Array, Array]:
+        """(m, n) the last setpoints, oldest first, and (n,) how far the robot is off all of them [rad or m]."""
+        if self._past is None:
+            assert self.state is not None  # asked only of robots that have been heard
+            history, q = np.array(self._history), np.array(self.state.q)
+            self._past = history, np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
+        return self._past

@@ -79,7 +79,7 @@ class Strip:
 
     def halves(self) -> tuple[Piece, ...]:
         """Two strips of half the length, down to one that no drive resolves or that is as wide as it is long."""
-        if np.max(np.abs(self.direction)) < max(_SHORTEST, float(np.max(self.deviation))):
+        if np.abs(self.direction).max() < max(_SHORTEST, float(self.deviation.max())):
             return ()
         half = self.direction / 2
         return replace(self, middle=self.middle - half, direction=half), replace(
@@ -112,7 +112,7 @@ class Windows:
 
     def halves(self) -> tuple[Piece, ...]:
         """Half of the windows each; of a single window, or of all along one line, the halves of their strip."""
-        if self.first == self.last or np.max(self.strip().deviation) < _SHORTEST:
+        if self.first == self.last or self.strip().deviation.max() < _SHORTEST:
             return self.strip().halves()
         middle = (self.first + self.last) // 2
         return replace(self, last=middle), replace(self, first=middle + 1)
@@ -128,8 +128,8 @@ def tube(history: Array, branch: Branch, lag: int, measured: Array | None = None
         measured: (n,) where the robot is, if that is not within what the history explains.
     """
     to_come = branch.setpoints(history[-1])
-    past = history if measured is None else np.vstack([measured[None], history])
-    points = np.vstack([past, to_come])
+    past = history if measured is None else np.concatenate((measured[None], history))
+    points = np.concatenate((past, to_come))
     now = len(past) - 1
     moves = bool((points != points[-1]).any())
     return Windows(points, lag, now, len(points) - 1 + lag if moves else now)
