@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from deltaq_protocol.rsi import (
     TelegramError,
 )
 from deltaq_protocol.rsi.ethernet_xml import parse_ethernet_xml
+from deltaq_protocol.rsi.krc_codec import SensorTelegram
 from deltaq_protocol.rsi.pose import matrix_from_pose, pose_from_matrix
 
 ARM = tuple(f"a{i}" for i in range(1, 7))
@@ -332,3 +334,52 @@ def test_an_output_of_a_user_cannot_share_the_stop_signal_nor_set_it() -> None:
         SensorCodec(config, ARM_AXES, stop="Halt")
     with pytest.raises(TelegramError, match=r"driver\.stop"):
         SensorCodec(config, ARM_AXES, stop="Stop").encode(1, np.zeros(6), {"driver.stop": True})
+
+
+EVERYTHING = make_config(
+    CANONICAL_SEND, WITH_STOP + element("DEF_EStr", "STRING") + element("Other.X", "LONG", 9)
+)
+AT_PC = SensorCodec(EVERYTHING, ARM_AXES, outputs={"gripper": "Do.O1"}, stop="Stop")
+AT_KRC = KrcCodec(EVERYTHING, ARM_AXES, outputs={"gripper": "Do.O1"}, stop="Stop")
+
+
+def shown(telegram: SensorTelegram) -> list[object]:
+    """All of a reply's fields, numbers to the last bit."""
+    return [value.tolist() if isinstance(value, np.ndarray) else value for value in telegram]
+
+
+def decoded(decode: Callable[[bytes], SensorTelegram], datagram: bytes) -> list[object] | str:
+    try:
+        return shown(decode(datagram))
+    except TelegramError as error:
+        return str(error)
+
+
+@given(
+    st.lists(st.floats(-300.0, 300.0), min_size=6, max_size=6),
+    st.integers(0, 2**32 - 1),
+    st.booleans(),
+    st.booleans(),
+    st.text(st.characters(codec="ascii")),
+)
+def test_a_reply_as_our_end_writes_it_is_read_as_any_other(
+    values: list[float], ipoc: int, gripper: bool, stop: bool, text: str
+) -> None:
+    reply = AT_PC.encode(ipoc, np.array(values), {"gripper": gripper}, text=text, stop=stop)
+    assert decoded(AT_KRC.decode, reply) == decoded(AT_KRC._decode_any, reply)
+
+
+@given(st.data())
+def test_a_damaged_reply_is_read_or_refused_as_any_other(data: st.DataObject) -> None:
+    damaged = bytearray(AT_PC.encode(7, np.linspace(-1.0, 1.0, 6), {"gripper": True}, text="x y", stop=True))
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(damaged) - 1))
+        damaged[place] = data.draw(st.sampled_from(b"0123456789.+-eE \"'<>&/=\0\x01\tAnX\xff"))
+    assert decoded(AT_KRC.decode, bytes(damaged)) == decoded(AT_KRC._decode_any, bytes(damaged))
+
+
+@pytest.mark.parametrize("ending", [b"", b"\0", b"\0\0\0"])
+def test_a_compact_reply_does_not_take_the_long_way(monkeypatch: pytest.MonkeyPatch, ending: bytes) -> None:
+    reply = AT_PC.encode(7, np.zeros(6), text="x y") + ending
+    monkeypatch.delattr(KrcCodec, "_decode_any")
+    assert AT_KRC.decode(reply).text == "x y"
