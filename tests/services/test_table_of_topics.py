@@ -177,8 +177,9 @@ class _Listened:
         try:
             while heard.empty():  # until the listener is known
                 link.publish(server_state("fr"), 0.0)
-            for cycle in range(501):  # a marker at the end: a heartbeat that is out of turn
-                link.publish(None, 1000.0 + cycle * 0.02 + (cycle == 500) * 1.0, "end" * (cycle == 500))
+            for cycle in range(500):
+                link.publish(None, 1000.0 + cycle * 0.02)
+            link.publish(None, 1011.0, lambda: "end")  # a marker: a heartbeat that is out of turn
             samples = []
             while not (samples and b"end" in samples[-1].payload.to_bytes()):
                 samples.append(heard.get(timeout=5.0))

@@ -79,7 +79,10 @@ class HliCore:
         self.requests = Requests(self._state, operator_token)
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
-        """A cycle of a robot: ask the gate at once, then tell the controllers."""
+        """A cycle of a robot: ask the gate for what has waited, and tell the controllers.
+
+        A heartbeat for the gate goes last: the controllers' time to answer has begun.
+        """
         link = self._state.links.get(state.robot)
         if link is None or len(state.q) != link.joints:
             self.counters["states_ignored"] += 1
@@ -89,7 +92,8 @@ class HliCore:
         outputs = self._state.tick(time_s)
         link.take_state(state, time_s)
         self._state.commands.suppose(state.epoch)
-        outputs += self.increments.on_cycle(state.robot, link, time_s)
+        waited = link.waits
+        asked = self.increments.on_cycle(state.robot, link, time_s)
         placed = RobotState(
             robot=state.robot,
             cycle=state.cycle,
@@ -102,8 +106,8 @@ class HliCore:
             reason=state.reason,
             gate=self._gate.fingerprint if self._gate else "",
         )
-        outputs.append(ToOpen(topics.STATE, state.robot, placed))
-        return outputs
+        told = ToOpen(topics.STATE, state.robot, placed)
+        return [*outputs, *asked, told] if waited else [*outputs, told, *asked]
 
     def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
         """The gate has decided: send its verdict to the sender and to every watcher."""

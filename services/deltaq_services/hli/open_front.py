@@ -61,7 +61,7 @@ class OpenFront:
 
     def __init__(self, cell: CellDescription, port: Port) -> None:
         self._cell = cell.cell
-        self._robots = frozenset(cell.robots)
+        self._increment_keys = {robot: topics.INCREMENT.key(cell.cell, robot=robot) for robot in cell.robots}
         self._port = port
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
         opened = open_session(listen=[cell.hli], access=rules)
@@ -79,7 +79,7 @@ class OpenFront:
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the open realm."""
-        if robot and robot not in self._robots:
+        if robot and robot not in self._increment_keys:
             self._session.publish_once(topic, message, robot=robot)
         else:
             self._session.publish(topic, message, robot=robot)
@@ -96,13 +96,16 @@ class OpenFront:
         port = self._port
         try:
             increment = unpack(Increment, sample.payload.to_bytes())
-            if topics.INCREMENT.key(self._cell, robot=increment.robot) != str(sample.key_expr):
+            if self._increment_key(increment.robot) != str(sample.key_expr):
                 raise _wrong_key(increment.robot, str(sample.key_expr))
         except InvalidMessageError as error:
             outputs = port.core.increments.on_bad_increment(error, None, port.now())
         else:
             outputs = port.core.increments.on_increment(increment, None, port.now())
         port.carry_out(outputs)
+
+    def _increment_key(self, robot: str) -> str:
+        return self._increment_keys.get(robot) or topics.INCREMENT.key(self._cell, robot=robot)
 
     def _on_lease(self, query: zenoh.Query) -> None:
         requests = self._port.core.requests

@@ -99,6 +99,11 @@ class RobotLink:
         replaced, self._waiting = self._waiting, asked
         return None, replaced
 
+    @property
+    def waits(self) -> bool:
+        """Whether an increment waits for the next state."""
+        return self._waiting is not None
+
     def drop(self) -> Asked | None:
         """Forget the increment that waits, and return it."""
         asked, self._waiting = self._waiting, None

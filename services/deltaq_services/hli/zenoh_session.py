@@ -37,7 +37,7 @@ class LoopSession:
         self._cell = cell
         self._loop = loop
         self._seal = seal
-        self._publishers: dict[str, Any] = {}
+        self._publishers: dict[tuple[str, ...], Any] = {}
         self._declared: list[Any] = []
         self._inboxes: dict[str, Inbox[Any]] = {}
 
@@ -53,10 +53,11 @@ class LoopSession:
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
-        key = topic.key(self._cell, **fields)
-        publisher = self._publishers.get(key)
+        known = (topic.name, *fields.values())
+        publisher = self._publishers.get(known)
         if publisher is None:
-            publisher = self._publishers[key] = declare_publisher(
+            key = topic.key(self._cell, **fields)
+            publisher = self._publishers[known] = declare_publisher(
                 self._session, key, self._seal, topic.priority
             )
         publisher.put(pack(message))

@@ -81,16 +81,16 @@ def refusal(admission: Admission, state: ServerState, bounds: Bounds) -> Refusal
 
 def _motion_refusal(admission: Admission, state: ServerState, bounds: Bounds) -> Refusal | None:
     dq, last_dq, q_cmd = np.array(admission.dq), np.array(state.dq), np.array(state.q_cmd)
-    if np.any(np.abs(dq) > bounds.max_dq * _SLACK):
+    if (np.abs(dq) > bounds.max_dq * _SLACK).any():
         return Refusal.TOO_FAST
-    if np.any(np.abs(dq - last_dq) > bounds.max_dv * _SLACK):
+    if (np.abs(dq - last_dq) > bounds.max_dv * _SLACK).any():
         return Refusal.TOO_ABRUPT
-    if np.any(np.abs(dq) > admission.brake_cycles * bounds.max_dv * _SLACK):
+    if (np.abs(dq) > admission.brake_cycles * bounds.max_dv * _SLACK).any():
         return Refusal.BRAKE_TOO_ABRUPT
     end = q_cmd + dq + brake_travel(dq, admission.brake_cycles, 0)
     outside = np.maximum(bounds.lower - end, end - bounds.upper)
     outside_now = np.maximum(bounds.lower - q_cmd, q_cmd - bounds.upper)
     # a robot that starts outside its limits may come back, and may not go further out
-    if np.any(outside > np.maximum(outside_now, 0.0) + 1e-9):
+    if (outside > np.maximum(outside_now, 0.0) + 1e-9).any():
         return Refusal.LEAVES_LIMITS
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from deltaq_cell.description import CellDescription
@@ -55,15 +56,15 @@ class Link:
         """The newest heartbeat of the gate since the last call, if any."""
         return self._newest(self._supervisions, Supervision)
 
-    def publish(self, state: ServerState | None, time_s: float, detail: str = "") -> None:
-        """Publish the state, and at the pace of the table of topics a heartbeat."""
+    def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
+        """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
         if state is not None:
             self._state.put(pack(state))
         if self._pace.due(time_s):
             health = Health(
                 service=self._service,
                 healthy=True,
-                detail=detail,
+                detail=detail(),
                 time_s=time_s,
                 counters=dict(self._counters),
                 cell=self._identity,

@@ -212,4 +212,4 @@ def _widest(units: tuple[str, ...], driver: RsiDescription) -> Array:
 
 
 def _equal(one: Array, other: Array) -> bool:
-    return bool(np.all(np.abs(one - other) <= STILL))
+    return bool((np.abs(one - other) <= STILL).all())

@@ -222,7 +222,7 @@ class Session:
     def _stands_where_programmed(self, telegram: KrcTelegram) -> bool:
         if telegram.q is None or telegram.q_programmed is None:
             return False
-        return bool(np.all(np.abs(telegram.q - telegram.q_programmed) <= self._near))
+        return bool((np.abs(telegram.q - telegram.q_programmed) <= self._near).all())
 
     def _follow(self, telegram: KrcTelegram, time_s: float) -> bool:
         """Count a telegram that is not the session's; whether it agrees with the one before."""
@@ -254,4 +254,4 @@ class Session:
 def _same(one: Array | None, other: Array | None) -> bool:
     if one is None or other is None:
         return one is other
-    return bool(np.all(np.abs(one - other) < STILL))
+    return bool((np.abs(one - other) < STILL).all())

@@ -84,15 +84,15 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
                     krc.send(rsi.reply(q_cmd, server.outputs, ending.stop or server.motion_stop))
                     if rsi.fault is not None:
                         server.reply_refused(rsi.q_sent)
-                    link.publish(server.state, now_s, _told(server.detail, krc.detail))
+                    link.publish(server.state, now_s, lambda: _told(server.detail, krc.detail))
                     ending.cycle_passed()
                 elif now_s >= silent_s:
                     silent_s = now_s + silence_s
                     server.krc_silent(now_s)
-                    link.publish(server.state, now_s, _told("KRC silent", server.detail, krc.detail))
+                    link.publish(server.state, now_s, lambda: _told("KRC silent", server.detail, krc.detail))
                     ending.krc_silent()
                 else:
-                    link.publish(None, now_s, _told("waiting for a position", krc.detail))
+                    link.publish(None, now_s, lambda: _told("waiting for a position", krc.detail))
     finally:
         link.close()
 
