@@ -172,16 +172,17 @@ class _Listened:
         link = Link(cell, "fr", Counter())
         listener = open_session(connect=[cell.robots["fr"].server], must_connect=True)
         heard: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        states: queue.SimpleQueue[Any] = queue.SimpleQueue()
         listener.declare_subscriber(topics.HEALTH.key("small"), heard.put)
-        listener.declare_subscriber(topics.SERVER_STATE.key("small"), heard.put)
+        listener.declare_subscriber(topics.SERVER_STATE.key("small"), states.put)
         try:
-            while heard.empty():  # until the listener is known
+            while states.empty():  # until the listener is known
                 link.publish(server_state("fr"), 0.0)
             for cycle in range(500):
                 link.publish(None, 1000.0 + cycle * 0.02)
             link.publish(None, 1011.0, lambda: "end")  # a marker: a heartbeat that is out of turn
-            samples = []
-            while not (samples and b"end" in samples[-1].payload.to_bytes()):
+            samples = [states.get()]
+            while b"end" not in samples[-1].payload.to_bytes():
                 samples.append(heard.get(timeout=5.0))
         finally:
             listener.close()
