@@ -17,7 +17,7 @@ from deltaq_cell.load import load_cell
 from deltaq_launch.services import Role, Service, cell_services, demo_controllers
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
-FILE = Path(__file__).parents[1] / "compose.yaml"
+FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
 CELL = "lab"
 HEADER = """\
 # The lab cell in containers: the services of `deltaq up`, and with `--profile demo` the controllers of
