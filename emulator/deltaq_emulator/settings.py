@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
+from deltaq_cell.problems import CellError
+from deltaq_cell.yaml_tree import parse
 from deltaq_emulator.late_budget import LateRule
 from deltaq_protocol.errors import DeltaqError
 
@@ -89,8 +89,8 @@ class KrcSettings(BaseModel):
             SettingsError: if it cannot be read, or a value is not allowed.
         """
         try:
-            data = YAML(typ="safe").load(Path(path))
-        except (OSError, UnicodeDecodeError, YAMLError) as error:
+            data = parse(Path(path).read_text(encoding="utf-8"), str(path)).plain()
+        except (OSError, UnicodeDecodeError, CellError) as error:
             raise SettingsError(f"{path}: cannot be read: {error}") from error
         try:
             return cls.model_validate(data or {})
