@@ -29,20 +29,20 @@ MOST_ROBOTS = 8
 """In one cell: one thread decides for all, and the number of pairs grows with the square."""
 
 
-class Description(BaseModel):
+class DescriptionModel(BaseModel):
     """Base: immutable, and a field that is not known is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Pose(Description):
+class Pose(DescriptionModel):
     """A pose by position and roll, pitch, yaw: `R = Rz(yaw) Ry(pitch) Rx(roll)`."""
 
     position_m: Vector3 = (0.0, 0.0, 0.0)
     rpy_deg: Vector3 = (0.0, 0.0, 0.0)
 
 
-class JointDescription(Description):
+class JointDescription(DescriptionModel):
     """Limits and home of one joint; either all in degrees (revolute) or all in metres (prismatic)."""
 
     home_deg: FiniteFloat | None = None
@@ -122,14 +122,14 @@ class JointDescription(Description):
         return float(np.deg2rad(self.tracking_tolerance_deg)) if self.revolute else self.tracking_tolerance_m
 
 
-class BoxShape(Description):
+class BoxShape(DescriptionModel):
     """A box, its frame at its centre."""
 
     kind: Literal["box"]
     size_m: tuple[Positive, Positive, Positive]
 
 
-class CylinderShape(Description):
+class CylinderShape(DescriptionModel):
     """A cylinder along z, its frame at its centre."""
 
     kind: Literal["cylinder"]
@@ -137,7 +137,7 @@ class CylinderShape(Description):
     length_m: Positive
 
 
-class CapsuleShape(Description):
+class CapsuleShape(DescriptionModel):
     """A cylinder along z with round ends, its frame at its centre; the length leaves the ends out."""
 
     kind: Literal["capsule"]
@@ -145,7 +145,7 @@ class CapsuleShape(Description):
     length_m: Positive
 
 
-class SphereShape(Description):
+class SphereShape(DescriptionModel):
     """A sphere."""
 
     kind: Literal["sphere"]
@@ -156,7 +156,7 @@ Shape = Annotated[BoxShape | CylinderShape | CapsuleShape | SphereShape, Field(d
 Colour = tuple[float, float, float, float]
 
 
-class Body(Description):
+class Body(DescriptionModel):
     """A rigid body: fixed to the world (structure) or to a link of a robot (attachment)."""
 
     shape: Shape
@@ -170,14 +170,14 @@ class Attachment(Body):
     link: str
 
 
-class Camera(Description):
+class Camera(DescriptionModel):
     """A camera in the flange frame; its z axis is the view axis, its x axis points up in the picture."""
 
     pose: Pose = Pose()
     vertical_view_deg: Annotated[float, Field(gt=1, lt=170)] = 45.0
 
 
-class Tool(Description):
+class Tool(DescriptionModel):
     """What the flange carries: where the tool frame is, and the bodies of the tool, in the flange frame."""
 
     frame: Pose = Pose()
@@ -197,7 +197,7 @@ def _is_loopback(address: str) -> bool:
         return address == "localhost"
 
 
-class RsiDriver(Description):
+class RsiDescription(DescriptionModel):
     """A KUKA controller reached over RSI: the Robot Server listens on `address:port`, the KRC sends to it."""
 
     kind: Literal["rsi"]
@@ -243,16 +243,16 @@ class RsiDriver(Description):
         return self
 
 
-class KinematicDriver(Description):
+class KinematicDriver(DescriptionModel):
     """A robot that is no KUKA: the Robot Server itself keeps the time, and measured joints equal the setpoint."""
 
     kind: Literal["kinematic"]
 
 
-Driver = Annotated[RsiDriver | KinematicDriver, Field(discriminator="kind")]
+Driver = Annotated[RsiDescription | KinematicDriver, Field(discriminator="kind")]
 
 
-class ServoLag(Description):
+class ServoLag(DescriptionModel):
     """The drives' lag from command to motion, as the emulator models it: dead time and second order."""
 
     dead_time_s: NotNegative = 0.012
@@ -260,7 +260,7 @@ class ServoLag(Description):
     damping: Positive = 1.0
 
 
-class RobotDescription(Description):
+class RobotDescription(DescriptionModel):
     """One robot of the cell."""
 
     model: str
@@ -288,7 +288,7 @@ class RobotDescription(Description):
 
     @model_validator(mode="after")
     def _has_a_tag_for_every_signal(self) -> Self:
-        if isinstance(self.driver, RsiDriver):
+        if isinstance(self.driver, RsiDescription):
             for kind, names in (("inputs", self.inputs), ("outputs", self.outputs)):
                 tags: dict[str, str] = getattr(self.driver, kind)
                 if set(names) != set(tags):
@@ -354,7 +354,7 @@ class RobotDescription(Description):
         return self._vector("tracking_tolerance")
 
 
-class ContactDescription(Description):
+class ContactDescription(DescriptionModel):
     """Bodies that may touch while an operator allows it, for example a gripper and its valve.
 
     Meanwhile the gate does not keep these pairs apart, and every robot that they belong to moves slowly.
@@ -377,7 +377,7 @@ class ContactDescription(Description):
         return any(name.startswith(f"{robot}/") for name in (*self.bodies, *self.against))
 
 
-class GateDescription(Description):
+class GateDescription(DescriptionModel):
     """The margins of the gate.
 
     The timeouts only give a loss its name: the brake begins in the first cycle without a fresh admission.
@@ -415,7 +415,7 @@ class GateDescription(Description):
         return self
 
 
-class CellDescription(Description):
+class CellDescription(DescriptionModel):
     """A cell: its robots, its structure, the gate's margins, and where its services listen."""
 
     cell: Name

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import yaml
 from pydantic import ValidationError
 
-from deltaq_cell.description import CellDescription, Description
+from deltaq_cell.description import CellDescription, DescriptionModel
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.models import SHIPPED, nearest_name
 from deltaq_cell.problems import CellError, Problem
@@ -190,7 +190,7 @@ def _below(model: Any, part: str | int) -> list[Any]:
 
 
 def _models_in(annotation: Any) -> list[Any]:
-    if isinstance(annotation, type) and issubclass(annotation, Description):
+    if isinstance(annotation, type) and issubclass(annotation, DescriptionModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, types.UnionType, dict, list, tuple):
         return [model for argument in get_args(annotation) for model in _models_in(argument)]

@@ -101,10 +101,10 @@ def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
     from deltaq_cell.load import load_cell
     from deltaq_command.console import print_json, print_table
     from deltaq_launch.doctor import examine
-    from deltaq_launch.findings import Verdict
+    from deltaq_launch.findings import Rating
 
     findings = examine(load_cell(cell), cell)
-    bad = any(finding.verdict is Verdict.BAD for finding in findings)
+    bad = any(finding.verdict is Rating.BAD for finding in findings)
     if json:
         print_json({"fit": not bad, "findings": [asdict(finding) for finding in findings]})
     else:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltaq_cell.description import Array, RsiDriver
+from deltaq_cell.description import Array, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
@@ -61,7 +61,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def build(
     cell_name: str, robot_name: str, settings: KrcSettings, context: Context = NOTHING
-) -> tuple[Krc, RsiDriver]:
+) -> tuple[Krc, RsiDescription]:
     """The controller of one robot of a cell, at its home, and the driver with its addresses.
 
     Args:
@@ -78,7 +78,7 @@ def build(
         raise SettingsError(
             f"cell {cell.cell!r} has no robot {robot_name!r}; it has {', '.join(cell.robots)}"
         )
-    if not isinstance(robot.driver, RsiDriver):
+    if not isinstance(robot.driver, RsiDescription):
         raise SettingsError(
             f"robot {robot_name!r} has no KRC to emulate: its driver is {robot.driver.kind!r}"
         )

@@ -25,7 +25,7 @@ class SettingsError(DeltaqError):
     """Settings that cannot be read or are not allowed."""
 
 
-class Mode(StrEnum):
+class OperatingMode(StrEnum):
     """Operating mode of the controller; T1 and T2 are for setting up, by hand."""
 
     T1 = "T1"
@@ -73,7 +73,7 @@ class KrcSettings(BaseModel):
     controller's model of its gears."""
     t1_speed_m_s: Positive = 0.25
     """Largest speed of the tool in T1."""
-    mode: Mode = Mode.AUT
+    mode: OperatingMode = OperatingMode.AUT
     """Operating mode in which it is switched on."""
     ipoc_step: Annotated[int, Field(ge=1, le=1000)] | Literal["ms"] | None = None
     """By how much the time stamp grows in a cycle: a number, or the cycle in ms; none: as the cell's

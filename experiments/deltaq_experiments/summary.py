@@ -11,7 +11,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures
 from deltaq_experiments.trace import time_to_stay_below
-from deltaq_experiments.virtual import Recording
+from deltaq_experiments.virtual import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ def summary(
     experiment: str,
     options: Options,
     cell: CellModel,
-    recording: Recording,
+    recording: RunRecord,
     angle_deg: Array,
     distance_error_m: Array,
     elapsed_s: float,

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from deltaq_cell.check import Report, check_cell
+from deltaq_cell.check import CheckReport, check_cell
 from deltaq_cell.yaml_tree import parse
 from deltaq_command.app import app
 
@@ -83,7 +83,7 @@ def places(node: Any) -> list[tuple[Any, Any]]:
     return found
 
 
-def checked(folder: Path, text: str | bytes) -> Report:
+def checked(folder: Path, text: str | bytes) -> CheckReport:
     file = folder / "mine.yaml"
     file.write_bytes(text if isinstance(text, bytes) else text.encode(errors="surrogatepass"))
     report = check_cell(file)

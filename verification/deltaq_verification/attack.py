@@ -35,7 +35,7 @@ _SEVERE = Impairment(loss=0.3, delay=0.4, duplicate=0.2)
 _CUT = Impairment(loss=1.0)
 
 
-class Violation(BaseModel):
+class AttackViolation(BaseModel):
     """A cycle in which an invariant did not hold."""
 
     model_config = ConfigDict(frozen=True)
@@ -56,7 +56,7 @@ class AttackReport(BaseModel):
     cycles: int
     decided: int
     cycle_s: float
-    violations: tuple[Violation, ...]
+    violations: tuple[AttackViolation, ...]
     limits: LimitCounts
     clearance_min_m: float
     self_clearance_min_m: float
@@ -70,7 +70,7 @@ class AttackReport(BaseModel):
 @dataclass
 class _Record:
     setpoints: dict[str, list[Array]] = field(default_factory=dict)
-    violations: list[Violation] = field(default_factory=list)
+    violations: list[AttackViolation] = field(default_factory=list)
     least: float = np.inf
     least_own: float = np.inf
     tactics: Counter[str] = field(default_factory=Counter)
@@ -169,7 +169,7 @@ def _judge(stack: Lockstep, oracle: ClearanceOracle, record: _Record, cycle: int
     ):
         if found.distance_m < bound - CLEARANCE_TOLERANCE_M:
             record.violations.append(
-                Violation(
+                AttackViolation(
                     cycle=cycle, what=f"{what} {' '.join(found.pair)}", value=found.distance_m, bound=bound
                 )
             )

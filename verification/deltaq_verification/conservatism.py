@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Figures:
+class ConservatismFigures:
     """Decisions that clearance limited, and the oracle's judgement of them."""
 
     decisions: int
@@ -106,7 +106,7 @@ class Auditor:
 
 def run(
     cell_name: str = "lab", seed: int = 0, cycles: int = 1500, every: int = 10, samples: int = 60
-) -> Figures:
+) -> ConservatismFigures:
     """Measure; arguments as for `Auditor`, `cycles` of both robots."""
     random = np.random.default_rng(seed)
     stack = Lockstep(cell_name)
@@ -124,7 +124,7 @@ def run(
         for name, adversary in adversaries.items():
             target = next(tool for other, tool in tools.items() if other != name)
             stack.ask(name, adversary.increment(q_cmd[name], target))
-    return Figures(auditor.decisions, auditor.bound, auditor.asked, auditor.confirmed)
+    return ConservatismFigures(auditor.decisions, auditor.bound, auditor.asked, auditor.confirmed)
 
 
 def main() -> None:

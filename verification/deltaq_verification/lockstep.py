@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.krc import Krc

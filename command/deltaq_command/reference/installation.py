@@ -19,7 +19,7 @@ def cell() -> str:
         " wrong with one. Units are in the names of the fields."
     )
     return "\n\n".join(
-        [head, *(fields(model, level=2) for model in models(description, description.Description))]
+        [head, *(fields(model, level=2) for model in models(description, description.DescriptionModel))]
     )
 
 

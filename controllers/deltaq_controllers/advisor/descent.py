@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.criteria import Postures
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ RADIUS = 0.4
 """Longest step at first [rad or m]."""
 
 
-def reduced_gradient(problem: Problem, q: Array) -> Array:
+def reduced_gradient(problem: AdvisorProblem, q: Array) -> Array:
     """(N, m) gradient of the energy by the free joints, at configurations (N, n)."""
     postures = Postures(problem.data, q)
     by_joint = problem.energy.gradient(postures)
@@ -41,7 +41,7 @@ def reduced_gradient(problem: Problem, q: Array) -> Array:
 
 
 def descend(
-    problem: Problem, q: Array, energy: Array, generator: np.random.Generator, steps: int
+    problem: AdvisorProblem, q: Array, energy: Array, generator: np.random.Generator, steps: int
 ) -> tuple[Array, Array]:
     """Descend from configurations, each on its branch.
 

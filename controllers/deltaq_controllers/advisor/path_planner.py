@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.motion_validator import FINE_SHARE, MARGIN_M, MotionValidator
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.advisor.trees import Tree, connected
 
@@ -46,7 +46,7 @@ class PathPlanner:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: AdvisorProblem,
         space: Space,
         exact: ExactClearance,
         generator: np.random.Generator,

@@ -47,7 +47,7 @@ class Trials:
     row: Indices
 
 
-class Problem:
+class AdvisorProblem:
     """One task of one robot.
 
     Args:
@@ -91,7 +91,7 @@ class Problem:
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
         self.count = 0
 
-    def at(self, T_world_hands: Array) -> Problem:
+    def at(self, T_world_hands: Array) -> AdvisorProblem:
         """The same with the hands (h, 4, 4) elsewhere, and no trials yet."""
         other = copy(self)
         other.poses, other.count = _checked(T_world_hands, len(self.robot.hands)), 0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.descent import descend
 from deltaq_controllers.advisor.methods import METHODS
-from deltaq_controllers.advisor.problem import AdvisorError, Problem
+from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Pool:
 
 
 def search(
-    problem: Problem,
+    problem: AdvisorProblem,
     generator: np.random.Generator,
     method: str = "annealing",
     effort: float = 1.0,

@@ -9,12 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 
 Array = NDArray[np.float64]
 
 
-def feasible(problem: Problem, generator: np.random.Generator, shared: int, own: int, at_most: int) -> Array:
+def feasible(
+    problem: AdvisorProblem, generator: np.random.Generator, shared: int, own: int, at_most: int
+) -> Array:
     """Values of the free joints with which every hand reaches its pose inside the limits; bodies are not checked.
 
     Args:

@@ -12,7 +12,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, Progress, advise
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import HandsKept
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 
@@ -51,7 +51,7 @@ class AdvisorSession:
         seed: int = 0,
     ) -> None:
         self.tracker = ConstraintTracker(cell.robots[robot])
-        self._problem = Problem(
+        self._problem = AdvisorProblem(
             cell, robot, self.tracker.hands(cell.robots[robot].home), weights, self.tracker
         )
         self._exact = ExactClearance(cell, robot)

@@ -11,8 +11,8 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import CameraPose
 from deltaq_controllers.camera.gains import FollowerGains, Variants
 from deltaq_controllers.camera.law_equations import (
+    CameraGoal,
     Decay,
-    Goal,
     kept_looking,
     rates,
     with_bounded_zoom,
@@ -79,7 +79,7 @@ class CameraLaw:
             variants.bounded_rates,
             cycle_s / gains.horizon_s,
         )
-        self._goal = Goal(np.zeros(3), 0.0, 1.0, gains.distance, math.inf)
+        self._goal = CameraGoal(np.zeros(3), 0.0, 1.0, gains.distance, math.inf)
         self._warm_up(np.array(robot.home), max_dq)
 
     def _warm_up(self, q: Array, max_dq: Array) -> None:
@@ -114,7 +114,7 @@ class CameraLaw:
         """
         self._kinematics.update(q)
         clearance = self._repulsion.approach(self._kinematics, obstacles, radii)
-        goal = Goal(focus, focus_speed, desired_distance, self._gains.distance, math.inf)
+        goal = CameraGoal(focus, focus_speed, desired_distance, self._gains.distance, math.inf)
         share = self._decay.share_of_horizon
         self._goal = (
             with_bounded_zoom(goal, self._pose(), q, self._weights, self._gains, share)

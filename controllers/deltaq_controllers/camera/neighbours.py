@@ -40,7 +40,7 @@ _UNKNOWN_M = -1e6
 """Lower bound of the distance of a pair that was never measured [m]."""
 
 
-class Near(NamedTuple):
+class NearPairs(NamedTuple):
     """Pairs of bodies in range, those first whose distance is the least fraction of it.
 
     Attributes:
@@ -111,7 +111,7 @@ class Neighbours:
         self._at_least = np.where(checked, _UNKNOWN_M, np.inf)
         self._reported: Index = np.zeros(0, dtype=np.intp)
 
-    def near(self, q: Array, ranges: Array) -> Near:
+    def near(self, q: Array, ranges: Array) -> NearPairs:
         """What is near at a configuration, as a fraction of the range.
 
         Ordered by distance less range, the many bodies of an approaching robot, which matter from afar, would
@@ -133,7 +133,7 @@ class Neighbours:
         chosen = nearest(ranges, pairs, distances, self._most)
         self._reported, distances = pairs[chosen], distances[chosen]
         own, rows = self._rows(self._reported, distances)
-        return Near(self._reported, distances, own, rows)
+        return NearPairs(self._reported, distances, own, rows)
 
     def _surround(self, carriers: Index) -> None:
         """Bounding spheres of the bodies; `_centres` and `_radii` of all, `_spheres` to place the `_moving` ones."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
-from deltaq_controllers.camera.neighbours import Near
+from deltaq_controllers.camera.neighbours import NearPairs
 from deltaq_controllers.limits import IncrementLimits
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ class Barriers(NamedTuple):
 
 @compiled
 def barriers_of(
-    near: Near,
+    near: NearPairs,
     keeping: Keeping,
     braking: Braking,
     rates: Array,

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.camera.error import CameraPose, view_angle
-from deltaq_controllers.camera.neighbours import Near, Neighbours
+from deltaq_controllers.camera.neighbours import NearPairs, Neighbours
 from deltaq_controllers.camera.qp_constraints import Barriers, Braking, Keeping, barriers_of, bounds
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_others import OtherRobots
@@ -184,7 +184,9 @@ class QpFollower:
             self._cycle_s,
         )
 
-    def _barriers(self, near: Near, travel: Array, cycles: int, slowest: Array, fastest: Array) -> Barriers:
+    def _barriers(
+        self, near: NearPairs, travel: Array, cycles: int, slowest: Array, fastest: Array
+    ) -> Barriers:
         """Barriers of the distances in range, while a brake from an increment (n,) has so many cycles left."""
         # the brake that follows an increment ends `reach * dq` away, as the gate will see it too; at most
         # a cycle is added to it

@@ -39,7 +39,7 @@ class Standing:
     sizes: Array
 
 
-class Bounds:
+class CriterionBounds:
     """Bounds of the distance of every pair of one robot's capsules with each other and with standing bodies.
 
     Args:

@@ -16,7 +16,7 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 
@@ -94,7 +94,7 @@ class Advisor(Protocol):
         ...
 
 
-class AdvisorMode(Mode):
+class AdvisorMode(TeleoperationMode):
     """Intelligent assistance (Hooper & Noakes, section III): options are requested as the mode begins.
 
     The robot goes to the chosen option along a self-motion, in the time that its joints need, and comes to

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.hands import Hands, turned
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import Inverse
@@ -16,7 +16,7 @@ from deltaq_controllers.modes.singularity_slowdown import slowed
 Array = NDArray[np.float64]
 
 
-class DecoupledMode(Mode):
+class DecoupledMode(TeleoperationMode):
     """The classic mode of teleoperation (Hooper & Noakes, section II).
 
     A base joint carries its hands along. The arms' displacement is found by Newton's method, so that a hand that is

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 
 Array = NDArray[np.float64]
 
 
-class JointMode(Mode):
+class JointMode(TeleoperationMode):
     """Drives joints independently (Hooper & Noakes, section II)."""
 
     name = ModeName.JOINT

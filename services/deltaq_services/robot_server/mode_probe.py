@@ -23,7 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_cell.description import RobotDescription, RsiDriver
+from deltaq_cell.description import RobotDescription, RsiDescription
 
 Array = NDArray[np.float64]
 
@@ -221,7 +221,7 @@ def mode_of_session(
     robot: RobotDescription, cycle_s: float, lag_cycles: int, q: Array
 ) -> ModeProbe | KinematicMode:
     """What finds out the mode of a session that begins with the robot at `q`, see `ModeProbe`."""
-    if isinstance(robot.driver, RsiDriver):
+    if isinstance(robot.driver, RsiDescription):
         return ModeProbe(robot, cycle_s, lag_cycles, q)
     return KinematicMode()
 

@@ -15,8 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_cell.description import CellDescription
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_services.robot_server.measurement import Measurement
