@@ -29,7 +29,7 @@ def models(module: Any, base: type[BaseModel]) -> list[type[BaseModel]]:
         for value in vars(module).values()
         if inspect.isclass(value)
         and issubclass(value, base)
-        and value.__module__ == module.__name__
+        and value.__module__.startswith(module.__name__)
         and value is not base
     ]
 
