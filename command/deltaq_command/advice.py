@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription, Pose
@@ -30,9 +29,8 @@ from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_launch.cell_connection import connect, known_robot
 from deltaq_protocol import connect as connect_to
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.blocking import BlockingCell
-
-Array = NDArray[np.float64]
 
 STATE_DEADLINE_S = 5.0
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltaq_cell.description import Array, RsiDescription
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
@@ -20,6 +20,7 @@ from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
 from deltaq_emulator.shell import Address, Emulator
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap, load_ethernet_xml
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from deltaq_cell.description import Array, RobotDescription, RsiDescription
+from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.corrections import Corrections
 from deltaq_emulator.drives import Drives
@@ -24,6 +24,7 @@ from deltaq_emulator.replies import ReplyJudge
 from deltaq_emulator.sample import Sample
 from deltaq_emulator.settings import Correction, KrcSettings, OperatingMode, SettingsError
 from deltaq_emulator.states import TELEGRAMS_GO_OUT, KrcEvent, KrcState, NotNowError, after
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcCodec, KrcReport
 from deltaq_protocol.rsi.pose import pose_from_matrix
 

@@ -6,10 +6,11 @@ from collections import deque
 
 import numpy as np
 
-from deltaq_cell.description import Array, RobotDescription
+from deltaq_cell.description import RobotDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.limits import in_units
 from deltaq_emulator.settings import KrcSettings, OperatingMode
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap
 
 ACCELERATION_CYCLES = 10

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
@@ -24,8 +23,7 @@ from deltaq_controllers.advisor.search import Pool, search
 from deltaq_controllers.advisor.space import HandsKept
 from deltaq_controllers.inverse.titan import TitanInverse
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 TASKS = 12
 LONGER = {"annealing": 4.0, "shotgun": 3.0}

@@ -6,7 +6,6 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
@@ -17,9 +16,8 @@ from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_c
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord, record
+from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import GateCounts, LimitCounts
-
-Array = NDArray[np.float64]
 
 DURATION_S = 5.0
 START_ERRORS_DEG = (83.0, 134.0, 145.0)

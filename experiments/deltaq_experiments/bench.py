@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
@@ -20,12 +19,11 @@ from deltaq_controllers.interface import View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.virtual import view_of
+from deltaq_protocol.arrays import Array
 from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
 from deltaq_verification.lockstep import Lockstep
-
-Array = NDArray[np.float64]
 
 
 class BenchRow(BaseModel):

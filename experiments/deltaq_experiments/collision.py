@@ -16,9 +16,8 @@ from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.summary import summary
 from deltaq_experiments.virtual import RunRecord, record
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
 
 DURATION_S = 40.0
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
@@ -21,13 +20,11 @@ from deltaq_launch.child_process import Exited
 from deltaq_launch.launcher import Launcher, LaunchError
 from deltaq_launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
 from deltaq_verification.counts import GateCounts
 from deltaq_verification.recorded import not_there_yet
-
-Array = NDArray[np.float64]
-
 
 START_S = 30.0
 """Longest time that the motion to the start of a run may take [s]."""

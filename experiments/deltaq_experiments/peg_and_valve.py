@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
@@ -31,9 +30,8 @@ from deltaq_experiments.peg_and_valve_operators import (
     ScriptedOperator,
     error_to,
 )
+from deltaq_protocol.arrays import Array
 from deltaq_verification.lockstep import Lockstep
-
-Array = NDArray[np.float64]
 
 PEG_M = 0.1
 TURN_RAD = np.deg2rad(60.0)

@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.advisor import AdvisorMode
@@ -17,8 +16,7 @@ from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.resolved_rate import Inverse
 from deltaq_controllers.modes.teleoperator import Teleoperator
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 REACTION_S = 0.25
 """Reaction time of an operator."""

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_experiments.panels import FigurePanel
+from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import GateCounts, LimitCounts
-
-Array = NDArray[np.float64]
 
 
 class Figures(BaseModel):

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 def summary(

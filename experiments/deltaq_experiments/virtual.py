@@ -7,18 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles
 from deltaq_experiments.trace import Trace
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import RobotState
 from deltaq_verification.counts import GateCounts
 from deltaq_verification.lockstep import Lockstep
 from deltaq_verification.recorded import lockstep
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

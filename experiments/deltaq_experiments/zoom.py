@@ -18,8 +18,7 @@ from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.summary import summary
 from deltaq_experiments.virtual import RunRecord, record
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 DURATION_S = 40.0
 DISTANCES_M = (VIEW_DISTANCE_M, 1.0, 1.5, 0.8, 2.6)

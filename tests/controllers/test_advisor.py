@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import DRIVABLE, NOT_LOOKED_FOR, Option, Progress, advise
@@ -21,8 +20,7 @@ from deltaq_controllers.advisor.seeding import feasible
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 CELL = CellModel.load("dawm")
 DAWM = CELL.robots["dawm"]

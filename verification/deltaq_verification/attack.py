@@ -12,17 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase, RobotState
 from deltaq_verification.adversary import Adversary
 from deltaq_verification.counts import GateCounts, LimitCounts
 from deltaq_verification.lockstep import Arm, Lockstep
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
 from deltaq_verification.wire import FaultyWire, Impairment
-
-Array = NDArray[np.float64]
 
 CLEARANCE_TOLERANCE_M = 1e-4
 """Tolerance of the stop distance: the telegram's decimals and the drives' older setpoints."""

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
@@ -25,8 +25,6 @@ from deltaq_services.sim.tube import Branch, Windows
 from deltaq_verification.adversary import Adversary
 from deltaq_verification.lockstep import Lockstep
 from deltaq_verification.oracle import ClearanceOracle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array, Indices
 from deltaq_verification.counts import LimitCounts
 from deltaq_verification.pair_distances import PairDistances
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 STRUCTURE = "structure"
 """Owner of the bodies that stand still."""

@@ -15,17 +15,15 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_protocol.arrays import Array
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.retreat_situations import Situation, situation
 from deltaq_verification.retreat_stage import Stage
-
-Array = NDArray[np.float64]
 
 TOLERANCE_M = 1e-5
 """How much nearer a pair may come in all."""

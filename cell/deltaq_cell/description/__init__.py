@@ -6,7 +6,6 @@ its siblings.
 """
 
 from deltaq_cell.description.base import (
-    Array,
     DescriptionModel,
     Endpoint,
     JointName,
@@ -36,7 +35,6 @@ from deltaq_cell.description.robot import RobotDescription
 
 __all__ = [
     "MOST_ROBOTS",
-    "Array",
     "Attachment",
     "Body",
     "BoxShape",

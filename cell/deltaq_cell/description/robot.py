@@ -8,10 +8,11 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import FiniteFloat, model_validator
 
-from deltaq_cell.description.base import Array, DescriptionModel, Endpoint, JointName, Name, Pose
+from deltaq_cell.description.base import DescriptionModel, Endpoint, JointName, Name, Pose
 from deltaq_cell.description.bodies import Attachment, Camera, Hand, Tool
 from deltaq_cell.description.driver import Driver, RsiDescription, ServoLag
 from deltaq_cell.description.joint import JointDescription
+from deltaq_protocol.arrays import Array
 
 
 class RobotDescription(DescriptionModel):

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.exact import Clearance, ExactClearance
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
@@ -15,8 +14,7 @@ from deltaq_controllers.advisor.search import Pool, search
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
 from deltaq_controllers.criteria import TABLE, Postures
 from deltaq_controllers.criteria.normalised import cost
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 THERE_M, THERE_RAD = 1e-4, 1e-3
 """The robot's hands count as being where they should be within this."""

@@ -7,12 +7,10 @@ free joints is `dE/du + dE/dq_arm dq_arm/du`. Steps are quasi-Newton ones (BFGS)
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.criteria import Postures
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 LENGTHS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
 """Fractions of a step that are tried."""

@@ -10,13 +10,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.descent import descend
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.seeding import feasible
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)

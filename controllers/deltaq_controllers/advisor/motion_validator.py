@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.criteria import Postures
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from deltaq_protocol.arrays import Array, Flags
 
 STEP = 0.05
 """Distance in the free joints between two configurations that are checked while searching [rad or m]."""

@@ -13,16 +13,13 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.criteria import TABLE, Normalised, Postures, RobotData
 from deltaq_controllers.criteria.normalised import references
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 WEIGHTS = {"travel": 1.0, "clearance": 1.0}
 """The two criteria of the paper's own application: joint limits and collisions."""

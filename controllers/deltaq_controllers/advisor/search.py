@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from deltaq_controllers.advisor.descent import descend
 from deltaq_controllers.advisor.methods import METHODS
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 DISTINCT = 0.25
 """Options differ by more than this in at least one joint [rad or m]."""

@@ -7,11 +7,9 @@ only are therefore drawn for that hand alone, which multiplies the yields instea
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.problem import AdvisorProblem
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 def feasible(

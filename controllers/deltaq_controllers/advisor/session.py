@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, Progress, advise
@@ -15,8 +14,8 @@ from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import HandsKept
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 GoOn = Callable[[Progress], bool]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import CameraPose
@@ -21,8 +20,7 @@ from deltaq_controllers.camera.repulsion import Potential, Repulsion
 from deltaq_controllers.camera.subtasks import RollJoint, turns_about_view_axis
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.redundancy import WeightedGradient, emergency_rates
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class CameraLaw:

@@ -9,15 +9,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.error import CameraPose, Look, look_on, view_jacobians
 from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.subtasks import RollJoint, turn_to_level, view_distance_field
 from deltaq_controllers.redundancy import WeightedGradient, damped_rates, weighted_rates
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class CameraGoal(NamedTuple):

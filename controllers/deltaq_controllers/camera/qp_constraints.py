@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.neighbours import NearPairs
 from deltaq_controllers.limits import IncrementLimits
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _BRAKING = 0.98
 """Fraction of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""

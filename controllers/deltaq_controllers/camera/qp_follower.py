@@ -18,7 +18,6 @@ more than leaves room to brake with the acceleration that the joints have in tha
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.neighbours import NearPairs, Neighbours
@@ -34,9 +33,8 @@ from deltaq_controllers.interface import ControllerError, LastIncrement, RobotVi
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
-
-Array = NDArray[np.float64]
 
 MOST_PAIRS = 16
 """Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""

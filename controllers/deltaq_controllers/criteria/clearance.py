@@ -13,16 +13,13 @@ from typing import Any
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.batch import FrameBatch
 from deltaq_controllers.criteria.bounds import ROUNDING_M, CriterionBounds, Standing
 from deltaq_controllers.criteria.capsules import box_points, capsule, segment_points
 from deltaq_controllers.spheres import local_box
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from deltaq_protocol.arrays import Array, Indices
 
 CHUNK = 128
 """Configurations that are measured together: their intermediate arrays stay in the processor's cache."""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.batch import BatchKinematics, FrameBatch
 from deltaq_controllers.criteria.clearance import ClearanceField, NearestBodies
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
 """Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""

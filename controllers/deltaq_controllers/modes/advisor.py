@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
@@ -19,8 +18,7 @@ from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 AT_START = 1e-9
 """The robot stands where a path begins within this, in every joint [rad or m]."""

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.normalised import Normalised
@@ -18,8 +17,7 @@ from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import LENGTH_M, Inverse
 from deltaq_controllers.modes.singularity_slowdown import slowed
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 DRIFT_SHARE_S_M = 2.0
 """Fraction of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.hands import Hands, turned
@@ -12,8 +11,7 @@ from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import Inverse
 from deltaq_controllers.modes.singularity_slowdown import slowed
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class DecoupledMode(TeleoperationMode):

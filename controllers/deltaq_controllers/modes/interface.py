@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class TeleoperationMode(Protocol):

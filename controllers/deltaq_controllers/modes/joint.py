@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class JointMode(TeleoperationMode):

@@ -14,8 +14,7 @@ from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import Inverse
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 KEPT_M, KEPT_RAD = 1e-6, 1e-6
 """A step after which a hand is farther off than this is not made [m, rad]."""

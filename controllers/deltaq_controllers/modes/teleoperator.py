@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
@@ -22,9 +21,8 @@ from deltaq_controllers.modes.joint import JointMode
 from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_joint, of_speed
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.self_motion import SelfMotionMode
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Verdict
-
-Array = NDArray[np.float64]
 
 ModeTable = Mapping[ModeName, Callable[[RobotModel], TeleoperationMode]]
 

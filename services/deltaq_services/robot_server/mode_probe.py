@@ -21,11 +21,9 @@ import math
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription, RsiDescription
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 PROBE_RAD = math.radians(0.03)
 PROBE_M = 0.03e-3

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcCodec, SensorCodec, TelegramError
 from deltaq_verification.storm.admitted import ROUNDING, Admitted
 from deltaq_verification.storm.pulses import Pulses
 
-Array = NDArray[np.float64]
 Origin = tuple[float, ...]
 """Programmed position of a session of the KRC's program [rad or m]."""
 
