@@ -110,6 +110,7 @@ def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
     assert (state.phase, state.reason) == (Phase.OFFLINE, None)
     assert (state.cycle, state.epoch, state.sequence, state.resets) == (GATE_TIMEOUT + 5, 0, 0, 0)
     assert not server.counters
+    assert state.cell == IDENTITY  # so that a gate which has read another is noticed by both
 
 
 def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_taken():
