@@ -367,6 +367,7 @@ def test_a_krc_that_was_silent_before_its_first_telegram_changes_nothing():
     server.krc_silent(99.0)
     assert server.state is None
     assert server.counters == {"krc_silent": 1}
+    assert (server.detail, server.motion_stop) == ("", False)
 
 
 def test_a_silent_krc_does_not_hold_a_robot_that_no_gate_has_linked():
