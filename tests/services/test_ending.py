@@ -29,20 +29,29 @@ def cycle(krc, ending):
     return stop
 
 
+def ask(number):
+    """Ask the process to end; the first time it must not end at once."""
+    try:
+        signal.raise_signal(number)
+    except KeyboardInterrupt:
+        pytest.fail("the first signal ended the process at once")
+
+
 def test_who_was_not_asked_to_end_goes_on_whether_its_krc_speaks_or_not(krc):
     ending = Ending(krc.server)
+    assert (ending.stop, ending.over) == (False, False)
     for _ in range(100):
         assert not cycle(krc, ending)
         assert not ending.over
     ending.krc_silent()
-    assert not ending.over
+    assert ending.over is False
     assert krc.server.state.phase is Phase.READY
 
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_asked_to_end_it_rests_first_and_then_sends_the_stop_three_times(krc, number):
     ending = Ending(krc.server)
-    signal.raise_signal(number)
+    ask(number)
     stops = []
     while not ending.over:
         was_at_rest = krc.server.at_rest
@@ -58,7 +67,7 @@ def test_asked_to_end_it_rests_first_and_then_sends_the_stop_three_times(krc, nu
 
 def test_a_robot_that_begins_a_session_anew_has_its_stops_when_it_is_at_rest_again(krc):
     ending = Ending(krc.server)
-    signal.raise_signal(signal.SIGTERM)
+    ask(signal.SIGTERM)
     while not ending.stop:
         cycle(krc, ending)
     krc.tick(100)
@@ -77,7 +86,7 @@ def test_a_robot_that_begins_a_session_anew_has_its_stops_when_it_is_at_rest_aga
 
 def test_asked_to_end_while_its_krc_is_silent_it_waits_for_nothing(krc):
     ending = Ending(krc.server)
-    signal.raise_signal(signal.SIGTERM)
+    ask(signal.SIGTERM)
     assert not ending.over
     ending.krc_silent()
     assert ending.over
@@ -85,6 +94,6 @@ def test_asked_to_end_while_its_krc_is_silent_it_waits_for_nothing(krc):
 
 def test_asked_twice_it_ends_at_once(krc):
     Ending(krc.server)
-    signal.raise_signal(signal.SIGTERM)
+    ask(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
