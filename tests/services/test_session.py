@@ -64,6 +64,7 @@ def believed():
 def test_a_session_is_confirmed_by_the_last_of_its_first_telegrams_and_answered_from_there():
     one = session()
     assert (one.belief, one.step, one.last) == (Belief.UNKNOWN, None, None)
+    assert session().judge(telegram(BEGIN), 0.0) == (Kind.FOREIGN, Answer.UNMOVED, "")
     assert confirm(one) == [Kind.FOREIGN] * (CONFIRMATIONS - 1) + [Kind.CONFIRMED]
     assert one.judge(telegram(LAST + STEP), CONFIRMATIONS * CYCLE_S) == (Kind.NEXT, Answer.SETPOINT, "")
 
@@ -211,6 +212,8 @@ def test_another_programmed_position_is_garbled_unless_the_robot_stands_there(be
         assert believed.judge(off, CYCLE_S).kind is Kind.GARBLED
         there = telegram(LAST + STEP, elsewhere + sign * 0.99 * near, elsewhere)
         assert believed.judge(there, CYCLE_S) == (Kind.FOREIGN, Answer.UNMOVED, "")
+    on_the_bound = telegram(LAST + STEP, near, np.zeros(6))
+    assert believed.judge(on_the_bound, CYCLE_S).kind is Kind.FOREIGN
     one_joint_off = elsewhere.copy()
     one_joint_off[2] += 2 * near[2]
     assert believed.judge(telegram(LAST + STEP, one_joint_off, elsewhere), CYCLE_S).kind is Kind.GARBLED
