@@ -17,6 +17,7 @@ from deltaq_services.robot_server.mode_probe import (
     Mode,
     ModeProbe,
     mode_of_session,
+    pulse_offsets,
 )
 
 LAB, LAB_4MS, DAWM = load_cell("lab"), load_cell("lab-4ms"), load_cell("dawm")
@@ -153,6 +154,15 @@ def test_a_trial_sums_up_to_nothing_and_accelerates_no_joint_beyond_its_limit(ce
     np.testing.assert_allclose(sent.sum(axis=0), 0.0, atol=1e-15)
     np.testing.assert_allclose(np.abs(sent).sum(axis=0), 2 * SIZE)
     assert (np.abs(np.diff(sent, n=2, axis=0)) <= arm.max_dv * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("cell", [LAB, LAB_4MS])
+def test_what_is_said_to_be_a_pulse_is_what_a_trial_adds_and_then_takes_away(cell):
+    pulse = pulse_offsets(cell.robots["gr"], cell.cycle_s)
+    arm = Arm(cell=cell)
+    arm.trial(90)
+    moved = [offset for offset in arm.sent if offset.any()]
+    np.testing.assert_array_equal(moved, [*pulse, *-pulse])
 
 
 def test_a_robot_that_does_not_move_is_probed_again_and_again_until_it_does():

@@ -101,6 +101,13 @@ def test_telegrams_of_a_robot_that_does_not_stand_still_do_not_agree(joint, fiel
         assert last is kind
 
 
+def test_a_change_of_a_joint_by_exactly_the_bound_is_motion():
+    one = session()
+    for number in range(2 * CONFIRMATIONS):
+        told = telegram(BEGIN + number * STEP, np.full(6, number % 2 * STILL))
+        assert one.judge(told, number * CYCLE_S).kind is Kind.FOREIGN
+
+
 def test_telegrams_of_which_some_do_not_say_where_the_path_stands_do_not_agree():
     one = session()
     for number in range(2 * CONFIRMATIONS):
@@ -224,12 +231,12 @@ def test_a_programmed_position_that_is_missing_all_at_once_is_garbled(believed):
 
 
 def test_another_session_is_believed_when_the_last_has_been_silent_for_its_time_and_no_earlier():
-    for silent_s, kind in ((SILENCE_S - 1e-6, Kind.FOREIGN), (SILENCE_S, Kind.CONFIRMED)):
-        one = session()
-        confirm(one)  # its last telegram came at three cycles
-        kinds = confirm(one, begin_s=silent_s, begin=5_000_000)
-        assert kinds[:-1] == [Kind.FOREIGN] * (CONFIRMATIONS - 1)
-        assert kinds[-1] is kind
+    for silent_s, kind in ((SILENCE_S - 1e-9, Kind.FOREIGN), (SILENCE_S, Kind.CONFIRMED)):
+        one = begun()
+        for number in range(CONFIRMATIONS):
+            time_s = silent_s - (CONFIRMATIONS - 1 - number) * CYCLE_S
+            last = one.judge(telegram(5_000_000 + number * STEP), time_s).kind
+            assert last is (kind if number == CONFIRMATIONS - 1 else Kind.FOREIGN)
 
 
 def test_a_telegram_of_the_session_ends_the_count_of_those_that_are_not(believed):
