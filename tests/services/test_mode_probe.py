@@ -16,6 +16,7 @@ from deltaq_services.robot_server.mode_probe import (
     KinematicMode,
     Mode,
     ModeProbe,
+    joint_modes,
     mode_of_session,
     pulse_offsets,
 )
@@ -289,6 +290,37 @@ def test_no_joint_is_displaced_by_more_than_a_tenth_of_its_tracking_tolerance():
     assert np.degrees(total[3]) == pytest.approx(0.005)
     assert np.degrees(total[4]) == pytest.approx(0.03)
     assert (total <= 0.1 * robot.tracking_tolerance).all()
+
+
+WINDOW = 12
+FIRST, SECOND = 4, 4 + WINDOW
+"""Samples in which the first pulse can be seen at the earliest, and its negative."""
+
+
+def course(*pulses, adds_up=False, drift=0.0):
+    """Samples of a joint that some shares of a pulse displace at some samples, and that drifts by so much a window."""
+    samples = np.arange(FIRST + 2 * WINDOW) * drift / WINDOW
+    for at, share in pulses:
+        samples[at : None if adds_up else at + 1] += share
+    return samples[:, np.newaxis]
+
+
+@pytest.mark.parametrize("late", [0, WINDOW - 4])
+def test_a_response_is_seen_as_early_and_as_late_as_a_window_allows(late):
+    pulses = (FIRST + late, 1.0), (SECOND + late, -1.0)
+    assert joint_modes(course(*pulses), WINDOW) == [Mode.ABSOLUTE]
+    assert joint_modes(course(*pulses, adds_up=True), WINDOW) == [Mode.RELATIVE]
+
+
+@pytest.mark.parametrize("early", [FIRST - 1, SECOND - 1])
+def test_what_is_seen_before_a_pulse_can_be_is_no_response(early):
+    assert joint_modes(course((early, 1.0)), WINDOW) == [Mode.UNKNOWN]
+
+
+@pytest.mark.parametrize("drift", [0.2, -0.2])
+def test_a_slow_drift_is_no_response_and_hides_none(drift):
+    assert joint_modes(course((FIRST, 1.0), (SECOND, -1.0), drift=drift), WINDOW) == [Mode.ABSOLUTE]
+    assert joint_modes(course(drift=drift), WINDOW) == [Mode.UNKNOWN]
 
 
 def test_a_robot_that_is_no_kuka_has_no_mode_to_be_found_out():
