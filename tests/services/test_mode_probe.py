@@ -157,6 +157,15 @@ def test_a_trial_sums_up_to_nothing_and_accelerates_no_joint_beyond_its_limit(ce
     assert (np.abs(np.diff(sent, n=2, axis=0)) <= arm.max_dv * (1 + 1e-9)).all()
 
 
+@pytest.mark.parametrize("cycle_s", [0.1, 0.03, 0.012, 0.004, 0.001])
+def test_a_pulse_is_as_short_as_limits_of_acceleration_allow(cycle_s):
+    pulse, max_dv = pulse_offsets(GR, cycle_s), GR.max_acceleration * cycle_s**2
+    half = (len(pulse) + 1) // 2
+    assert len(pulse) == 2 * half - 1
+    assert (2 * SIZE / half**2 <= max_dv).all()
+    assert half == 1 or (2 * SIZE / (half - 1) ** 2 > max_dv).any()
+
+
 @pytest.mark.parametrize("cell", [LAB, LAB_4MS])
 def test_what_is_said_to_be_a_pulse_is_what_a_trial_adds_and_then_takes_away(cell):
     pulse = pulse_offsets(cell.robots["gr"], cell.cycle_s)
@@ -239,6 +248,14 @@ def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_
     assert arm.probe.detail.startswith("the robot moves though its correction rests")
 
 
+def test_a_robot_that_is_elsewhere_from_the_first_telegram_on_is_adrift_after_three():
+    arm = Arm()
+    arm.sag = 1.1 * ADRIFT * SIZE
+    arm.q = arm.start + arm.sag
+    assert arm.trial(2).mode is Mode.UNKNOWN
+    assert arm.trial(1).mode is Mode.ADRIFT
+
+
 @pytest.mark.parametrize("at", range(TRIAL))
 def test_told_to_end_it_undoes_a_pulse_and_begins_none(at):
     arm = Arm("relative")
@@ -310,6 +327,24 @@ def test_a_response_is_seen_as_early_and_as_late_as_a_window_allows(late):
     pulses = (FIRST + late, 1.0), (SECOND + late, -1.0)
     assert joint_modes(course(*pulses), WINDOW) == [Mode.ABSOLUTE]
     assert joint_modes(course(*pulses, adds_up=True), WINDOW) == [Mode.RELATIVE]
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_response_of_half_a_pulse_or_of_twice_as_much_tells_nothing_and_one_within_does(share):
+    within = 0.51 if share < 1 else 1.99
+    for amount, mode in ((share, Mode.UNKNOWN), (within, Mode.ABSOLUTE)):
+        assert joint_modes(course((FIRST, amount), (SECOND, -amount)), WINDOW) == [mode]
+    assert joint_modes(course((FIRST, 0.5), (SECOND, -0.5), adds_up=True), WINDOW) == [Mode.UNKNOWN]
+    assert joint_modes(course((FIRST, 0.51), (SECOND, -0.51), adds_up=True), WINDOW) == [Mode.RELATIVE]
+
+
+@pytest.mark.parametrize("within", [FIRST, SECOND])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_that_stays_a_quarter_of_a_pulse_away_is_not_back(within, sign):
+    for away, mode in ((0.25, Mode.UNKNOWN), (0.24, Mode.ABSOLUTE)):
+        samples = course((FIRST, 1.0), (SECOND, -1.0))
+        samples[within + WINDOW // 2 :] += sign * away  # from the middle of a window, so that it has no area
+        assert joint_modes(samples, WINDOW) == [mode]
 
 
 @pytest.mark.parametrize("early", [FIRST - 1, SECOND - 1])
