@@ -248,6 +248,17 @@ def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_
     assert arm.probe.detail.startswith("the robot moves though its correction rests")
 
 
+def test_of_a_pulse_in_which_the_robot_is_found_adrift_nothing_is_added_any_more():
+    arm = Arm()
+    arm.trial(2)
+    arm.sag = 1.1 * ADRIFT * SIZE
+    arm.q = arm.start + arm.sag
+    arm.trial(2)
+    assert arm.sent[-1].any()
+    assert arm.trial(1).mode is Mode.ADRIFT
+    assert not arm.sent[-1].any()
+
+
 def test_a_robot_that_is_elsewhere_from_the_first_telegram_on_is_adrift_after_three():
     arm = Arm()
     arm.sag = 1.1 * ADRIFT * SIZE
