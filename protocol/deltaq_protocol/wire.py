@@ -11,7 +11,7 @@ import zenoh
 
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.messages import Error, Message
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.session import declare_publisher, sending
@@ -33,7 +33,7 @@ class Wire:
         self._session = session
         self._loop = loop
         self._declared: list[Any] = []
-        self._inboxes: list[Inbox[zenoh.Sample]] = []
+        self._inboxes: list[ClientInbox[zenoh.Sample]] = []
 
     async def ask(
         self, topic: Topic, cell: str, request: Message, robot: str = "", deadline_s: float = QUERY_DEADLINE_S
@@ -89,7 +89,7 @@ class Wire:
 
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
         """Call `take` in the loop with the samples of a key; of waiting samples the newest `capacity` are kept."""
-        inbox = Inbox[zenoh.Sample](self._loop, take, capacity)
+        inbox = ClientInbox[zenoh.Sample](self._loop, take, capacity)
         self._inboxes.append(inbox)
         self._declare(key, inbox.put)
 

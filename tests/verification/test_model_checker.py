@@ -188,7 +188,6 @@ def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_se
             "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles", "_identity",
         },
         "fixed since the robot is kinematic": {"_mode", "_new_mode"},
-        "taken from each telegram": {"_q"},
     }  # fmt: skip
     server = System().start(0).server
     assert set(vars(server)) == set.union(*told.values())

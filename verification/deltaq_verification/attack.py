@@ -12,17 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase, RobotState
 from deltaq_verification.adversary import Adversary
 from deltaq_verification.counts import GateCounts, LimitCounts
 from deltaq_verification.lockstep import Arm, Lockstep
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
 from deltaq_verification.wire import FaultyWire, Impairment
-
-Array = NDArray[np.float64]
 
 CLEARANCE_TOLERANCE_M = 1e-4
 """Tolerance of the stop distance: the telegram's decimals and the drives' older setpoints."""
@@ -35,7 +33,7 @@ _SEVERE = Impairment(loss=0.3, delay=0.4, duplicate=0.2)
 _CUT = Impairment(loss=1.0)
 
 
-class Violation(BaseModel):
+class AttackViolation(BaseModel):
     """A cycle in which an invariant did not hold."""
 
     model_config = ConfigDict(frozen=True)
@@ -56,7 +54,7 @@ class AttackReport(BaseModel):
     cycles: int
     decided: int
     cycle_s: float
-    violations: tuple[Violation, ...]
+    violations: tuple[AttackViolation, ...]
     limits: LimitCounts
     clearance_min_m: float
     self_clearance_min_m: float
@@ -70,7 +68,7 @@ class AttackReport(BaseModel):
 @dataclass
 class _Record:
     setpoints: dict[str, list[Array]] = field(default_factory=dict)
-    violations: list[Violation] = field(default_factory=list)
+    violations: list[AttackViolation] = field(default_factory=list)
     least: float = np.inf
     least_own: float = np.inf
     tactics: Counter[str] = field(default_factory=Counter)
@@ -169,7 +167,7 @@ def _judge(stack: Lockstep, oracle: ClearanceOracle, record: _Record, cycle: int
     ):
         if found.distance_m < bound - CLEARANCE_TOLERANCE_M:
             record.violations.append(
-                Violation(
+                AttackViolation(
                     cycle=cycle, what=f"{what} {' '.join(found.pair)}", value=found.distance_m, bound=bound
                 )
             )

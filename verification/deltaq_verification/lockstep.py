@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import KrcSettings
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, ServerState, Supervision
 from deltaq_protocol.messages import (
     Increment,
@@ -46,7 +46,6 @@ from deltaq_services.sim.answers import Output as SimOutput
 from deltaq_services.sim.core import Sim
 from deltaq_verification.wire import PerfectWire, Wire
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

@@ -7,11 +7,9 @@ from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Command, Request, ServerState
 from deltaq_protocol.messages import Message
 from deltaq_protocol.topic import Topic
@@ -22,8 +20,6 @@ from deltaq_services.sim.answers import Output
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import memory_is_due
 from deltaq_verification.lockstep import Lockstep
-
-Array = NDArray[np.float64]
 
 
 @contextmanager

@@ -13,10 +13,10 @@ from collections import Counter
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
 from deltaq_protocol.messages import Phase
@@ -26,8 +26,6 @@ from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import KinematicMode, Mode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.settling import Settling
-
-Array = NDArray[np.float64]
 
 
 class RobotServer:
@@ -60,7 +58,6 @@ class RobotServer:
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        self._q = np.zeros(0)
         self._q_cmd = np.zeros(0)
         self._q_reset: Array | None = None
         self._dq = np.zeros(0)
@@ -114,10 +111,9 @@ class RobotServer:
             self._begin_session(measured.q, measured.q_start)
         follows = self.state
         self._cycle += 1
-        self._q = measured.q
         self._watch(measured.q)
         self._probe(measured)
-        self._supervise(supervision)
+        self._supervise(supervision, measured.q)
         if measured.missed_last:
             # the KRC still stands at the setpoint before: send the missed one again instead of a double step
             self._cycles_missed += 1
@@ -210,7 +206,7 @@ class RobotServer:
         self._plan_dq = np.zeros_like(self._q_cmd)
         self._plan = Plan(dq=tuple(self._plan_dq.tolist()), brake_cycles=1, step=1)
 
-    def _supervise(self, supervision: Supervision | None) -> None:
+    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         if supervision is None:
             self._cycles_without_gate += 1
             if self._cycles_without_gate > self._gate_timeout_cycles:
@@ -229,7 +225,7 @@ class RobotServer:
             self._stop(ReasonCode.RSI_MODE)
         if self._mode.bars:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
-        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(self._q, self._held_at)
+        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(q, self._held_at)
         may_be_reset = self._phase is Phase.HELD and self._mode.known and there
         if may_be_reset and supervision.resets > self._resets:
             self._q_cmd, self._q_reset = self._held_at, None

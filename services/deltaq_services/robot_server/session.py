@@ -11,12 +11,10 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.plausibility import Plausibility
-
-Array = NDArray[np.float64]
 
 CONFIRMATIONS = 4
 """Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the
@@ -202,7 +200,8 @@ class Session:
         last = self.last
         if last is None:
             return other, ""
-        step = self.step or 1
+        assert self.step is not None  # a session has the step of the telegrams that it began with
+        step = self.step
         behind = (last.ipoc - telegram.ipoc) % IPOC_WRAP
         if behind % step == 0 and behind <= _OVERTAKEN_CYCLES * step:
             return Kind.REPEATED, ""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import profile_for

@@ -8,10 +8,10 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_emulator.states import KrcState
 from deltaq_launch.cell_connection import connect
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -25,8 +25,6 @@ from deltaq_verification.faults.mover import CRUISE_RAD_S, SWING_RAD
 from deltaq_verification.faults.panel import PanelError, describe, pendant_message, recovery
 from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_verification.oracle import ClearanceOracle
-
-Array = NDArray[np.float64]
 
 CRUISE_S = 0.4
 """From the first full increments to the fault."""

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_emulator.states import KrcState
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Done, Phase
 from deltaq_verification.faults.actions import (
@@ -34,8 +34,6 @@ from deltaq_verification.faults.mover import CRUISE_RAD_S
 from deltaq_verification.faults.panel import checked, describe, pendant_message, recovery
 from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle
-
-Array = NDArray[np.float64]
 
 CRUISE_CYCLES = 40
 """From the first full increment to the fault."""

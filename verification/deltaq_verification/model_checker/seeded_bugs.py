@@ -5,9 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
@@ -25,8 +23,6 @@ from deltaq_verification.model_checker.rsi_line import KRC_AT
 from deltaq_verification.model_checker.safety_monitor import Property
 from deltaq_verification.model_checker.system import System
 
-Array = NDArray[np.float64]
-
 
 class _TakesLate(RobotServer):
     def _take(self, admission: Admission, follows: ServerState | None) -> bool:
@@ -43,10 +39,10 @@ class LateIsTaken(System):
 
 
 class _ResetsAtOnce(RobotServer):
-    def _supervise(self, supervision: Supervision | None) -> None:
+    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         plan = self._plan
         self._plan = Plan(dq=plan.dq, brake_cycles=1, step=1)
-        super()._supervise(supervision)
+        super()._supervise(supervision, q)
         self._plan = plan
 
 
@@ -98,9 +94,9 @@ class MissedReplyIsForgotten(System):
 
 
 class _NeverLosesTheGate(RobotServer):
-    def _supervise(self, supervision: Supervision | None) -> None:
+    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         self._cycles_without_gate = 0
-        super()._supervise(supervision)
+        super()._supervise(supervision, q)
 
 
 class SilentGateIsIgnored(System):
