@@ -26,7 +26,7 @@ def setpoints(robot, steps):
 
 
 def judge(robot, steps, unanswered=0, near=(0.1, 0.1), protest=None, altered=0):
-    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, pendant_message, altered)
+    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest, altered)
 
 
 def test_a_brake_is_measured_from_the_fault_to_the_last_increment(robot):

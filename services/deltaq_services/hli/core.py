@@ -12,18 +12,27 @@ from collections.abc import Callable
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
 from deltaq_protocol.identity import CellIdentity
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
+    ContactRequest,
     Description,
+    DryRunRequest,
     Error,
     Hello,
+    Increment,
+    IoRequest,
+    LeaseRequest,
     LeaseStatus,
+    Message,
     Proximity,
+    ResetRequest,
     RobotState,
     RobotStatus,
     Status,
+    StopRequest,
     ToolPose,
     Verdict,
     Welcome,
@@ -77,6 +86,53 @@ class HliCore:
         self.counters = self._state.counters
         self.increments = Increments(self._state)
         self.requests = Requests(self._state, operator_token)
+
+    def take(
+        self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None
+    ) -> list[Output]:
+        """Take what has come, from a service or from a client.
+
+        Args:
+            message: a message, or why an increment is none.
+            time_s: when it came.
+            sender: whom to answer; only an increment may have none, whose verdict every watcher gets.
+
+        Raises:
+            TypeError: for a message that nobody sends here.
+        """
+        match message:
+            case ServerState():
+                return self.on_server_state(message, time_s)
+            case Verdict():
+                return self.on_gate_verdict(message)
+            case CommandReply():
+                return self.on_command_reply(message)
+            case Health():
+                return self.on_health(message, time_s)
+            case Increment():
+                return self.increments.on_increment(message, sender, time_s)
+            case InvalidMessageError():
+                return self.increments.on_bad_increment(message, sender, time_s)
+        if sender is None:
+            raise TypeError(f"a {type(message).__name__} has to be answered, and comes from nobody")
+        match message:
+            case Hello():
+                return self.on_hello(message, sender)
+            case StopRequest():
+                return self.requests.on_stop(sender, time_s)
+            case ResetRequest():
+                return self.requests.on_reset(message, sender, time_s)
+            case LeaseRequest():
+                return self.requests.on_lease(message, sender, time_s)
+            case IoRequest():
+                return self.requests.on_io(message, sender, time_s)
+            case DryRunRequest():
+                return self.requests.on_dry_run(message, sender, time_s)
+            case ContactRequest():
+                return self.requests.on_contact(message, sender, time_s)
+        raise TypeError(
+            f"the HLI takes states, verdicts, replies and requests, got a {type(message).__name__}"
+        )
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate at once, then tell the controllers."""
