@@ -16,7 +16,7 @@ from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.rsi import TelegramError
-from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.core import RobotServer, Setpoint
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import Address, Peer, Sender
 from deltaq_services.robot_server.rsi_driver import RsiDriver
@@ -79,18 +79,16 @@ class Arm(VirtualProcess[RobotServer]):
         """Start the Robot Server's process, or start it anew."""
         self._processes += 1
         super().start()
-        self._admission: Admission | None = None
-        self._supervision: Supervision | None = None
 
     def take(self, message: Admission | Supervision) -> None:
-        """The gate has spoken; of each kind the newest is kept, as a ring channel keeps it."""
-        self.do(lambda: self._keep(message))
+        """The gate has spoken."""
+        self.do(lambda: self._told(message))
 
     def begin_cycle(self, now_s: float) -> None:
         """The robot's clock ticks."""
         if self.life is Life.RUNNING:
             start = self._q if self.server.state is None else None
-            self._q = self._answer(Measurement(round(now_s * 1000), self._q, start), now_s)
+            self._q = self._answer(Measurement(round(now_s * 1000), self._q, start), now_s).q_cmd
             self._say()
 
     def pump(self, now_s: float) -> None:
@@ -99,16 +97,12 @@ class Arm(VirtualProcess[RobotServer]):
     def end_cycle(self, now_s: float) -> None:
         """The cycle is over."""
 
-    def _keep(self, message: Admission | Supervision) -> None:
-        if isinstance(message, Admission):
-            self._admission = message
-        else:
-            self._supervision = message
+    def _told(self, message: Admission | Supervision) -> None:
+        self.server.take(message, self._now() + self.clock_s)
 
-    def _answer(self, measured: Measurement, now_s: float) -> Array:
-        admission, self._admission = self._admission, None
-        supervision, self._supervision = self._supervision, None
-        return self.server.cycle(measured, now_s + self.clock_s, admission, supervision)
+    def _answer(self, measured: Measurement, now_s: float) -> Setpoint:
+        (setpoint,) = self.server.take(measured, now_s + self.clock_s)
+        return setpoint
 
     def _say(self) -> None:
         if self.server.state is not None:
@@ -222,8 +216,8 @@ class KrcArm(Arm):
                 self.from_pc.put(now_s, self._rsi.unmoved)
             return
         self._heard_s = now_s
-        q_cmd = self._answer(measured, now_s)
-        self.from_pc.put(now_s, self._rsi.reply(q_cmd, self.server.outputs, self.server.motion_stop))
+        setpoint = self._answer(measured, now_s)
+        self.from_pc.put(now_s, self._rsi.reply(setpoint.q_cmd, setpoint.outputs, setpoint.motion_stop))
         if self._rsi.fault is not None:
             self.server.reply_refused(self._rsi.q_sent)
         self._say()
