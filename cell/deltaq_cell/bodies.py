@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.composite_model import JointRange
 from deltaq_cell.extents import Extents
 from deltaq_cell.robot import RobotModel
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Bodies:

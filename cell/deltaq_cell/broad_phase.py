@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.extents import corners_of
 from deltaq_cell.group import Group
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Surroundings:

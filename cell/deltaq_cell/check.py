@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deltaq_cell.cell_model import MOST_TOLD_BYTES, CellModel, LongDescriptionError
-from deltaq_cell.description import CellDescription, RobotDescription, RsiDriver
+from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_located
@@ -31,7 +31,7 @@ FieldPath = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckReport:
     """What `check_cell` found.
 
     Attributes:
@@ -69,16 +69,16 @@ class Report:
         return {"cell": self.cell, "ok": self.ok, "problems": problems, "never_checked": left_out}
 
 
-def check_cell(name_or_path: str | Path) -> Report:
+def check_cell(name_or_path: str | Path) -> CheckReport:
     """Check a cell; see `Report`. No fault of the cell raises an exception."""
     try:
         path = find_cell(name_or_path)
         description, tree = load_located(path)
     except CellError as error:
-        return Report(str(name_or_path), error.problems, {})
+        return CheckReport(str(name_or_path), error.problems, {})
     check = _Check(path, description, tree)
     problems = sorted(check.problems(), key=lambda problem: (problem.file, problem.line))
-    return Report(str(name_or_path), tuple(problems), check.never_checked)
+    return CheckReport(str(name_or_path), tuple(problems), check.never_checked)
 
 
 class _Check:
@@ -138,7 +138,7 @@ class _Check:
         ]
         for name, robot in self.cell.robots.items():
             listeners.append((("robots", name, "server"), _port(robot.server)))
-            if isinstance(robot.driver, RsiDriver):
+            if isinstance(robot.driver, RsiDescription):
                 listeners.append((("robots", name, "driver", "port"), robot.driver.port))
                 if robot.driver.control_port is not None:
                     listeners.append((("robots", name, "driver", "control_port"), robot.driver.control_port))
@@ -167,7 +167,7 @@ class _Check:
                 allowed, near = ", ".join(structure) or "none", nearest_name(body, structure)
                 message = f"no body '{body}' in the structure" + (f"; did you mean '{near}'?" if near else "")
                 yield self.at(("robots", name, "mounted_on", index), message, body, allowed, near)
-        if isinstance(robot.driver, RsiDriver):
+        if isinstance(robot.driver, RsiDescription):
             try:
                 resolve_near(self.path, robot.driver.ethernet_xml)
             except FileNotFoundError as error:
@@ -176,7 +176,7 @@ class _Check:
 
     def cycle(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
         """The cell's cycle is a whole number of the KRC's."""
-        if not isinstance(robot.driver, RsiDriver):
+        if not isinstance(robot.driver, RsiDescription):
             return
         cycles = KRC_CYCLES_S[robot.driver.krc]
         multiples = [self.cell.cycle_s / cycle for cycle in cycles]

@@ -21,8 +21,8 @@ from deltaq_cell.kernel_place import place
 from deltaq_cell.kernel_strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.proximity import DistanceQuery, Proximity
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _OVERLAP_M = 1e-6

@@ -12,9 +12,8 @@ from typing import Any
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Extents:

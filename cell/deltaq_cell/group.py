@@ -10,10 +10,9 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Bits = NDArray[np.bool_]
+from deltaq_protocol.arrays import Array, Flags
+
 Names = frozenset[frozenset[str]]
 
 
@@ -61,7 +60,7 @@ class Group:
                 if frozenset((first.name, second.name)) not in never:
                     self.pairs.append((first, second))
                     self.geometry.addCollisionPair(pin.CollisionPair(index[first.name], index[second.name]))
-        self.active: Bits = np.ones(len(self.pairs), dtype=bool)
+        self.active: Flags = np.ones(len(self.pairs), dtype=bool)
         self.data = self.geometry.createData()
         make_reproducible(self.data)
 

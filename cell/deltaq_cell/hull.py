@@ -15,11 +15,10 @@ from typing import Any, TypeAlias
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 
-Array = NDArray[np.float64]
 Corners: TypeAlias = tuple[tuple[float, float, float], ...]
 """Corners of a hull in the frame of its body [m]."""
 

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array, Flags
+
 Indices = NDArray[np.int64]
-Bits = NDArray[np.bool_]
 
 
 class Anatomy(NamedTuple):
@@ -44,11 +44,11 @@ class Anatomy(NamedTuple):
     rotation: Array
     translation: Array
     joint_axis: Array
-    revolute: Bits
+    revolute: Flags
     carrier: Indices
     first_joint: Indices
     last_joint: Indices
-    moved_by: Bits
+    moved_by: Flags
     robot: Indices
     corners: Array
     corner_count: Indices
@@ -126,7 +126,7 @@ class Pairs(NamedTuple):
     first: Indices
     second: Indices
     stop_m: Array
-    active: Bits
+    active: Flags
 
 
 class Findings(NamedTuple):
@@ -146,6 +146,6 @@ class Findings(NamedTuple):
     travel_m: Array
     at_most_m: Array
     normal: Array
-    open: Bits
+    open: Flags
     simplex: Array
     twist: Array

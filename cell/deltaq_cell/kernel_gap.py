@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Array, Body, Placed
+from deltaq_cell.kernel_arrays import Anatomy, Body, Placed
 from deltaq_cell.kernel_simplex import towards_origin
+from deltaq_protocol.arrays import Array
 
 ROUNDING_M = 1e-9
 """Taken off every bound from below, and added to every one from above: a million times what arithmetic may be off."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Array, Placed
+from deltaq_cell.kernel_arrays import Anatomy, Placed
+from deltaq_protocol.arrays import Array
 
 
 @compiled

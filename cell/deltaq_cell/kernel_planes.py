@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Array, Body, Placed
+from deltaq_cell.kernel_arrays import Anatomy, Body, Placed
 from deltaq_cell.kernel_gap import body_at
+from deltaq_protocol.arrays import Array
 
 
 @compiled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Array
+from deltaq_protocol.arrays import Array
 
 Point = tuple[int, float, float, float]
 """Which corners of a simplex hold the point, as bits, and its coordinates."""

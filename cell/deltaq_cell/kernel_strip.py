@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Array
+from deltaq_protocol.arrays import Array
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_cell.description import RobotDescription, RsiDriver
+from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.find import resolve_near
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, EthernetConfigError, load_ethernet_xml
 from deltaq_protocol.rsi.context import RsiContext, parse_context
@@ -15,7 +15,7 @@ MAX_BYTES = 1 << 20
 """A context of RSI 4 carries RSI Visual's catalogue of objects, some 120 KB."""
 
 
-def station_of(robot: RobotDescription, driver: RsiDriver) -> Station:
+def station_of(robot: RobotDescription, driver: RsiDescription) -> Station:
     """The PC's end of a robot's RSI, from the robot's description.
 
     Raises:
@@ -39,7 +39,7 @@ def judge_krc_files(cell_file: Path, robot: RobotDescription) -> tuple[Finding, 
         FileNotFoundError: the `*_ethernet.xml` is nowhere.
     """
     driver = robot.driver
-    if not isinstance(driver, RsiDriver):
+    if not isinstance(driver, RsiDescription):
         return ()
     path = resolve_near(cell_file, driver.ethernet_xml)
     try:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import json
 import types
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin
 
+import yaml
 from pydantic import ValidationError
-from ruamel.yaml import YAML
 
-from deltaq_cell.description import CellDescription, Description
+from deltaq_cell.description import CellDescription, DescriptionModel
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.models import SHIPPED, nearest_name
 from deltaq_cell.problems import CellError, Problem
-from deltaq_cell.yaml_source import Scalar, YamlNode, merge, parse, read, shown
+from deltaq_cell.yaml_source import Scalar, YamlNode, merge, shown
+from deltaq_cell.yaml_tree import cell_tree, read
 
 __all__ = ["find_cell", "load_cell", "load_located", "load_with_text", "parse_cell", "resolve_near"]
 
@@ -50,7 +50,7 @@ def parse_cell(text: str, source: str = "cell") -> CellDescription:
     Raises:
         CellError: the text has errors.
     """
-    return _validated(parse(text, source))
+    return _validated(cell_tree(text, source))
 
 
 def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
@@ -66,9 +66,8 @@ def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
 
 
 def _merged(tree: YamlNode) -> str:
-    stream = io.StringIO()
-    YAML(typ="rt").dump(tree.plain(), stream)  # keeps the order of the keys, and so that of the joints
-    return stream.getvalue()
+    # in the order of the keys, which is that of the joints
+    return yaml.safe_dump(tree.plain(), sort_keys=False, allow_unicode=True)
 
 
 def _read_with_bases(path: Path, seen: tuple[Path, ...] = ()) -> tuple[str, YamlNode, bool]:
@@ -191,7 +190,7 @@ def _below(model: Any, part: str | int) -> list[Any]:
 
 
 def _models_in(annotation: Any) -> list[Any]:
-    if isinstance(annotation, type) and issubclass(annotation, Description):
+    if isinstance(annotation, type) and issubclass(annotation, DescriptionModel):
         return [annotation]
     if get_origin(annotation) in (Annotated, Union, types.UnionType, dict, list, tuple):
         return [model for argument in get_args(annotation) for model in _models_in(argument)]

@@ -10,8 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.group import Nearest, make_reproducible
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Meter:

@@ -15,13 +15,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription
 from deltaq_cell.group import make_reproducible
 from deltaq_cell.models import RobotModelError, nearest_name
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 Pair: TypeAlias = tuple[str, str]
 
 SAMPLES = 1000

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.bodies import Bodies
 from deltaq_cell.broad_phase import ScreenedGroups, Surroundings
@@ -29,8 +28,7 @@ from deltaq_cell.extents import Extents
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.self_groups import SelfGroups
 from deltaq_cell.separation import Separation
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @dataclass

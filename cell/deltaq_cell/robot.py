@@ -9,13 +9,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from deltaq_cell.description import Array, Pose, RobotDescription
+from deltaq_cell.description import Pose, RobotDescription
 from deltaq_cell.hull import Corners
 from deltaq_cell.models import RobotModelError, collision_names, load_urdf, nearest_name, urdf_from_text
 from deltaq_cell.never_checked import Pair, Why, never_checked
 from deltaq_cell.robot_bodies import collision_geometry, hulls_of
 from deltaq_cell.structure import body_geometry, placement
 from deltaq_cell.urdf_parsing import MissingMeshError, parse_geometry, parse_model
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import ToolPose
 
 FLANGE_LINKS = ("flange", "tool0")

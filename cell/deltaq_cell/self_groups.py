@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.bodies import Bodies
 from deltaq_cell.broad_phase import Surroundings
 from deltaq_cell.group import Group, Names
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class SelfGroups:

@@ -26,14 +26,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.extents import Extents
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Bits = NDArray[np.bool_]
-
+from deltaq_protocol.arrays import Array, Flags, Indices
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
@@ -64,7 +59,7 @@ class Separation:
         names: Sequence[str],
         extents: Extents,
         joints: slice | None = None,
-        moved_by: Bits | None = None,
+        moved_by: Flags | None = None,
     ) -> slice:
         """Add the bodies of one robot, or those that stand; returns their places.
 
@@ -128,7 +123,7 @@ class Separation:
         self._half[joints], self._deviation[joints] = half, half - np.abs(direction)
         self._direction[joints] = direction
 
-    def keeps(self, numbers: Indices, normals: Array, distances: Array, asked: Array) -> Bits:
+    def keeps(self, numbers: Indices, normals: Array, distances: Array, asked: Array) -> Flags:
         """Whether planes keep k pairs apart over the strips where their robots are placed.
 
         Args:
@@ -149,7 +144,7 @@ class Separation:
         # bodies of one robot are at the same t
         together = self._owner[pairs[0]] == self._owner[pairs[1]]
         reach = np.where(together, sides.sum(axis=1).max(axis=0), sides.max(axis=0).sum(axis=0))
-        kept: Bits = -reach >= asked
+        kept: Flags = -reach >= asked
         for body in (0, 1):
             left = np.flatnonzero(~kept)
             if left.size:
@@ -160,13 +155,13 @@ class Separation:
     def _kept_by_turning(
         self,
         body: int,
-        together: Bits,
+        together: Flags,
         pairs: Indices,
-        moves: Bits,
+        moves: Flags,
         twists: Array,
         normals: Array,
         asked: Array,
-    ) -> Bits:
+    ) -> Flags:
         """(k,) whether planes that turn with the first (0) or the second (1) body of each pair keep it apart."""
         turn = _cross(twists[body, :, 3:], normals)
         angle = np.sqrt(_dot(turn, turn))
@@ -204,7 +199,7 @@ class Separation:
         reach += self._ball[bodies] * np.sqrt(_dot(along, along))
         return reach + t * _dot(normals, twists[..., :3])
 
-    def _blur(self, bodies: Indices, moved_by: Bits) -> Array:
+    def _blur(self, bodies: Indices, moved_by: Flags) -> Array:
         """(2, k) what deviation and bend may add to each side [m]."""
         arms = self._arms[bodies] * moved_by
         half = self._half * moved_by

@@ -1,4 +1,4 @@
-"""The `deltaq` command: one small file a verb.
+"""The `deltaq` command: verbs by theme, a file each.
 
 Exit status: 0 done, 1 the thing reported is bad, 2 wrong usage or configuration, 3 a service could not be
 reached, 130 interrupted before there was a result.

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription, Pose
@@ -20,7 +19,7 @@ from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
 from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, Problem
+from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, AdvisorProblem
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
@@ -30,15 +29,14 @@ from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_launch.cell_connection import connect, known_robot
 from deltaq_protocol import connect as connect_to
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.blocking import BlockingCell
-
-Array = NDArray[np.float64]
 
 STATE_DEADLINE_S = 5.0
 
 
 @dataclass(frozen=True)
-class Request:
+class AdviceRequest:
     """A question to the advisor; see `deltaq advise`."""
 
     cell: str
@@ -117,7 +115,7 @@ class Advice:
         }
 
 
-def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True) -> Advice:
+def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _: True) -> Advice:
     """Ask the advisor, and drive to an option if requested.
 
     Raises:
@@ -135,7 +133,7 @@ def advice(request: Request, go_on: Callable[[Progress], bool] = lambda _: True)
             running = stack.enter_context(connect(cell.description, "deltaq advise"))
             present |= _present(running)
         poses = _poses(tracker, present[robot], request.hands or {})
-        problem = Problem(cell, robot, poses, request.weights, tracker)
+        problem = AdvisorProblem(cell, robot, poses, request.weights, tracker)
         began_s = time.perf_counter()
         options = advise_on(
             problem,

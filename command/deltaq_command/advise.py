@@ -52,7 +52,7 @@ def advise(
     json: JsonOption = False,
 ) -> None:
     """Rank configurations that hold the hands at their present or at given poses; Ctrl-C ends the search early."""
-    from deltaq_command.advice import Request, advice
+    from deltaq_command.advice import AdviceRequest, advice
     from deltaq_command.console import print_json
 
     if bench:
@@ -60,7 +60,7 @@ def advise(
         return
     if offline and execute:
         raise typer.BadParameter("--execute needs a running cell; leave out --offline")
-    request = Request(
+    request = AdviceRequest(
         cell=cell,
         robot=robot,
         hands=dict(_pose(text) for text in hand or []),

@@ -1,6 +1,6 @@
 """The command and its verbs.
 
-A verb's file imports heavy packages (pinocchio, zenoh, matplotlib) inside its function, so that help and
+A file of verbs imports heavy packages (pinocchio, zenoh, matplotlib) inside its function, so that help and
 completion are quick.
 """
 
@@ -10,32 +10,18 @@ import typer
 
 from deltaq_command import (
     advise,
-    bench,
-    check,
-    contact,
     demo,
-    doctor,
     drive,
-    dry_run,
-    echo,
-    experiment,
     fault,
-    health,
-    hz,
-    key,
+    installation,
     krc,
-    lease,
-    peg_and_valve,
-    plot,
-    record,
-    replay,
-    reset,
+    operate,
+    recordings,
     rsi,
-    schema,
-    status,
-    stop,
-    top,
+    streams,
+    study,
     up,
+    watch,
 )
 
 RUN = "Run a cell"
@@ -52,28 +38,28 @@ app = typer.Typer(
 )
 app.command(rich_help_panel=RUN)(up.up)
 app.command(rich_help_panel=RUN)(demo.demo)
-app.command(rich_help_panel=RUN)(key.key)
-app.command(rich_help_panel=WATCH)(status.status)
-app.command(rich_help_panel=WATCH)(top.top)
-app.command(rich_help_panel=WATCH)(echo.echo)
-app.command(rich_help_panel=WATCH)(hz.hz)
-app.command(rich_help_panel=WATCH)(health.health)
-app.command(rich_help_panel=WATCH)(record.record)
+app.command(rich_help_panel=RUN)(installation.key)
+app.command(rich_help_panel=WATCH)(watch.status)
+app.command(rich_help_panel=WATCH)(watch.top)
+app.command(rich_help_panel=WATCH)(streams.echo)
+app.command(rich_help_panel=WATCH)(streams.hz)
+app.command(rich_help_panel=WATCH)(watch.health)
+app.command(rich_help_panel=WATCH)(recordings.record)
 app.command(rich_help_panel=COMMAND)(drive.drive)
 app.command(rich_help_panel=COMMAND)(advise.advise)
-app.command(rich_help_panel=COMMAND)(stop.stop)
-app.command(rich_help_panel=COMMAND)(reset.reset)
-app.command(rich_help_panel=COMMAND)(lease.lease)
-app.command(rich_help_panel=COMMAND)(contact.contact)
-app.command("dry-run", rich_help_panel=COMMAND)(dry_run.dry_run)
+app.command(rich_help_panel=COMMAND)(operate.stop)
+app.command(rich_help_panel=COMMAND)(operate.reset)
+app.command(rich_help_panel=COMMAND)(operate.lease)
+app.command(rich_help_panel=COMMAND)(operate.contact)
+app.command("dry-run", rich_help_panel=COMMAND)(operate.dry_run)
 app.command(rich_help_panel=REAL)(krc.krc)
 app.add_typer(rsi.rsi, name="rsi", rich_help_panel=REAL)
-app.command(rich_help_panel=STUDY)(experiment.experiment)
+app.command(rich_help_panel=STUDY)(study.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
-app.command(rich_help_panel=STUDY)(peg_and_valve.peg_and_valve)
-app.command(rich_help_panel=STUDY)(bench.bench)
-app.command(rich_help_panel=STUDY)(replay.replay)
-app.command(rich_help_panel=STUDY)(plot.plot)
-app.command(rich_help_panel=STUDY)(check.check)
-app.command(rich_help_panel=STUDY)(schema.schema)
-app.command(rich_help_panel=STUDY)(doctor.doctor)
+app.command(rich_help_panel=STUDY)(study.peg_and_valve)
+app.command(rich_help_panel=STUDY)(study.bench)
+app.command(rich_help_panel=STUDY)(recordings.replay)
+app.command(rich_help_panel=STUDY)(recordings.plot)
+app.command(rich_help_panel=STUDY)(installation.check)
+app.command(rich_help_panel=STUDY)(installation.schema)
+app.command(rich_help_panel=STUDY)(installation.doctor)

@@ -10,7 +10,7 @@ from deltaq_command.errors import BAD, UNREACHABLE
 from deltaq_command.options import JsonOption, RobotOption
 
 if TYPE_CHECKING:
-    from deltaq_cell.description import CellDescription, RsiDriver
+    from deltaq_cell.description import CellDescription, RsiDescription
     from deltaq_deploy.rsi.statistics import Spread, Summary
     from deltaq_protocol.rsi import EthernetConfig
 
@@ -80,8 +80,8 @@ def echo(
     _report(statistics.summary(), address, port, json, zeros.refusals)
 
 
-def _of_cell(cell: str, robot: str) -> tuple[CellDescription, RsiDriver, EthernetConfig]:
-    from deltaq_cell.description import RsiDriver
+def _of_cell(cell: str, robot: str) -> tuple[CellDescription, RsiDescription, EthernetConfig]:
+    from deltaq_cell.description import RsiDescription
     from deltaq_cell.find import find_cell, resolve_near
     from deltaq_cell.load import load_cell
     from deltaq_deploy.krc import KrcFilesError
@@ -93,7 +93,7 @@ def _of_cell(cell: str, robot: str) -> tuple[CellDescription, RsiDriver, Etherne
     description = load_cell(cell)
     known_robot(description, robot)
     driver = description.robots[robot].driver
-    if not isinstance(driver, RsiDriver):
+    if not isinstance(driver, RsiDescription):
         raise KrcFilesError(
             f"robot {robot} of cell {description.cell} has no KRC: its driver is {driver.kind}"
         )

@@ -7,15 +7,13 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)
-class Frames:
+class FrameBatch:
     """Joint frames of N configurations, in world coordinates.
 
     Attributes:
@@ -72,7 +70,7 @@ class BatchKinematics:
             for frame in frames
         ]
 
-    def frames(self, q: Array, joints: list[int] | None = None) -> Frames:
+    def frames(self, q: Array, joints: list[int] | None = None) -> FrameBatch:
         """Place the robot.
 
         Args:
@@ -94,9 +92,9 @@ class BatchKinematics:
                 slide = place + q[:, joint, None] * (self._turns[joint][0] @ self.axes[joint])
                 rotation[joint] = parent_R @ self._turns[joint][0]
                 position[joint] = parent_p + (parent_R @ slide[:, :, None])[:, :, 0]
-        return Frames(rotation, position)
+        return FrameBatch(rotation, position)
 
-    def mounts(self, frames: Frames, joint: int, count: int) -> Array:
+    def mounts(self, frames: FrameBatch, joint: int, count: int) -> Array:
         """(N, 4, 4) pose of a joint's frame where its own angle is zero.
 
         Args:
@@ -111,12 +109,12 @@ class BatchKinematics:
         T[:, 3, 3] = 1.0
         return T
 
-    def columns(self, frames: Frames) -> tuple[Array, Array]:
+    def columns(self, frames: FrameBatch) -> tuple[Array, Array]:
         """Per joint its axis (N, n, 3) and the position of its frame (N, n, 3), in world coordinates."""
         axes = np.stack([R @ axis for R, axis in zip(frames.rotation, self.axes, strict=True)], axis=1)
         return axes, np.stack(frames.position, axis=1)
 
-    def jacobian(self, frames: Frames, joint: int, points: Array) -> Array:
+    def jacobian(self, frames: FrameBatch, joint: int, points: Array) -> Array:
         """(N, 6, n) Jacobian of a point that a joint carries, linear over angular, world axes.
 
         Args:

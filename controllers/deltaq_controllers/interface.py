@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import RobotState
-
-Array = NDArray[np.float64]
 
 
 class ControllerError(DeltaqError):

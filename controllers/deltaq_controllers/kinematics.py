@@ -14,8 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Kinematics:

@@ -9,12 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
-
-Array = NDArray[np.float64]
 
 _SHY = 1.0 - 1e-6
 """Fraction of each limit that is used, so that rounding never counts as a violation."""

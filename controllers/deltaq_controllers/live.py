@@ -12,18 +12,16 @@ from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import Controller, ControllerError, RobotView, View
 from deltaq_controllers.statistics import ControlStatistics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Description, RobotState, Verdict
-
-Array = NDArray[np.float64]
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses: refused, wrong usage, unreachable."""

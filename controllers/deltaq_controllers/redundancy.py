@@ -14,11 +14,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 LIMIT_GUARD = 1e-3
 """Nearer to a limit than this fraction of the joint's range, (11) is evaluated at this distance."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.kinematics import placement_views
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 SPHERES_PER_WIDTH = 1.0
 """Spheres along the length of a body, per width of it; more hug it closer and cost more."""

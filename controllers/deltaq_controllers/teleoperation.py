@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.live import PATIENCE_CYCLES, settle_memory, view_of
 from deltaq_controllers.modes.hands import Hands
@@ -18,12 +17,11 @@ from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.statistics import ControlStatistics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @compiled

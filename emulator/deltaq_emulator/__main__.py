@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltaq_cell.description import Array, RsiDriver
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
@@ -20,6 +20,7 @@ from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
 from deltaq_emulator.shell import Address, Emulator
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap, load_ethernet_xml
 
@@ -61,7 +62,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def build(
     cell_name: str, robot_name: str, settings: KrcSettings, context: Context = NOTHING
-) -> tuple[Krc, RsiDriver]:
+) -> tuple[Krc, RsiDescription]:
     """The controller of one robot of a cell, at its home, and the driver with its addresses.
 
     Args:
@@ -78,7 +79,7 @@ def build(
         raise SettingsError(
             f"cell {cell.cell!r} has no robot {robot_name!r}; it has {', '.join(cell.robots)}"
         )
-    if not isinstance(robot.driver, RsiDriver):
+    if not isinstance(robot.driver, RsiDescription):
         raise SettingsError(
             f"robot {robot_name!r} has no KRC to emulate: its driver is {robot.driver.kind!r}"
         )

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_cell.description import Array
 from deltaq_emulator.limits import CorrectionLimits
 from deltaq_emulator.settings import Correction
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcCodec, SensorTelegram
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_cell.description import Array, RobotDescription
+from deltaq_cell.description import RobotDescription
 from deltaq_emulator.servo import Servo
+from deltaq_protocol.arrays import Array
 
 REST_TOLERANCE = 1e-5
 """A robot nearer to its setpoint than this has come to rest [rad or m]."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from deltaq_cell.description import Array, RobotDescription, RsiDriver
+from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.corrections import Corrections
 from deltaq_emulator.drives import Drives
@@ -22,8 +22,9 @@ from deltaq_emulator.monitors import Monitors
 from deltaq_emulator.profiles import Profile
 from deltaq_emulator.replies import ReplyJudge
 from deltaq_emulator.sample import Sample
-from deltaq_emulator.settings import Correction, KrcSettings, Mode, SettingsError
+from deltaq_emulator.settings import Correction, KrcSettings, OperatingMode, SettingsError
 from deltaq_emulator.states import TELEGRAMS_GO_OUT, KrcEvent, KrcState, NotNowError, after
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcCodec, KrcReport
 from deltaq_protocol.rsi.pose import pose_from_matrix
 
@@ -70,7 +71,7 @@ class Krc:
         self._forward = forward
         axes = AxisMap.of(robot.joint_names, robot.units, profile.name)
         driver = robot.driver
-        assert isinstance(driver, RsiDriver)  # a robot without RSI has no controller to emulate
+        assert isinstance(driver, RsiDescription)  # a robot without RSI has no controller to emulate
         self._driver = driver
         self._codec = KrcCodec(
             config, axes, driver.inputs, driver.outputs, self.settings.precision, driver.stop
@@ -238,7 +239,7 @@ class Krc:
         self._judge.begin_session()
         self._monitors.begin_session(self._start)
         self._corrections.begin_session(self.correction)
-        if self.mode is Mode.T1:
+        if self.mode is OperatingMode.T1:
             self.message = KrcMessage(Code.CONFIRM_MOTION)
         else:
             self.confirm()
@@ -265,7 +266,7 @@ class Krc:
         """Switch the drives on or off."""
         self._operate(KrcEvent.DRIVES_ON if on else KrcEvent.DRIVES_OFF, None if on else Code.DRIVES_OFF)
 
-    def set_mode(self, mode: Mode) -> None:
+    def set_mode(self, mode: OperatingMode) -> None:
         """Turn the key: a running program stops."""
         running = self._state in TELEGRAMS_GO_OUT
         self._operate(KrcEvent.CHANGE_MODE, None)

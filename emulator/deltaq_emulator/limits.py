@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from deltaq_cell.description import Array
 from deltaq_emulator.settings import KrcSettings
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap
 
 

@@ -6,10 +6,11 @@ from collections import deque
 
 import numpy as np
 
-from deltaq_cell.description import Array, RobotDescription
+from deltaq_cell.description import RobotDescription
 from deltaq_emulator.catalogue import Code, KrcMessage
 from deltaq_emulator.limits import in_units
-from deltaq_emulator.settings import KrcSettings, Mode
+from deltaq_emulator.settings import KrcSettings, OperatingMode
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap
 
 ACCELERATION_CYCLES = 10
@@ -76,7 +77,7 @@ class Monitors:
             return self._worst(Code.GEAR_TORQUE, acceleration, self._acceleration)
         return None
 
-    def of_motion(self, dq: Array, tool_m: float, mode: Mode) -> KrcMessage | None:
+    def of_motion(self, dq: Array, tool_m: float, mode: OperatingMode) -> KrcMessage | None:
         """Why the robot must not go on moving as it did in the last cycle, if it must not.
 
         Args:
@@ -87,7 +88,7 @@ class Monitors:
         speed = np.abs(dq) / self._cycle_s
         if (speed > self._speed).any():
             return self._worst(Code.KINETIC_ENERGY, speed, self._speed)
-        if mode is Mode.T1 and tool_m / self._cycle_s > self._t1_speed_m_s:
+        if mode is OperatingMode.T1 and tool_m / self._cycle_s > self._t1_speed_m_s:
             return KrcMessage(Code.T1_SPEED, "", tool_m / self._cycle_s, self._t1_speed_m_s, "m")
         return None
 

@@ -35,7 +35,7 @@ from deltaq_emulator.drives import REST_TOLERANCE
 from deltaq_emulator.faults import FaultyLink, Forgery, LinkFaults
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.settings import Correction, Mode
+from deltaq_emulator.settings import Correction, OperatingMode
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError
 
@@ -61,7 +61,7 @@ class _Restart(_Request):
 
 class _SetMode(_Request):
     op: Literal["mode"]
-    mode: Mode
+    mode: OperatingMode
 
 
 class _SetDrives(_Request):

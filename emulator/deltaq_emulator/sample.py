@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from deltaq_cell.description import Array
 from deltaq_emulator.states import KrcState
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)

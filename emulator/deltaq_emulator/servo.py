@@ -14,7 +14,8 @@ from collections import deque
 
 import numpy as np
 
-from deltaq_cell.description import Array, ServoLag
+from deltaq_cell.description import ServoLag
+from deltaq_protocol.arrays import Array
 
 _SAME = 1e-9
 

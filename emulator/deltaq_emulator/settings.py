@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
+from deltaq_cell.problems import CellError
+from deltaq_cell.yaml_tree import parse
 from deltaq_emulator.late_budget import LateRule
 from deltaq_protocol.errors import DeltaqError
 
@@ -25,7 +25,7 @@ class SettingsError(DeltaqError):
     """Settings that cannot be read or are not allowed."""
 
 
-class Mode(StrEnum):
+class OperatingMode(StrEnum):
     """Operating mode of the controller; T1 and T2 are for setting up, by hand."""
 
     T1 = "T1"
@@ -73,7 +73,7 @@ class KrcSettings(BaseModel):
     controller's model of its gears."""
     t1_speed_m_s: Positive = 0.25
     """Largest speed of the tool in T1."""
-    mode: Mode = Mode.AUT
+    mode: OperatingMode = OperatingMode.AUT
     """Operating mode in which it is switched on."""
     ipoc_step: Annotated[int, Field(ge=1, le=1000)] | Literal["ms"] | None = None
     """By how much the time stamp grows in a cycle: a number, or the cycle in ms; none: as the cell's
@@ -89,8 +89,8 @@ class KrcSettings(BaseModel):
             SettingsError: if it cannot be read, or a value is not allowed.
         """
         try:
-            data = YAML(typ="safe").load(Path(path))
-        except (OSError, UnicodeDecodeError, YAMLError) as error:
+            data = parse(Path(path).read_text(encoding="utf-8"), str(path)).plain()
+        except (OSError, UnicodeDecodeError, CellError) as error:
             raise SettingsError(f"{path}: cannot be read: {error}") from error
         try:
             return cls.model_validate(data or {})

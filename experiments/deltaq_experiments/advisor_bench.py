@@ -12,20 +12,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import advise
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.methods import METHODS
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.search import Pool, search
 from deltaq_controllers.advisor.space import HandsKept
 from deltaq_controllers.inverse.titan import TitanInverse
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 TASKS = 12
 LONGER = {"annealing": 4.0, "shotgun": 3.0}
@@ -36,7 +34,7 @@ GOOD = 0.01
 """A search is good if it ends within this fraction of the best known energy."""
 
 
-class Row(BaseModel):
+class AdvisorBenchRow(BaseModel):
     """One method over all tasks."""
 
     model_config = ConfigDict(frozen=True)
@@ -58,7 +56,7 @@ class Row(BaseModel):
     """Mean over the tasks."""
 
 
-class Answer(BaseModel):
+class TimedAnswer(BaseModel):
     """Whole answers of the advisor for one robot, from its home, search after search."""
 
     model_config = ConfigDict(frozen=True)
@@ -76,7 +74,7 @@ class Answer(BaseModel):
     """Mean number of these to which a path was found."""
 
 
-class Table(BaseModel):
+class AdvisorBenchTable(BaseModel):
     """All methods of one run."""
 
     model_config = ConfigDict(frozen=True)
@@ -87,8 +85,8 @@ class Table(BaseModel):
     inverse_one_by_one_per_s: float
     """The same in a plain loop, one pose a call."""
     best_known: tuple[float, ...]
-    rows: tuple[Row, ...]
-    answers: tuple[Answer, ...]
+    rows: tuple[AdvisorBenchRow, ...]
+    answers: tuple[TimedAnswer, ...]
 
 
 def tasks(cell: CellModel, robot: str, count: int = TASKS) -> list[Array]:
@@ -108,7 +106,7 @@ def run(
     robot: str = "dawm",
     count: int = TASKS,
     on_step: Callable[[int, int], None] | None = None,
-) -> Table:
+) -> AdvisorBenchTable:
     """Measure every method on every task.
 
     Args:
@@ -123,7 +121,7 @@ def run(
     energy, options = np.full((len(METHODS), count), np.inf), np.zeros((len(METHODS), count), dtype=int)
     trials, best = np.zeros((len(METHODS), count)), np.full(count, np.inf)
     for number, poses in enumerate(tasks(cell, robot, count)):
-        task = Problem(cell, robot, poses, None, tracker)
+        task = AdvisorProblem(cell, robot, poses, None, tracker)
         for longer, effort in LONGER.items():
             best[number] = min(
                 best[number], search(task, np.random.default_rng(100 + number), longer, effort).best
@@ -141,7 +139,7 @@ def run(
             on_step(number + 1, count)
     gap = energy / best - 1.0
     rows = tuple(
-        Row(
+        AdvisorBenchRow(
             method=method,
             median_s=float(np.median(wall[row])),
             worst_s=float(wall[row].max()),
@@ -155,7 +153,7 @@ def run(
         for row, method in enumerate(METHODS)
     )
     many, single = inverse_rates()
-    return Table(
+    return AdvisorBenchTable(
         tasks=count,
         inverse_poses_per_s=many,
         inverse_one_by_one_per_s=single,
@@ -165,7 +163,7 @@ def run(
     )
 
 
-def whole_answers(cell_name: str, robot: str, count: int) -> Answer:
+def whole_answers(cell_name: str, robot: str, count: int) -> TimedAnswer:
     """Ask the advisor `count` times, each with another seed, for options and the paths to them."""
     cell = CellModel.load(cell_name)
     tracker, exact, home = (
@@ -176,11 +174,11 @@ def whole_answers(cell_name: str, robot: str, count: int) -> Answer:
     space = HandsKept(tracker, tracker.hands(home))
     cpu, options = np.zeros(count), []
     for seed in range(count):
-        task = Problem(cell, robot, tracker.hands(home), None, tracker)
+        task = AdvisorProblem(cell, robot, tracker.hands(home), None, tracker)
         began_s = time.process_time()
         options += advise(task, home, generator=np.random.default_rng(seed), exact=exact)
         cpu[seed] = time.process_time() - began_s
-    return Answer(
+    return TimedAnswer(
         cell=cell_name,
         robot=robot,
         median_cpu_s=float(np.median(cpu)),

@@ -6,26 +6,24 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Line, Panel
-from deltaq_experiments.report import Figures, LeastClearance, Outcome, Report
+from deltaq_experiments.panels import Curve, FigurePanel
+from deltaq_experiments.report import ExperimentOutcome, Figures, LeastClearance, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
-from deltaq_experiments.virtual import Recording, record
+from deltaq_experiments.virtual import RunRecord, record
+from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import GateCounts, LimitCounts
-
-Array = NDArray[np.float64]
 
 DURATION_S = 5.0
 START_ERRORS_DEG = (83.0, 134.0, 145.0)
 
 
-class Approach(BaseModel):
+class ApproachStart(BaseModel):
     """One start.
 
     Attributes:
@@ -48,10 +46,10 @@ class Approach(BaseModel):
 class ApproachReport(Report):
     """The common figures over all starts together, from the start, and each start by itself."""
 
-    starts: tuple[Approach, ...]
+    starts: tuple[ApproachStart, ...]
 
 
-def run(options: Options) -> Outcome:
+def run(options: Options) -> ExperimentOutcome:
     """Run the experiment in virtual time, or live over real processes, where the robot goes to each start first.
 
     Raises:
@@ -66,10 +64,10 @@ def run(options: Options) -> Outcome:
         for index, error in enumerate(START_ERRORS_DEG)
     ]
     elapsed_s = time.perf_counter() - began_s
-    return Outcome(_report(options, cell, runs, elapsed_s), _panels(runs))
+    return ExperimentOutcome(_report(options, cell, runs, elapsed_s), _panels(runs))
 
 
-Run = tuple[Recording, Array]
+Run = tuple[RunRecord, Array]
 """A recording, and (k, 2) view angle error [deg] and view distance [m]."""
 
 
@@ -82,18 +80,18 @@ def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> Run
     return recording, recording.trace.views(camera, FOLLOWER, LEADER)
 
 
-def _run_live(options: Options, cell: CellModel, start: Array) -> Recording:
+def _run_live(options: Options, cell: CellModel, start: Array) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     return run_live(options, cell, ["--start", *(f"{value:.9f}" for value in start)], leading=None)
 
 
-def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> Approach:
+def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> ApproachStart:
     """Figures of one start from its (k,) times, errors of angle and errors of distance."""
     reached = time_to_stay_below(time_s, angle_deg, 1.0)
     way = angle_deg if reached is None else angle_deg[time_s <= reached]
     rise = float(np.max(way - np.minimum.accumulate(way)))
-    return Approach(
+    return ApproachStart(
         start_deg=float(angle_deg[0]),
         time_to_1_deg_s=reached,
         largest_rise_deg=rise,
@@ -141,16 +139,16 @@ def _report(options: Options, cell: CellModel, runs: list[Run], elapsed_s: float
     )
 
 
-def _panels(runs: list[Run]) -> tuple[Panel, ...]:
-    def lines(column: int) -> tuple[Line, ...]:
+def _panels(runs: list[Run]) -> tuple[FigurePanel, ...]:
+    def lines(column: int) -> tuple[Curve, ...]:
         return tuple(
-            Line(f"from {views[0, 0]:.0f}°", recording.trace.time_s, views[:, column])
+            Curve(f"from {views[0, 0]:.0f}°", recording.trace.time_s, views[:, column])
             for recording, views in runs
         )
 
     clock = runs[0][0].trace.time_s
-    desired = Line("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--")
+    desired = Curve("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--")
     return (
-        Panel("View angle error", "deg", lines(0), bound=1.0),
-        Panel("View distance", "m", (*lines(1), desired)),
+        FigurePanel("View angle error", "deg", lines(0), bound=1.0),
+        FigurePanel("View distance", "m", (*lines(1), desired)),
     )

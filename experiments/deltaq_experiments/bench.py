@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.cell_model import CellModel
@@ -19,15 +18,14 @@ from deltaq_cell.group import make_reproducible
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
+from deltaq_protocol.arrays import Array
 from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
-Array = NDArray[np.float64]
 
-
-class Row(BaseModel):
+class BenchRow(BaseModel):
     """One figure beside its reference."""
 
     model_config = ConfigDict(frozen=True)
@@ -42,12 +40,12 @@ class Row(BaseModel):
     """Bound of the median ratio."""
 
 
-class Table(BaseModel):
+class BenchTable(BaseModel):
     """All figures of one run."""
 
     model_config = ConfigDict(frozen=True)
 
-    rows: tuple[Row, ...]
+    rows: tuple[BenchRow, ...]
 
     @property
     def good(self) -> bool:
@@ -57,7 +55,7 @@ class Table(BaseModel):
 
 def run(
     cell_name: str | Path = "lab", cycles: int = 400, on_cycle: Callable[[int, int], None] | None = None
-) -> Table:
+) -> BenchTable:
     """Measure.
 
     Args:
@@ -85,7 +83,7 @@ def run(
         references.append(raw.seconds({name: state.q_cmd for name, state in states.items()}))
         if on_cycle is not None:
             on_cycle(cycle + 1, cycles)
-    return Table(rows=(_row(stopwatch.seconds, references, raw.pairs),))
+    return BenchTable(rows=(_row(stopwatch.seconds, references, raw.pairs),))
 
 
 class Stopwatch:
@@ -144,9 +142,9 @@ class RawDistances:
         return time.perf_counter() - begin
 
 
-def _row(decisions: list[float], references: list[float], pairs: int) -> Row:
+def _row(decisions: list[float], references: list[float], pairs: int) -> BenchRow:
     reference = float(np.median(references))
-    return Row(
+    return BenchRow(
         what="one gate decision, tracking at 0.25 m/s",
         reference=f"one computeDistances over the same {pairs} pairs",
         median_us=float(np.median(decisions)) * 1e6,

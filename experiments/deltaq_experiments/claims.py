@@ -14,7 +14,7 @@ from typing import Any
 
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
-from deltaq_experiments.report import Outcome
+from deltaq_experiments.report import ExperimentOutcome
 
 PAGE = Path("docs/explanation/camera-figures.md")
 PICTURES = Path("docs/explanation/pictures")
@@ -260,7 +260,9 @@ def main() -> int:
     (root / PICTURES).mkdir(parents=True, exist_ok=True)
     rows, violated = [], False
     for claim in CLAIMS:
-        outcome: Outcome = import_module(f"deltaq_experiments.{claim.experiment}").run(claim.options)
+        outcome: ExperimentOutcome = import_module(f"deltaq_experiments.{claim.experiment}").run(
+            claim.options
+        )
         report = outcome.report.model_dump(mode="json")
         rows.append((claim, report))
         violated |= any(report["limits"].values())

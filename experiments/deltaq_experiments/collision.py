@@ -11,14 +11,13 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Line, Marks, Panel
-from deltaq_experiments.report import Outcome, Report
+from deltaq_experiments.panels import Curve, FigurePanel, Marks
+from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.summary import summary
-from deltaq_experiments.virtual import Recording, record
+from deltaq_experiments.virtual import RunRecord, record
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
 
 DURATION_S = 40.0
 
@@ -39,7 +38,7 @@ class CollisionReport(Report):
     angle_below_1_deg_share: float
 
 
-def run(options: Options) -> Outcome:
+def run(options: Options) -> ExperimentOutcome:
     """Run the experiment in virtual time, or live over real processes.
 
     Raises:
@@ -68,10 +67,10 @@ def run(options: Options) -> Outcome:
         evading_share=float(evading.mean()),
         angle_below_1_deg_share=float((views[:, 0] < 1.0).mean()),
     )
-    return Outcome(report, _panels(recording, views, between, evading))
+    return ExperimentOutcome(report, _panels(recording, views, between, evading))
 
 
-def _run_virtual(options: Options, cell: CellModel, camera: FocusController) -> Recording:
+def _run_virtual(options: Options, cell: CellModel, camera: FocusController) -> RunRecord:
     leader = AttackingLeader(
         cell.robots[LEADER],
         cell.robots[FOLLOWER],
@@ -83,7 +82,7 @@ def _run_virtual(options: Options, cell: CellModel, camera: FocusController) -> 
     return record(options, camera, leader)
 
 
-def _run_live(options: Options, cell: CellModel, focus: Array) -> Recording:
+def _run_live(options: Options, cell: CellModel, focus: Array) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     following = ["--focus-m", *(f"{value:.9f}" for value in focus)]
@@ -91,20 +90,20 @@ def _run_live(options: Options, cell: CellModel, focus: Array) -> Recording:
 
 
 def _panels(
-    recording: Recording, views: Array, between: Array, evading: NDArray[np.bool_]
-) -> tuple[Panel, ...]:
+    recording: RunRecord, views: Array, between: Array, evading: NDArray[np.bool_]
+) -> tuple[FigurePanel, ...]:
     clock = recording.trace.time_s
     marks = (Marks("F_rep acts", clock, evading),)
     return (
-        Panel("View angle error", "deg", (Line("", clock, views[:, 0]),), marks, bound=1.0),
-        Panel(
+        FigurePanel("View angle error", "deg", (Curve("", clock, views[:, 0]),), marks, bound=1.0),
+        FigurePanel(
             "View distance",
             "m",
             (
-                Line("distance", clock, views[:, 1]),
-                Line("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
+                Curve("distance", clock, views[:, 1]),
+                Curve("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
             ),
             marks,
         ),
-        Panel("Clearance between the robots", "m", (Line("", clock, between),)),
+        FigurePanel("Clearance between the robots", "m", (Curve("", clock, between),)),
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltaq_experiments.panels import Marks, Panel
+from deltaq_experiments.panels import FigurePanel, Marks
 from deltaq_protocol.errors import DeltaqError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ WIDTH_IN, PANEL_IN = 7.0, 2.1
 MARK_COLOURS = ("tab:red", "tab:purple", "tab:brown")
 
 
-def draw(panels: Sequence[Panel], title: str, file: str | Path) -> None:
+def draw(panels: Sequence[FigurePanel], title: str, file: str | Path) -> None:
     """Write a picture; the ending of its name says in which format (png, pdf, svg).
 
     Raises:
@@ -41,7 +41,7 @@ def draw(panels: Sequence[Panel], title: str, file: str | Path) -> None:
         raise DeltaqError(f"--figure {file}: {error}; give a writable FILE.png, .pdf or .svg") from None
 
 
-def _draw_panel(ax: Axes, caption: str, panel: Panel) -> None:
+def _draw_panel(ax: Axes, caption: str, panel: FigurePanel) -> None:
     for line in panel.lines:
         ax.plot(line.time_s, line.values, line.style, linewidth=1.1, label=line.label or None)
     if panel.bound is not None:

@@ -9,25 +9,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.trace import Trace
-from deltaq_experiments.virtual import Recording
+from deltaq_experiments.virtual import RunRecord
 from deltaq_launch.bring_to_rest import bring_to_rest
 from deltaq_launch.cell_connection import connect, listen
 from deltaq_launch.child_process import Exited
 from deltaq_launch.launcher import Launcher, LaunchError
 from deltaq_launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
 from deltaq_verification.counts import GateCounts
 from deltaq_verification.recorded import not_there_yet
-
-Array = NDArray[np.float64]
-
 
 START_S = 30.0
 """Longest time that the motion to the start of a run may take [s]."""
@@ -35,7 +32,7 @@ START_S = 30.0
 
 def run_live(
     options: Options, cell: CellModel, following: Sequence[str] = (), leading: Sequence[str] | None = ()
-) -> Recording:
+) -> RunRecord:
     """Start the cell's services, lead and follow, and end everything again.
 
     Args:
@@ -79,7 +76,7 @@ def run_live(
         setpoints = {name: _setpoints(path, cell.robots[name].n) for name, path in records.items()}
     reasons = {k.removeprefix("reason_"): v for k, v in status.gate.items() if k.startswith("reason_")}
     trace = trace_of(states, tuple(cell.robots), setpoints, summary["began_s"], options.length_s)
-    return Recording(trace, GateCounts.of(status.gate), reasons)
+    return RunRecord(trace, GateCounts.of(status.gate), reasons)
 
 
 class _Lines:

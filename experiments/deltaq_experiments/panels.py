@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)
-class Line:
+class Curve:
     """One curve.
 
     Attributes:
@@ -43,7 +43,7 @@ class Marks:
 
 
 @dataclass(frozen=True)
-class Panel:
+class FigurePanel:
     """One pair of axes.
 
     Attributes:
@@ -56,6 +56,6 @@ class Panel:
 
     caption: str
     unit: str
-    lines: tuple[Line, ...]
+    lines: tuple[Curve, ...]
     marks: tuple[Marks, ...] = ()
     bound: float | None = None

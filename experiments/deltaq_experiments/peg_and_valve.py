@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
@@ -24,22 +23,21 @@ from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_experiments.peg_and_valve_operators import (
     AdvisedOperator,
-    Goal,
+    HandGoal,
     HandOperator,
     JointOperator,
-    Operator,
     PostureOperator,
+    ScriptedOperator,
     error_to,
 )
+from deltaq_protocol.arrays import Array
 from deltaq_verification.virtual_cell.cell import VirtualCell
-
-Array = NDArray[np.float64]
 
 PEG_M = 0.1
 TURN_RAD = np.deg2rad(60.0)
 LONGEST_S = 600.0
 
-OPERATORS: dict[str, Callable[[Teleoperator, float], Operator]] = {
+OPERATORS: dict[str, Callable[[Teleoperator, float], ScriptedOperator]] = {
     "joint": lambda teleoperator, cycle_s: JointOperator(teleoperator.robot, cycle_s),
     "decoupled": lambda teleoperator, cycle_s: HandOperator(teleoperator.robot, cycle_s, ModeName.DECOUPLED),
     "self-motion": lambda teleoperator, cycle_s: PostureOperator(teleoperator.robot, cycle_s),
@@ -81,7 +79,7 @@ class ModeFigures(BaseModel):
     gate: dict[str, int]
 
 
-def goals(home: Array) -> list[Goal]:
+def goals(home: Array) -> list[HandGoal]:
     """The task, from the hand's home pose T_world_tool (4, 4)."""
     hole = _moved(home, (0.15, -0.2, 0.0), (0.0, 0.0, np.deg2rad(20.0)))
     inside = hole.copy()
@@ -90,11 +88,11 @@ def goals(home: Array) -> list[Goal]:
     turned = valve.copy()
     turned[:3, :3] = valve[:3, :3] @ pin.exp3(np.array([0.0, 0.0, TURN_RAD]))
     return [
-        Goal("reach the hole", hole),
-        Goal("insert", inside, steps=10),
-        Goal("retract", hole, steps=10),
-        Goal("reach the valve", valve),
-        Goal("turn", turned, steps=10),
+        HandGoal("reach the hole", hole),
+        HandGoal("insert", inside, steps=10),
+        HandGoal("retract", hole, steps=10),
+        HandGoal("reach the valve", valve),
+        HandGoal("turn", turned, steps=10),
     ]
 
 
@@ -177,7 +175,7 @@ class _Run:
             },
         )
 
-    def _to(self, goal: Goal) -> list[Array]:
+    def _to(self, goal: HandGoal) -> list[Array]:
         """Measured configurations on the way to a goal."""
         way: list[Array] = []
         while True:

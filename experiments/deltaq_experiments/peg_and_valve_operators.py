@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.advisor import AdvisorMode
@@ -17,8 +16,7 @@ from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.resolved_rate import Inverse
 from deltaq_controllers.modes.teleoperator import Teleoperator
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 REACTION_S = 0.25
 """Reaction time of an operator."""
@@ -38,7 +36,7 @@ NEAR_M, NEAR_RAD = 1.5e-3, np.deg2rad(0.3)
 
 
 @dataclass(frozen=True)
-class Goal:
+class HandGoal:
     """Where the hand is to be.
 
     Attributes:
@@ -81,10 +79,10 @@ class Late:
         return len(self._seen) == self._seen.maxlen and bool(np.abs(self._seen[-1] - first).max() < 2e-5)
 
 
-class Operator(Protocol):
+class ScriptedOperator(Protocol):
     """Steers to one goal."""
 
-    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
+    def command(self, q: Array, goal: HandGoal) -> OperatorCommand | None:
         """The command on seeing the robot at `q` (n,) now; None when the goal has been reached."""
         ...
 
@@ -101,7 +99,7 @@ class HandOperator:
         """Whether the robot has not moved in all that is seen."""
         return self._see.stands
 
-    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
+    def command(self, q: Array, goal: HandGoal) -> OperatorCommand | None:
         """Rates in proportion to the error, up to the greatest."""
         error = error_to(goal.pose, self._robot.forward(self._see(q)))
         if is_near(error) and self._see.stands:
@@ -129,7 +127,7 @@ class PostureOperator:
         self._left: int | None = None
         self._command = OperatorCommand()
 
-    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
+    def command(self, q: Array, goal: HandGoal) -> OperatorCommand | None:
         """To the goal, then the posture."""
         if self._left is None:
             command = self._hand.command(q, goal)
@@ -169,10 +167,10 @@ class AdvisedOperator:
         self._teleoperator = teleoperator
         self._hand = HandOperator(teleoperator.robot, cycle_s, ModeName.DECOUPLED)
         self._is_advised = self._is_stuck = False
-        self._goal: Goal | None = None
+        self._goal: HandGoal | None = None
         self._times_stuck = 0
 
-    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
+    def command(self, q: Array, goal: HandGoal) -> OperatorCommand | None:
         """To the goal, then the option; where something stops the hand, the option first."""
         if goal is not self._goal:
             self._goal, self._times_stuck = goal, 0
@@ -215,12 +213,12 @@ class JointOperator:
         self._see = Late(cycle_s)
         self._rates = np.where(robot.revolute, JOINT_RAD_S, JOINT_M_S)
         self._near = np.full(robot.n, 2e-4)
-        self._goal: Goal | None = None
+        self._goal: HandGoal | None = None
         self._ways: list[Array] = []
         self._joint: int | None = None
         self._pause = 0
 
-    def command(self, q: Array, goal: Goal) -> OperatorCommand | None:
+    def command(self, q: Array, goal: HandGoal) -> OperatorCommand | None:
         """The rate of the joint that is driven now."""
         if goal is not self._goal:
             self._goal, self._ways = goal, self._divided(q, goal)
@@ -245,7 +243,7 @@ class JointOperator:
         rate = float(np.clip(GAIN_S * off[joint], -self._rates[joint], self._rates[joint]))
         return OperatorCommand({self._robot.joint_names[joint]: rate}, ModeName.JOINT)
 
-    def _divided(self, q: Array, goal: Goal) -> list[Array]:
+    def _divided(self, q: Array, goal: HandGoal) -> list[Array]:
         """Configurations along the straight way to a goal."""
         start = self._robot.forward(q)
         error = error_to(goal.pose, start)

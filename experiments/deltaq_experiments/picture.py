@@ -13,11 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _SIDES = 20
 _HIDDEN = ("floor",)

@@ -12,7 +12,7 @@ import numpy as np
 
 from deltaq_experiments.figures import draw
 from deltaq_experiments.live import trace_of
-from deltaq_experiments.panels import Line, Marks, Panel
+from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.tracking import panels
 from deltaq_protocol import topics
@@ -39,7 +39,7 @@ def plot(path: Path, picture: Path) -> list[str]:
     return recording.notices
 
 
-def panels_of(recording: Recording) -> tuple[Panel, ...]:
+def panels_of(recording: Recording) -> tuple[FigurePanel, ...]:
     """View angle error with the gate's interventions, view distance, and the leader's path; or the tools' paths.
 
     Raises:
@@ -72,12 +72,14 @@ def panels_of(recording: Recording) -> tuple[Panel, ...]:
     return (replace(first, marks=tuple(marks[name] for name in (FOLLOWER, LEADER) if name in marks)), *others)
 
 
-def _tool_path(robot: str, states: list[RobotState], times: list[float], marks: dict[str, Marks]) -> Panel:
+def _tool_path(
+    robot: str, states: list[RobotState], times: list[float], marks: dict[str, Marks]
+) -> FigurePanel:
     """The path of a robot's tool [m], and when the gate limited it."""
     own = [(at, state.tool.position) for at, state in zip(times, states, strict=True) if state.robot == robot]
     clock, places = np.array([at for at, _ in own]), np.array([place for _, place in own]).reshape(-1, 3)
     moved = places - places[:1]
-    lines = tuple(Line(axis, clock, moved[:, k]) for k, axis in enumerate("xyz"))
-    return Panel(
+    lines = tuple(Curve(axis, clock, moved[:, k]) for k, axis in enumerate("xyz"))
+    return FigurePanel(
         f"Tool of {robot}, from where it began", "m", lines, (marks[robot],) if robot in marks else ()
     )

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from deltaq_experiments.panels import Panel
+from deltaq_experiments.panels import FigurePanel
+from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import GateCounts, LimitCounts
-
-Array = NDArray[np.float64]
 
 
 class Figures(BaseModel):
@@ -70,7 +69,7 @@ class Report(BaseModel):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExperimentOutcome:
     """Result of an experiment.
 
     Attributes:
@@ -79,4 +78,4 @@ class Outcome:
     """
 
     report: Report
-    panels: tuple[Panel, ...]
+    panels: tuple[FigurePanel, ...]

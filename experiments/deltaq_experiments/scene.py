@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
 from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.options import Options
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
 
 FOLLOWER, LEADER = "fr", "gr"
 VIEW_DISTANCE_M = 1.25

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.oracle import ClearanceOracle
-
-Array = NDArray[np.float64]
 
 LEAST_CLEARANCE_M = 0.15
 LEAST_SELF_CLEARANCE_M = 0.05

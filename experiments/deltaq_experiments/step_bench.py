@@ -15,7 +15,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
@@ -25,8 +24,7 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
 from deltaq_experiments.virtual import record
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 

@@ -5,22 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures
 from deltaq_experiments.trace import time_to_stay_below
-from deltaq_experiments.virtual import Recording
-
-Array = NDArray[np.float64]
+from deltaq_experiments.virtual import RunRecord
+from deltaq_protocol.arrays import Array
 
 
 def summary(
     experiment: str,
     options: Options,
     cell: CellModel,
-    recording: Recording,
+    recording: RunRecord,
     angle_deg: Array,
     distance_error_m: Array,
     elapsed_s: float,

@@ -12,10 +12,9 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_experiments.report import LeastClearance
+from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import LimitCounts
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

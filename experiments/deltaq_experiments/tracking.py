@@ -9,17 +9,17 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Line, Panel
-from deltaq_experiments.report import Outcome, Report
+from deltaq_experiments.panels import Curve, FigurePanel
+from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.summary import summary
 from deltaq_experiments.trace import Trace
-from deltaq_experiments.virtual import Recording, record
+from deltaq_experiments.virtual import RunRecord, record
 
 DURATION_S = 40.0
 
 
-def run(options: Options) -> Outcome:
+def run(options: Options) -> ExperimentOutcome:
     """Run the experiment in virtual time, or live over real processes.
 
     Raises:
@@ -33,22 +33,22 @@ def run(options: Options) -> Outcome:
     views = recording.trace.views(camera_controller(cell, options.controller), FOLLOWER, LEADER)
     angle, error = views[:, 0], views[:, 1] - VIEW_DISTANCE_M
     report = Report(**summary("tracking", options, cell, recording, angle, error, elapsed_s))
-    return Outcome(report, panels(cell, recording.trace, angle, views[:, 1]))
+    return ExperimentOutcome(report, panels(cell, recording.trace, angle, views[:, 1]))
 
 
-def _run_virtual(options: Options, cell: CellModel) -> Recording:
+def _run_virtual(options: Options, cell: CellModel) -> RunRecord:
     camera = camera_controller(cell, options.controller, options.latency_s)
     speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
     return record(options, camera, ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed))
 
 
-def _run_live(options: Options, cell: CellModel) -> Recording:
+def _run_live(options: Options, cell: CellModel) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     return run_live(options, cell)
 
 
-def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarray) -> tuple[Panel, ...]:
+def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarray) -> tuple[FigurePanel, ...]:
     """The layout of Fig. 9.
 
     Args:
@@ -62,23 +62,23 @@ def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarra
     size = np.linalg.norm(moved, axis=1)
     scaled = size * (float(angle.max()) / max(float(size.max()), 1e-9))
     return (
-        Panel(
+        FigurePanel(
             "View angle error; dotted: |p|, scaled",
             "deg",
-            (Line("angle error", clock, angle), Line("|p|", clock, scaled, ":")),
+            (Curve("angle error", clock, angle), Curve("|p|", clock, scaled, ":")),
             bound=1.0,
         ),
-        Panel(
+        FigurePanel(
             "View distance",
             "m",
             (
-                Line("distance", clock, distance),
-                Line("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
+                Curve("distance", clock, distance),
+                Curve("desired", clock, np.full_like(clock, VIEW_DISTANCE_M), "--"),
             ),
         ),
-        Panel(
+        FigurePanel(
             "Leader's tool, from where it began",
             "m",
-            tuple(Line(axis, clock, moved[:, k]) for k, axis in enumerate("xyz")),
+            tuple(Curve(axis, clock, moved[:, k]) for k, axis in enumerate("xyz")),
         ),
     )

@@ -7,21 +7,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles
 from deltaq_experiments.trace import Trace
+from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import GateCounts
 from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Recording:
+class RunRecord:
     """Result of a run.
 
     Attributes:
@@ -41,7 +39,7 @@ def record(
     leader: Controller | None = None,
     start: Mapping[str, Array] | None = None,
     before_cycle: Callable[[float], None] | None = None,
-) -> Recording:
+) -> RunRecord:
     """Run the whole stack in virtual time.
 
     The camera controller sees its own robot's newest state and the leader's as old as the latency wants it; the
@@ -67,7 +65,7 @@ def _run(
     camera: Controller,
     leader: Controller | None,
     before_cycle: Callable[[float], None] | None,
-) -> Recording:
+) -> RunRecord:
     cycle_s = stack.cell.description.cycle_s
     delay_cycles = added_delay_cycles(stack.cell, options.latency_s)
     stack.run_until_ready()
@@ -97,4 +95,4 @@ def _run(
     )
     counters = stack.sim.counters
     reasons = {k.removeprefix("reason_"): v for k, v in counters.items() if k.startswith("reason_")}
-    return Recording(trace, GateCounts.of(counters), reasons)
+    return RunRecord(trace, GateCounts.of(counters), reasons)

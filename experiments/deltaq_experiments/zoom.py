@@ -13,13 +13,12 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Line, Marks, Panel
-from deltaq_experiments.report import Outcome, Report
+from deltaq_experiments.panels import Curve, FigurePanel, Marks
+from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.summary import summary
-from deltaq_experiments.virtual import Recording, record
-
-Array = NDArray[np.float64]
+from deltaq_experiments.virtual import RunRecord, record
+from deltaq_protocol.arrays import Array
 
 DURATION_S = 40.0
 DISTANCES_M = (VIEW_DISTANCE_M, 1.0, 1.5, 0.8, 2.6)
@@ -70,7 +69,7 @@ class Views:
     evading: NDArray[np.bool_]
 
 
-def run(options: Options) -> Outcome:
+def run(options: Options) -> ExperimentOutcome:
     """Run the experiment in virtual time, or live over real processes.
 
     Raises:
@@ -94,10 +93,10 @@ def run(options: Options) -> Outcome:
             plateau(views, clock, index * hold_s, (index + 1) * hold_s) for index in range(len(DISTANCES_M))
         ),
     )
-    return Outcome(report, _panels(clock, views))
+    return ExperimentOutcome(report, _panels(clock, views))
 
 
-def _run_virtual(options: Options, cell: CellModel, camera: FocusController, hold_s: float) -> Recording:
+def _run_virtual(options: Options, cell: CellModel, camera: FocusController, hold_s: float) -> RunRecord:
     def turn_the_dial(time_s: float) -> None:
         camera.desired_distance_m = desired_at(time_s, hold_s)
 
@@ -106,7 +105,7 @@ def _run_virtual(options: Options, cell: CellModel, camera: FocusController, hol
     return record(options, camera, leader, before_cycle=turn_the_dial)
 
 
-def _run_live(options: Options, cell: CellModel, hold_s: float) -> Recording:
+def _run_live(options: Options, cell: CellModel, hold_s: float) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     distances = [f"{distance:g}" for distance in DISTANCES_M]
@@ -146,7 +145,7 @@ def _why(near_limit: NDArray[np.bool_], evading: NDArray[np.bool_], on_average: 
     return " and ".join(found) if found else "the arm reaches no farther, or the camera is still on its way"
 
 
-def _views(cell: CellModel, recording: Recording, camera: FocusController, hold_s: float) -> Views:
+def _views(cell: CellModel, recording: RunRecord, camera: FocusController, hold_s: float) -> Views:
     trace = recording.trace
     views = trace.views(camera, FOLLOWER, LEADER)
     return Views(
@@ -158,17 +157,17 @@ def _views(cell: CellModel, recording: Recording, camera: FocusController, hold_
     )
 
 
-def _panels(clock: Array, views: Views) -> tuple[Panel, ...]:
+def _panels(clock: Array, views: Views) -> tuple[FigurePanel, ...]:
     marks = (
         Marks("joint near its limit", clock, views.near_limit),
         Marks("F_rep acts", clock, views.evading),
     )
     return (
-        Panel("View angle error", "deg", (Line("", clock, views.angle_deg),), marks, bound=1.0),
-        Panel(
+        FigurePanel("View angle error", "deg", (Curve("", clock, views.angle_deg),), marks, bound=1.0),
+        FigurePanel(
             "View distance",
             "m",
-            (Line("distance", clock, views.distance_m), Line("desired", clock, views.desired_m, "--")),
+            (Curve("distance", clock, views.distance_m), Curve("desired", clock, views.desired_m, "--")),
             marks,
         ),
     )

@@ -5,19 +5,18 @@ With the name or the file of a cell it prints that cell's instead.
 
 from __future__ import annotations
 
-import io
 import sys
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
+import yaml
 
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
 from deltaq_launch.services import Role, Service, cell_services, demo_controllers
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
-FILE = Path(__file__).parents[1] / "compose.yaml"
+FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
 CELL = "lab"
 HEADER = """\
 # The lab cell in containers: the services of `deltaq up`, and with `--profile demo` the controllers of
@@ -58,13 +57,17 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
 
 def compose_text(cell_name: str = CELL) -> str:
     """The same as YAML, with its header."""
-    yaml = YAML()
-    yaml.default_flow_style = False
-    yaml.width = 110
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    stream = io.StringIO()
-    yaml.dump(compose_document(cell_name), stream)
-    return HEADER + stream.getvalue()
+    return HEADER + yaml.dump(compose_document(cell_name), Dumper=_Indented, sort_keys=False)
+
+
+class _Indented(yaml.SafeDumper):
+    """Indents lists below their key, as compose files have them, and writes none twice as an alias."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> None:  # noqa: ARG002 # PyYAML asks
+        super().increase_indent(flow, indentless=False)
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 # PyYAML asks
+        return True
 
 
 def _container(service: Service, cell_name: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 
 from deltaq_cell.description import CellDescription
-from deltaq_launch.findings import Finding, Verdict
+from deltaq_launch.findings import DoctorFinding, Rating
 from deltaq_launch.launcher import LaunchError, check_ports
 from deltaq_launch.rates import percentile
 from deltaq_launch.real_time import examine_real_time
@@ -22,7 +22,7 @@ PACKAGES = ("deltaq", "eclipse-zenoh", "msgpack", "numpy", "pydantic", "pin", "c
 BINDINGS = ("pinocchio", "coal")
 
 
-def examine(cell: CellDescription, cell_name: str) -> list[Finding]:
+def examine(cell: CellDescription, cell_name: str) -> list[DoctorFinding]:
     """Check this machine for one cell."""
     return [
         _python(),
@@ -35,26 +35,26 @@ def examine(cell: CellDescription, cell_name: str) -> list[Finding]:
     ]
 
 
-def _python() -> Finding:
+def _python() -> DoctorFinding:
     fit = sys.version_info >= (3, 11)
-    return Finding(
+    return DoctorFinding(
         "Python",
         platform.python_version(),
-        Verdict.GOOD if fit else Verdict.BAD,
+        Rating.GOOD if fit else Rating.BAD,
         "" if fit else "3.11 or newer",
     )
 
 
-def _cores() -> Finding:
+def _cores() -> DoctorFinding:
     cores = len(os.sched_getaffinity(0))
     if cores >= 4:
-        return Finding("cores", str(cores), Verdict.GOOD)
-    return Finding(
-        "cores", str(cores), Verdict.FAIR, "a service each wants a core of its own; 4 are comfortable"
+        return DoctorFinding("cores", str(cores), Rating.GOOD)
+    return DoctorFinding(
+        "cores", str(cores), Rating.FAIR, "a service each wants a core of its own; 4 are comfortable"
     )
 
 
-def _clock(cycle_s: float) -> Finding:
+def _clock(cycle_s: float) -> DoctorFinding:
     late = []
     for _ in range(NAPS):
         begin = time.monotonic()
@@ -64,43 +64,43 @@ def _clock(cycle_s: float) -> Finding:
     p99 = percentile(late, 0.99)
     found = f"wakes up {percentile(late, 0.5) * 1e6:.0f} us late, p99 {p99 * 1e6:.0f} us"
     if p99 < cycle_s / 4:
-        return Finding("clock", found, Verdict.GOOD)
-    return Finding(
-        "clock", found, Verdict.FAIR, f"a cycle is {cycle_s * 1e6:.0f} us: find out what else runs here"
+        return DoctorFinding("clock", found, Rating.GOOD)
+    return DoctorFinding(
+        "clock", found, Rating.FAIR, f"a cycle is {cycle_s * 1e6:.0f} us: find out what else runs here"
     )
 
 
-def _ports(cell: CellDescription, cell_name: str) -> list[Finding]:
+def _ports(cell: CellDescription, cell_name: str) -> list[DoctorFinding]:
     findings = []
     for service in cell_services(cell, cell_name):
         ports = ", ".join(f"{listener.transport} {listener.port}" for listener in service.listens)
         try:
             check_ports([service])
         except LaunchError as error:
-            findings.append(Finding(f"ports of {service.name}", ports, Verdict.BAD, str(error)))
+            findings.append(DoctorFinding(f"ports of {service.name}", ports, Rating.BAD, str(error)))
         else:
-            findings.append(Finding(f"ports of {service.name}", f"{ports} free", Verdict.GOOD))
+            findings.append(DoctorFinding(f"ports of {service.name}", f"{ports} free", Rating.GOOD))
     return findings
 
 
-def _packages() -> list[Finding]:
+def _packages() -> list[DoctorFinding]:
     findings = []
     for package in PACKAGES:
         try:
-            findings.append(Finding(package, version(package), Verdict.GOOD))
+            findings.append(DoctorFinding(package, version(package), Rating.GOOD))
         except PackageNotFoundError:
-            findings.append(Finding(package, "missing", Verdict.BAD, "pip install 'deltaq[all]'"))
+            findings.append(DoctorFinding(package, "missing", Rating.BAD, "pip install 'deltaq[all]'"))
     return findings
 
 
-def _bindings() -> list[Finding]:
+def _bindings() -> list[DoctorFinding]:
     findings = []
     for module in BINDINGS:
         try:
             importlib.import_module(module)
         except ImportError as error:
             advice = "install the library named (libgomp1 on Debian and Ubuntu), or pip install 'deltaq[all]'"
-            findings.append(Finding(f"import {module}", str(error), Verdict.BAD, advice))
+            findings.append(DoctorFinding(f"import {module}", str(error), Rating.BAD, advice))
         else:
-            findings.append(Finding(f"import {module}", "works", Verdict.GOOD))
+            findings.append(DoctorFinding(f"import {module}", "works", Rating.GOOD))
     return findings

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class Rating(StrEnum):
     """Good; works but not at its best; will not work."""
 
     GOOD = "good"
@@ -15,10 +15,10 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """One check; advice is empty where nothing needs to be done."""
 
     what: str
     found: str
-    verdict: Verdict
+    verdict: Rating
     advice: str = ""

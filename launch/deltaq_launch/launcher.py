@@ -15,7 +15,7 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
-from deltaq_launch.services import BRAKING_ROLES, Listener, Service
+from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 
@@ -238,7 +238,7 @@ def check_ports(services: Iterable[Service]) -> None:
                 ) from error
 
 
-def _bind(listener: Listener) -> None:
+def _bind(listener: ListeningSocket) -> None:
     kind = socket.SOCK_STREAM if listener.transport == "tcp" else socket.SOCK_DGRAM
     family = socket.AF_INET6 if ":" in listener.address else socket.AF_INET
     with socket.socket(family, kind) as probe:

@@ -33,14 +33,14 @@ class _Panel(BaseModel):
 
 
 @dataclass(frozen=True)
-class Answer:
+class ProbeAnswer:
     """A service's report on itself."""
 
     healthy: bool
     detail: str
 
 
-def probe(service: Service, cell: CellDescription) -> Answer:
+def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
     """Ask a service for its health.
 
     Raises:
@@ -61,7 +61,7 @@ def probe(service: Service, cell: CellDescription) -> Answer:
             assert_never(service.probe)
 
 
-def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> Answer:
+def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeAnswer:
     import zenoh
 
     from deltaq_services.guarded_key import guarded_seal
@@ -77,23 +77,23 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> Answer
                     raise _silent(name, endpoint)
                 time.sleep(0.01)
             health = unpack(Health, seal.open(key, sample.payload.to_bytes()))
-            return Answer(health.healthy, health.detail)
+            return ProbeAnswer(health.healthy, health.detail)
     finally:
         session.close()
 
 
-def _ask_hli(cell: CellDescription) -> Answer:
+def _ask_hli(cell: CellDescription) -> ProbeAnswer:
     from deltaq_launch.cell_connection import connect
 
     with connect(cell, "deltaq health") as running:
         status = running.status()
     if status.gate_age_s is None or status.gate_age_s > topics.HEALTH.age_s(cell.cycle_s):
-        return Answer(False, "the SIM is silent")
+        return ProbeAnswer(False, "the SIM is silent")
     lagging = f", lagging: {'; '.join(status.lagging)}" if status.lagging else ""
-    return Answer(True, f"{len(status.robots)} robots{lagging}")
+    return ProbeAnswer(True, f"{len(status.robots)} robots{lagging}")
 
 
-def _ask_panel(name: str, endpoint: str) -> Answer:
+def _ask_panel(name: str, endpoint: str) -> ProbeAnswer:
     address, _, port = endpoint.removeprefix("udp/").rpartition(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
         panel.settimeout(TIMEOUT_S)
@@ -103,7 +103,7 @@ def _ask_panel(name: str, endpoint: str) -> Answer:
             answer = _Panel.model_validate_json(panel.recv(65536))
         except (OSError, ValueError) as error:
             raise _silent(name, endpoint) from error
-    return Answer(answer.ok, answer.message or answer.state)
+    return ProbeAnswer(answer.ok, answer.message or answer.state)
 
 
 def _silent(name: str, endpoint: str) -> ServiceUnreachableError:

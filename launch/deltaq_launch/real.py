@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from deltaq_cell.description import CellDescription, RsiDriver
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.find import resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_protocol.errors import DeltaqError
@@ -38,7 +38,7 @@ def refuse_unreal(cell: CellDescription, file: Path, robots: Iterable[str]) -> N
 def _reasons(cell: CellDescription, file: Path, name: str) -> Iterator[str]:
     robot = cell.robots[name]
     driver = robot.driver
-    if not isinstance(driver, RsiDriver):
+    if not isinstance(driver, RsiDescription):
         return
     where = f"robots.{name}.driver"
     config = load_ethernet_xml(resolve_near(file, driver.ethernet_xml))

@@ -7,7 +7,7 @@ import resource
 from contextlib import suppress
 from pathlib import Path
 
-from deltaq_launch.findings import Finding, Verdict
+from deltaq_launch.findings import DoctorFinding, Rating
 
 ASKED = 20
 """The highest priority of SCHED_FIFO that a service asks for: that of the Robot Servers."""
@@ -15,7 +15,7 @@ _THROTTLE_US = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _PERIOD_US = Path("/proc/sys/kernel/sched_rt_period_us")
 
 
-def examine_real_time() -> list[Finding]:
+def examine_real_time() -> list[DoctorFinding]:
     """Ask as a service does, and check what keeps real-time services from starving the machine."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     return [
@@ -24,7 +24,7 @@ def examine_real_time() -> list[Finding]:
     ]
 
 
-def judge_priority(given: bool, limit: int) -> Finding:
+def judge_priority(given: bool, limit: int) -> DoctorFinding:
     """Result of asking for real-time priority.
 
     Args:
@@ -34,17 +34,17 @@ def judge_priority(given: bool, limit: int) -> Finding:
     what, asked = "real-time priority", f"asked for SCHED_FIFO {ASKED}"
     bound = "unlimited" if limit == resource.RLIM_INFINITY else str(limit)
     if given:
-        return Finding(what, f"{asked}: given (RLIMIT_RTPRIO {bound})", Verdict.GOOD)
-    return Finding(
+        return DoctorFinding(what, f"{asked}: given (RLIMIT_RTPRIO {bound})", Rating.GOOD)
+    return DoctorFinding(
         what,
         f"{asked}: refused (RLIMIT_RTPRIO {bound}); services run as SCHED_OTHER",
-        Verdict.FAIR,
+        Rating.FAIR,
         f"write `@realtime - rtprio {ASKED}` into /etc/security/limits.d/realtime.conf, join the group realtime and "
         "log in again; in a container, --cap-add SYS_NICE",
     )
 
 
-def judge_throttling(runtime_us: int | None, period_us: int | None) -> Finding:
+def judge_throttling(runtime_us: int | None, period_us: int | None) -> DoctorFinding:
     """Whether the kernel reserves a fraction of the time for other programs, whatever real-time processes do.
 
     Args:
@@ -53,15 +53,17 @@ def judge_throttling(runtime_us: int | None, period_us: int | None) -> Finding:
     """
     what = "real-time throttling"
     if runtime_us is None or not period_us:
-        return Finding(
-            what, "not told by this kernel", Verdict.FAIR, "see sched_rt_runtime_us of your kernel"
+        return DoctorFinding(
+            what, "not told by this kernel", Rating.FAIR, "see sched_rt_runtime_us of your kernel"
         )
     if 0 <= runtime_us < period_us:
-        return Finding(what, f"real-time processes get {runtime_us / period_us:.0%} at most", Verdict.GOOD)
-    return Finding(
+        return DoctorFinding(
+            what, f"real-time processes get {runtime_us / period_us:.0%} at most", Rating.GOOD
+        )
+    return DoctorFinding(
         what,
         "off: a real-time process that never waits keeps its core for ever",
-        Verdict.FAIR,
+        Rating.FAIR,
         "sysctl -w kernel.sched_rt_runtime_us=950000 leaves 5 % to other programs",
     )
 

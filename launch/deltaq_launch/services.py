@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-from deltaq_cell.description import CellDescription, RsiDriver
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.errors import DeltaqError
 
 
@@ -42,7 +42,7 @@ class Probe(StrEnum):
 
 
 @dataclass(frozen=True)
-class Listener:
+class ListeningSocket:
     """A socket that a service listens on.
 
     Attributes:
@@ -77,7 +77,7 @@ class Service:
     role: Role
     arguments: tuple[str, ...]
     needs: tuple[str, ...] = ()
-    listens: tuple[Listener, ...] = ()
+    listens: tuple[ListeningSocket, ...] = ()
     robot: str | None = None
     probe: Probe | None = None
     endpoint: str | None = None
@@ -100,9 +100,9 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
     for name, robot in cell.robots.items():
         server = f"robot-server-{name}"
         listens = [_tcp(robot.server, f"robots.{name}.server")]
-        if isinstance(robot.driver, RsiDriver):
+        if isinstance(robot.driver, RsiDescription):
             driver = robot.driver
-            listens.append(Listener("udp", driver.address, driver.port, f"robots.{name}.driver.port"))
+            listens.append(ListeningSocket("udp", driver.address, driver.port, f"robots.{name}.driver.port"))
         services.append(
             Service(
                 name=server,
@@ -114,7 +114,7 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
                 endpoint=robot.server,
             )
         )
-        if not real and isinstance(robot.driver, RsiDriver):
+        if not real and isinstance(robot.driver, RsiDescription):
             services.append(_emulator(name, robot.driver, arguments, needs=server))
     services.append(
         Service(
@@ -133,7 +133,10 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
             role=Role.HLI,
             arguments=("-m", "deltaq_services.hli", *arguments),
             needs=("sim",),
-            listens=(_tcp(cell.hli, "hli"), Listener("tcp", cell.tcp_address, cell.tcp_port, "tcp_port")),
+            listens=(
+                _tcp(cell.hli, "hli"),
+                ListeningSocket("tcp", cell.tcp_address, cell.tcp_port, "tcp_port"),
+            ),
             probe=Probe.STATUS_QUERY,
             endpoint=cell.hli,
         )
@@ -187,12 +190,12 @@ def _unknown(services: Sequence[Service], name: str) -> UnknownServiceError:
     return UnknownServiceError(f"no service {name!r} in this cell; it has {allowed}")
 
 
-def _tcp(endpoint: str, field: str) -> Listener:
+def _tcp(endpoint: str, field: str) -> ListeningSocket:
     address, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-    return Listener("tcp", address, int(port), field)
+    return ListeningSocket("tcp", address, int(port), field)
 
 
-def _emulator(robot: str, driver: RsiDriver, arguments: tuple[str, ...], needs: str) -> Service:
+def _emulator(robot: str, driver: RsiDescription, arguments: tuple[str, ...], needs: str) -> Service:
     # a KRC gives up after some cycles without a reply, so the one who replies comes first
     panel = driver.control_port
     where = f"robots.{robot}.driver.control_port"
@@ -201,7 +204,7 @@ def _emulator(robot: str, driver: RsiDriver, arguments: tuple[str, ...], needs: 
         role=Role.EMULATOR,
         arguments=("-m", "deltaq_emulator", *arguments, "--robot", robot),
         needs=(needs,),
-        listens=() if panel is None else (Listener("udp", driver.address, panel, where),),
+        listens=() if panel is None else (ListeningSocket("udp", driver.address, panel, where),),
         robot=robot,
         probe=None if panel is None else Probe.PANEL,
         endpoint=None if panel is None else f"udp/{driver.address}:{panel}",

@@ -38,7 +38,7 @@ from deltaq_protocol.messages import (
 T = TypeVar("T")
 
 
-class Opening(AbstractContextManager[T]):
+class BlockingOpening(AbstractContextManager[T]):
     """A manager that has `open` and `close` too, for notebooks; it opens once.
 
     If it is not closed, it closes when the interpreter ends.
@@ -183,9 +183,11 @@ class BlockingCell:
         """The running cell: phases, leases, ages, counters; see `Cell.status`."""
         return self._background.run(self._cell.status())
 
-    def lease(self, robot: str, client: str | None = None, take: bool = False) -> Opening[BlockingRobot]:
+    def lease(
+        self, robot: str, client: str | None = None, take: bool = False
+    ) -> BlockingOpening[BlockingRobot]:
         """Hold the lease of a robot for the length of a block, or from `open` to `close`; see `Cell.lease`."""
-        opening: Opening[BlockingRobot] = Opening(
+        opening: BlockingOpening[BlockingRobot] = BlockingOpening(
             self._leased(robot, client, take, close=lambda: opening.close())
         )
         return opening
@@ -204,12 +206,12 @@ class BlockingCell:
 
 def connect(
     address: str = asynchronous.DEFAULT_ADDRESS, client: str = "python", token: str | None = None
-) -> Opening[BlockingCell]:
+) -> BlockingOpening[BlockingCell]:
     """Connect to a running cell for the length of a block, or from `open` to `close`.
 
     See `deltaq_protocol.client.connect`.
     """
-    opening: Opening[BlockingCell] = Opening(
+    opening: BlockingOpening[BlockingCell] = BlockingOpening(
         _connected(address, client, token, close=lambda: opening.close())
     )
     return opening

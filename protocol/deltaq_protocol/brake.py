@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _ROUNDING = 1e-9
 """Relative slack below which a quotient counts as the whole number beneath it."""

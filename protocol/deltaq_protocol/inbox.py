@@ -17,7 +17,7 @@ _ITEMS_A_TURN = 32
 """Items taken before the loop turns to other work, so that one flood does not starve the rest."""
 
 
-class Inbox(Generic[T]):
+class ClientInbox(Generic[T]):
     """Items put by any thread and taken by the loop, in order; when it is full the oldest is dropped.
 
     Args:

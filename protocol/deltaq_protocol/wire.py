@@ -11,7 +11,7 @@ import zenoh
 
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.messages import Error, Message
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
@@ -31,7 +31,7 @@ class Wire:
     def __init__(self, session: Any, loop: asyncio.AbstractEventLoop) -> None:
         self._session = session
         self._loop = loop
-        self._declared: list[tuple[Any, Inbox[zenoh.Sample]]] = []
+        self._declared: list[tuple[Any, ClientInbox[zenoh.Sample]]] = []
 
     async def ask(
         self, topic: Topic, cell: str, request: Message, robot: str = "", deadline_s: float = QUERY_DEADLINE_S
@@ -87,7 +87,7 @@ class Wire:
 
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
         """Call `take` in the loop with the samples of a key; of waiting samples the newest `capacity` are kept."""
-        inbox = Inbox[zenoh.Sample](self._loop, take, capacity)
+        inbox = ClientInbox[zenoh.Sample](self._loop, take, capacity)
         callback = zenoh.handlers.Callback(inbox.put, indirect=False)
         self._declared.append((self._session.declare_subscriber(key, callback), inbox))
 

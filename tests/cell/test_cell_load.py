@@ -1,5 +1,6 @@
 """Loading a cell: every way a file can be wrong is told with its place, all at once."""
 
+import math
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell, load_with_text, parse_cell
 from deltaq_cell.problems import CellError, Problem
+from deltaq_cell.yaml_tree import parse
 
 MINI = """\
 cell: mini
@@ -169,7 +171,12 @@ NO_CELL = [
     ("cell: a\x00\n", 0, "not YAML: "),
     ("cell: a\n1: b\n", 2, "the key 1 must be text"),
     ("a: " + "[" * 30 + "]" * 30, 1, "nested deeper than 24"),
-    ("a: " + "[" * 400 + "]" * 400, 0, "not YAML: "),
+    ("a: " + "[" * 400 + "]" * 400, 1, "nested deeper than 24"),
+    ("[" * (1 << 19), 1, "nested deeper than 24"),
+    ("cell: a\n? [b]\n: c\n", 2, "not YAML: "),
+    ("cell: &a\n  b: *a\n", 2, "would contain itself"),
+    ("cell: !!binary aaaa\n", 1, "means nothing here"),
+    ("cell: a\n<<: 3\n", 2, "'<<' merges a mapping"),
     ("a: &a [1]\n" + "".join(f"b{i}: &b{i} [{', '.join([f'*b{i - 1}' if i else '*a'] * 10)}]\n" for i in range(9)),
      None, "look at its aliases"),
 ]  # fmt: skip
@@ -183,6 +190,28 @@ def test_what_is_no_mapping_of_yaml_is_told_with_its_line(
     assert problem.file == "lab.yaml"
     assert message in problem.message
     assert line is None or problem.line == line
+
+
+WORDS = [
+    ("no", "no"), ("yes", "yes"), ("on", "on"), ("true", True), ("FALSE", False), ("~", None), ("", None), ("'1'", "1"),
+    ("010", 10), ("0o10", 8), ("0x1F", 31), ("+12", 12), ("1e3", 1000.0), ("1e-05", 1e-05), (".5", 0.5),
+    ("-.inf", -math.inf), ("1:30", "1:30"), ("2001-01-01", "2001-01-01"), ("1_000", "1_000"),
+    ("!!str 1", "1"), ("!!float 1", 1.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("word", "value"), WORDS, ids=[row[0] or "nothing" for row in WORDS])
+def test_a_word_means_what_the_core_schema_of_yaml_1_2_says(word: str, value: object) -> None:
+    found = parse(f"a: {word}\n", "words.yaml").plain()["a"]
+    assert (type(found), found) == (type(value), value)
+
+
+def test_merged_keys_give_way_to_those_of_the_mapping_and_to_those_merged_first() -> None:
+    text = "a: &a {x: 1, y: 1}\nb: &b {y: 2, z: 2}\nc:\n  <<: [*a, *b]\n  x: 3\n"
+    tree = parse(text, "merge.yaml")
+    assert tree.plain()["c"] == {"x": 3, "y": 1, "z": 2}
+    (merged, _) = tree.find(("c", "z"))
+    assert (merged.file, merged.line) == ("merge.yaml", 4)
 
 
 def test_a_value_that_contains_itself_ends_in_problems_not_in_a_loop(tmp_path: Path) -> None:

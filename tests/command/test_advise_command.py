@@ -158,6 +158,7 @@ def executed(cell: Path, *arguments: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.nightly
 @pytest.mark.live
 def test_an_option_is_driven_to_through_the_gate_with_the_hands_still(cell: Path) -> None:
     found = executed(cell, "--options", "3")

@@ -134,7 +134,7 @@ def test_the_doctor_says_what_it_found_about_this_machine(cell: str) -> None:
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys; from deltaq_command.app import app;"
-        "heavy = {'pinocchio', 'coal', 'matplotlib', 'deltaq_experiments', 'ruamel'};"
+        "heavy = {'pinocchio', 'coal', 'matplotlib', 'deltaq_experiments', 'yaml'};"
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -55,6 +55,7 @@ def test_the_demonstration_moves_both_arms_tells_its_figures_and_leaves_nothing_
     assert processes_of(tmp_path) == []
 
 
+@pytest.mark.nightly
 def test_ctrl_c_ends_the_demonstration_early_with_the_robots_at_rest(tmp_path: Path) -> None:
     with demo(tmp_path, 600.0) as running:
         assert running.stderr is not None

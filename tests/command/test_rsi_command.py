@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from emulated import emulator
 from private_cell import free_ports, write_private_cell
 from typer.testing import CliRunner
 
@@ -20,19 +19,6 @@ from deltaq_protocol.errors import ServiceUnreachableError
 
 PATIENCE_S = 60.0
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
-
-
-@contextmanager
-def emulator(cell: Path, robot: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "deltaq_emulator", "--cell", str(cell), "--robot", robot]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("ready")
-        yield process
-    finally:
-        process.terminate()
-        process.communicate(timeout=PATIENCE_S)
 
 
 def rsi(*arguments: str) -> tuple[int, dict[str, Any]]:

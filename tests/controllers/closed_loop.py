@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera
@@ -16,8 +15,7 @@ from deltaq_controllers.camera.controller import CameraController
 from deltaq_controllers.camera.follower import CORRECTED, CameraFollower, FollowerGains, Variants
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 CYCLE_S = 0.012
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
@@ -14,10 +13,9 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Verdict
 from deltaq_verification.virtual_cell.cell import VirtualCell
-
-Array = NDArray[np.float64]
 
 CYCLE_S = 0.012
 

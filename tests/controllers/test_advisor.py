@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import DRIVABLE, NOT_LOOKED_FOR, Option, Progress, advise
@@ -15,14 +14,13 @@ from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.methods import METHODS
 from deltaq_controllers.advisor.motion_validator import FINE, LEAP, MotionValidator
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
-from deltaq_controllers.advisor.problem import AdvisorError, Problem
+from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, search
 from deltaq_controllers.advisor.seeding import feasible
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 CELL = CellModel.load("dawm")
 DAWM = CELL.robots["dawm"]
@@ -30,14 +28,14 @@ TRACKER = ConstraintTracker(DAWM)
 EXACT = ExactClearance(CELL, "dawm")
 
 
-def problem(q: Array = DAWM.home, **weights: float) -> Problem:
-    return Problem(CELL, "dawm", TRACKER.hands(q), weights or None, TRACKER)
+def problem(q: Array = DAWM.home, **weights: float) -> AdvisorProblem:
+    return AdvisorProblem(CELL, "dawm", TRACKER.hands(q), weights or None, TRACKER)
 
 
-def out_of_reach() -> Problem:
+def out_of_reach() -> AdvisorProblem:
     poses = TRACKER.hands(DAWM.home)
     poses[:, 0, 3] += 5.0
-    return Problem(CELL, "dawm", poses, None, TRACKER)
+    return AdvisorProblem(CELL, "dawm", poses, None, TRACKER)
 
 
 @pytest.fixture(scope="module")
@@ -281,24 +279,24 @@ def test_a_method_that_there_is_none_is_refused_by_name() -> None:
 def test_poses_that_are_none_are_refused() -> None:
     poses = TRACKER.hands(DAWM.home)
     with pytest.raises(AdvisorError, match=r"shape \(2, 4, 4\), got \(1, 4, 4\)"):
-        Problem(CELL, "dawm", poses[:1], None, TRACKER)
+        AdvisorProblem(CELL, "dawm", poses[:1], None, TRACKER)
     with pytest.raises(AdvisorError, match="proper rotation matrices"):
-        Problem(CELL, "dawm", 2 * poses, None, TRACKER)
+        AdvisorProblem(CELL, "dawm", 2 * poses, None, TRACKER)
 
 
 def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
     lab = CellModel.load("lab")
     fr = lab.robots["fr"]
     with pytest.raises(AdvisorError, match="'fr' is not redundant"):
-        Problem(lab, "fr", fr.forward(fr.home)[None])
+        AdvisorProblem(lab, "fr", fr.forward(fr.home)[None])
     with pytest.raises(AdvisorError, match="no robot 'xy'; it has fr, gr"):
-        Problem(lab, "xy", fr.forward(fr.home)[None])
+        AdvisorProblem(lab, "xy", fr.forward(fr.home)[None])
 
 
 def test_the_gantry_robot_is_advised_too() -> None:
     lab = CellModel.load("lab")
     gr = lab.robots["gr"]
-    task = Problem(lab, "gr", gr.forward(gr.home)[None])
+    task = AdvisorProblem(lab, "gr", gr.forward(gr.home)[None])
     pool = search(task, np.random.default_rng(14), effort=0.1)
     assert len(pool.q) >= 3
     for q in pool.q[:5]:

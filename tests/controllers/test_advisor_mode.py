@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from advising import advised, advisor_of
 from driving import PlainDrive, StackDrive, model
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.interface import ControllerError
@@ -14,9 +13,8 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import NOTHING_FOUND
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
-
-Array = NDArray[np.float64]
 
 KEPT_M, KEPT_RAD = 1e-4, np.deg2rad(0.01)
 LONGEST_CYCLES = 4000

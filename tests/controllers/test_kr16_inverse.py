@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
 from deltaq_cell.models import load_urdf
 from deltaq_controllers.inverse.kr16 import FOREARM_ANGLE, Kr16Inverse
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 kr16 = Kr16Inverse()
 model = pin.buildModelFromXML(load_urdf("kr16").text)

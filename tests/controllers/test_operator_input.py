@@ -34,7 +34,7 @@ def script(folder: Path, text: str, mode: ModeName = ModeName.JOINT) -> Script:
     [
         ("", "a script is a list of steps such as"),
         ("duration_s: 1", "a script is a list of steps such as"),
-        ("- {duration_s: 1", "task.yaml: not YAML"),
+        ("- {duration_s: 1", "task.yaml:2: not YAML: did not find expected"),
         ("- {duration_s: 1}\n- 7", "task.yaml:2: Input should be a valid dictionary.*got 7"),
         ("- {duration: 1}", "task.yaml:1: duration_s: Field required"),
         ("- {duration_s: 0}", r"task.yaml:1: duration_s: Input should be greater than 0; got 0"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from closed_loop import CYCLE_S, Servo, lab, limit_violations, with_camera
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import Camera, Pose
@@ -16,8 +15,7 @@ from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 def follower(

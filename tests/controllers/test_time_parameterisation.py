@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, advise
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.time_parameterisation import Route, timed
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 CELL = CellModel.load("dawm")
 DAWM = CELL.robots["dawm"]
@@ -22,7 +20,7 @@ CYCLE_S = CELL.description.cycle_s
 
 @pytest.fixture(scope="module")
 def option() -> Option:
-    task = Problem(CELL, "dawm", TRACKER.hands(DAWM.home), None, TRACKER)
+    task = AdvisorProblem(CELL, "dawm", TRACKER.hands(DAWM.home), None, TRACKER)
     found = advise(task, DAWM.home, generator=np.random.default_rng(1), options=3)
     return next(option for option in found if option.path is not None)
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from deltaq_controllers.inverse.branches import InverseError
 from deltaq_controllers.inverse.titan import TitanInverse, TitanLengths
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 titan = TitanInverse()
 LOWER = np.deg2rad([-120, -30, -135, -90, -90, -180])

@@ -11,7 +11,7 @@ from installed import ROOT, Installed
 
 pytestmark = pytest.mark.long
 
-HEAVY = {"typer", "rich", "pinocchio", "coal", "numba", "ruamel.yaml", "matplotlib", "mcap"}
+HEAVY = {"typer", "rich", "pinocchio", "coal", "numba", "yaml", "matplotlib", "mcap"}
 INSTALL_PAGE = ROOT / "docs" / "how-to" / "install.md"
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from emulated import emulator
 from private_cell import write_private_cell
-from test_rsi_command import emulator
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.krc.pendant import PENDANT, table

@@ -35,6 +35,22 @@ def test_every_link_to_a_file_leads_somewhere(document: Path) -> None:
     assert dead == []
 
 
+@pytest.mark.parametrize("document", [ROOT / "CONTRIBUTING.md", ROOT / "docs/explanation/architecture.md"])
+def test_every_file_that_a_map_of_the_tree_names_is_there(document: Path) -> None:
+    named = set(re.findall(r"`([\w./]+(?:/|\.py))`", document.read_text(encoding="utf-8")))
+    tree = [
+        path
+        for folder in ROOT.glob("[!.]*/")
+        for path in folder.rglob("*")
+        if "__pycache__" not in path.parts
+    ]
+    there = {
+        "/" + str(path.relative_to(ROOT)) + "/" * path.is_dir() for path in (*ROOT.glob("[!.]*/"), *tree)
+    }
+    assert named
+    assert [name for name in sorted(named) if not any(path.endswith("/" + name) for path in there)] == []
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
 def test_every_deltaq_command_in_the_documents_is_understood(document: Path) -> None:
     text = document.read_text(encoding="utf-8")

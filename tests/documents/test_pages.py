@@ -22,7 +22,7 @@ PAGES = [
     *sorted((DOCS / "tutorial").glob("*.md")),
     *sorted((DOCS / "how-to").glob("*.md")),
 ]
-SHORT = ("first-motion.md", "describe-a-cell.md", "record.md")
+SHORT = ("first-motion.md",)
 """What a reader does first; the other pages follow in `make nightly`."""
 
 NOT_RUN = {

@@ -16,7 +16,7 @@ import pytest
 import RSIPI
 from private_cell import free_ports, write_private_cell
 
-from deltaq_cell.description import RobotDescription, RsiDriver
+from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 
@@ -32,7 +32,7 @@ class Emulated:
     def __init__(self, cell: Path, robot: str) -> None:
         self.robot: RobotDescription = load_cell(cell).robots[robot]
         driver = self.robot.driver
-        assert isinstance(driver, RsiDriver)
+        assert isinstance(driver, RsiDescription)
         assert driver.control_port is not None
         self.server = (driver.address, driver.port)
         self._panel_address = (driver.address, driver.control_port)
@@ -255,7 +255,7 @@ def test_what_cannot_be_started_is_said_in_one_line(arguments: list[str], messag
 def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_own(tmp_path: Path) -> None:
     cell = write_private_cell(tmp_path)
     driver = load_cell(cell).robots["fr"].driver
-    assert isinstance(driver, RsiDriver)
+    assert isinstance(driver, RsiDescription)
     theirs = Path(RSIPI.context("joints")).read_text()
     ours = tmp_path / "rsipi_ethernet.xml"
     ours.write_text(

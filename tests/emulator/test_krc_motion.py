@@ -7,7 +7,7 @@ import pytest
 from krc_bench import CYCLE_S, Bench, forward
 
 from deltaq_cell.description import ServoLag
-from deltaq_emulator.settings import Mode, SettingsError
+from deltaq_emulator.settings import OperatingMode, SettingsError
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.rsi import EthernetConfigError
 
@@ -122,9 +122,13 @@ def test_one_lost_telegram_at_a_degree_a_cycle_stops_nothing_and_at_twice_that_i
 
 
 def test_t1_allows_the_tool_a_quarter_of_a_metre_a_second() -> None:
-    for mode, speed_m_s, stops in ((Mode.T1, 0.24, False), (Mode.T1, 0.26, True), (Mode.AUT, 0.26, False)):
+    for mode, speed_m_s, stops in (
+        (OperatingMode.T1, 0.24, False),
+        (OperatingMode.T1, 0.26, True),
+        (OperatingMode.AUT, 0.26, False),
+    ):
         bench = Bench(("e1", "a1"), mode=mode)
-        if mode is Mode.T1:
+        if mode is OperatingMode.T1:
             bench.krc.confirm()
         speeds = np.minimum(np.arange(100) * 0.02, speed_m_s)
         bench.drive([position, 0.0] for position in np.cumsum(speeds) * CYCLE_S)

@@ -17,7 +17,7 @@ from deltaq_emulator.krc import START_CYCLES
 from deltaq_emulator.panel import MAX_AWAITED, Panel
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.settings import KrcSettings, Mode, SettingsError
+from deltaq_emulator.settings import KrcSettings, OperatingMode, SettingsError
 from deltaq_emulator.states import TRANSITIONS, KrcEvent, KrcState, NotNowError, after
 
 
@@ -138,8 +138,8 @@ def test_restarting_a_running_program_waits_until_the_robot_rests() -> None:
 def test_turning_the_key_stops_the_program_and_says_so() -> None:
     bench = Bench()
     bench.cycle()
-    bench.krc.set_mode(Mode.T1)
-    assert bench.krc.mode is Mode.T1
+    bench.krc.set_mode(OperatingMode.T1)
+    assert bench.krc.mode is OperatingMode.T1
     assert bench.krc.state is KrcState.READY
     assert str(bench.krc.message) == "Operating mode changed to T1"
     assert bench.krc.tick() is None

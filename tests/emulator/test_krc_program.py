@@ -7,7 +7,7 @@ import pytest
 from krc_bench import CYCLE_S, Bench
 
 from deltaq_cell.description import ServoLag
-from deltaq_emulator.settings import Mode
+from deltaq_emulator.settings import OperatingMode
 from deltaq_emulator.states import TELEGRAMS_GO_OUT, TRANSITIONS, KrcEvent, KrcState, NotNowError
 from deltaq_protocol.rsi import EthernetConfigError
 
@@ -87,7 +87,7 @@ def test_stop_ends_the_motion_when_it_rises_and_not_while_it_stays() -> None:
 def test_a_stop_that_was_up_before_rises_again_only_where_a_lost_telegram_takes_it_down(
     hold_on: int, ends: bool
 ) -> None:
-    bench = Bench(hold_on=hold_on, mode=Mode.T1)
+    bench = Bench(hold_on=hold_on, mode=OperatingMode.T1)
     bench.cycle(stop=True)  # before RSI_MOVECORR: nothing to end
     bench.krc.tick()
     bench.krc.confirm()
@@ -126,7 +126,7 @@ def test_a_stop_that_cannot_be_is_refused(tag: str, message: str) -> None:
 
 
 def test_in_t1_nothing_moves_before_the_warning_is_confirmed() -> None:
-    bench = Bench(mode=Mode.T1)
+    bench = Bench(mode=OperatingMode.T1)
     for _ in range(5):
         bench.cycle(0.001, gripper=True)
     bench.krc.tick()
@@ -144,14 +144,14 @@ def test_in_t1_nothing_moves_before_the_warning_is_confirmed() -> None:
 
 
 def test_late_replies_count_from_rsi_on() -> None:
-    bench = Bench(mode=Mode.T1, late_budget=3)
+    bench = Bench(mode=OperatingMode.T1, late_budget=3)
     bench.cycle()
     bench.silent(5)
     assert bench.krc.state is KrcState.STOPPED
 
 
 def test_there_is_nothing_to_confirm_outside_t1() -> None:
-    bench = Bench(mode=Mode.AUT)
+    bench = Bench(mode=OperatingMode.AUT)
     assert bench.krc.state is KrcState.RSI_RUNNING
     with pytest.raises(NotNowError, match="'confirm' is not possible while RSI running"):
         bench.krc.confirm()
@@ -160,7 +160,7 @@ def test_there_is_nothing_to_confirm_outside_t1() -> None:
 def test_a_key_turned_to_t1_asks_for_the_confirmation_at_the_next_start() -> None:
     bench = Bench()
     bench.cycle()
-    bench.krc.set_mode(Mode.T1)
+    bench.krc.set_mode(OperatingMode.T1)
     bench.krc.restart()
     while bench.krc.tick() is None:
         pass
@@ -179,7 +179,7 @@ def test_a_constant_relative_correction_is_a_constant_velocity() -> None:
 
 
 def test_increments_before_rsi_movecorr_are_not_summed_up() -> None:
-    bench = Bench(correction="relative", mode=Mode.T1)
+    bench = Bench(correction="relative", mode=OperatingMode.T1)
     for _ in range(10):
         bench.cycle(STEP)
     bench.krc.confirm()

@@ -15,7 +15,7 @@ from deltaq_experiments import approach, collision, step_bench, tracking, zoom
 from deltaq_experiments.claims import CLAIMS, Claim, page
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Line, Marks, Panel
+from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_protocol.errors import DeltaqError
 
 PNG = b"\x89PNG\r\n"
@@ -113,7 +113,7 @@ def test_a_latency_below_the_loops_own_is_refused() -> None:
 @pytest.mark.parametrize("name", ["figure.xyz", "no/such/folder/figure.png"])
 def test_a_picture_that_cannot_be_written_is_told(name: str, tmp_path: Path) -> None:
     clock = np.arange(3.0)
-    panel = Panel("p", "m", (Line("l", clock, clock),), (Marks("m", clock, clock > 1.0),), bound=1.0)
+    panel = FigurePanel("p", "m", (Curve("l", clock, clock),), (Marks("m", clock, clock > 1.0),), bound=1.0)
     with pytest.raises(DeltaqError, match="give a writable FILE"):
         draw([panel], "title", tmp_path / name)
 

@@ -31,6 +31,7 @@ def test_the_paper_keeps_the_leader_in_view_within_a_degree_and_two_centimetres(
     assert report["gate"]["refused"] == 0
 
 
+@pytest.mark.nightly
 @pytest.mark.live
 def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
     """Figures depend on the machine; what must hold on any is that both robots work and nothing is passed."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ruamel.yaml import YAML
+import yaml
 
 from deltaq_cell.load import load_cell
 from deltaq_launch.compose import FILE, compose_document, compose_text
@@ -74,7 +74,7 @@ def test_a_cell_off_the_loopback_gets_its_key_as_a_secret_of_those_who_need_it(t
     file = tmp_path / "compose.yaml"
     file.write_text(printed, encoding="utf-8")
     assert validate(str(file)).returncode == 0
-    document = YAML(typ="safe").load(printed)
+    document = yaml.safe_load(printed)
     keyed = {name for name, container in document["services"].items() if "secrets" in container}
     assert keyed == {"hli", "sim", "robot-server-fr", "robot-server-gr"}
     sim = document["services"]["sim"]

@@ -13,7 +13,7 @@ import pytest
 
 from deltaq_launch.child_process import Exited
 from deltaq_launch.launcher import Interrupted, Launcher, LaunchError, LaunchInterruptedError
-from deltaq_launch.services import Listener, Role, Service
+from deltaq_launch.services import ListeningSocket, Role, Service
 from deltaq_protocol.errors import DeltaqError
 
 SERVES = "import signal; print('ready: here', flush=True); signal.pause()"
@@ -122,7 +122,7 @@ def test_a_taken_port_is_named_before_anything_starts(transport: str, kind: int)
         if kind == socket.SOCK_STREAM:
             taken.listen()
         port = taken.getsockname()[1]
-        listener = Listener(transport, "127.0.0.1", port, "tcp_port")  # type: ignore[arg-type] # a parameter
+        listener = ListeningSocket(transport, "127.0.0.1", port, "tcp_port")  # type: ignore[arg-type] # a parameter
         with (
             Launcher([service("hli", SERVES, listens=(listener,))], nothing) as launcher,
             pytest.raises(

@@ -78,6 +78,7 @@ def on_other_ports(cell: str) -> str:
     return f"{cell}hli: tcp/127.0.0.1:{hli}\nsim: tcp/127.0.0.1:{sim}\ntcp_port: {tcp}\n"
 
 
+@pytest.mark.nightly
 def test_the_guide_leads_from_two_published_urdfs_to_a_replayed_motion(tmp_path: Path) -> None:
     find_file(
         "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
@@ -109,6 +110,7 @@ async def turn(running: Cell, robot: str) -> None:
             await leased.move([0.004, 0.0, 0.0])
 
 
+@pytest.mark.nightly
 async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,11 +8,11 @@ import threading
 
 import pytest
 
-from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.newest import Newest
 
 
-def flood(inbox: Inbox[int], items: int) -> None:
+def flood(inbox: ClientInbox[int], items: int) -> None:
     """Put from another thread while this one, the loop's, is busy."""
     thread = threading.Thread(target=lambda: [inbox.put(item) for item in range(items)])
     thread.start()
@@ -27,7 +27,7 @@ async def settled() -> None:
 
 async def test_what_comes_faster_than_it_is_taken_is_dropped_oldest_first_and_counted() -> None:
     taken: list[int] = []
-    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=256)
+    inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=256)
     flood(inbox, 100_000)
     await settled()
     assert taken == list(range(100_000 - 256, 100_000))
@@ -36,7 +36,7 @@ async def test_what_comes_faster_than_it_is_taken_is_dropped_oldest_first_and_co
 
 async def test_with_a_capacity_of_one_only_the_newest_is_taken() -> None:
     taken: list[int] = []
-    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=1)
+    inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=1)
     flood(inbox, 1000)
     await settled()
     assert taken == [999]
@@ -44,7 +44,7 @@ async def test_with_a_capacity_of_one_only_the_newest_is_taken() -> None:
 
 async def test_a_flood_lets_the_loop_turn_to_others_in_between() -> None:
     taken: list[int] = []
-    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=256)
+    inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=256)
     flood(inbox, 256)
     await asyncio.sleep(0)
     await asyncio.sleep(0)
@@ -57,7 +57,7 @@ async def test_an_item_that_cannot_be_taken_is_counted_and_logged_and_the_next_o
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     taken: list[float] = []
-    inbox = Inbox[int](asyncio.get_running_loop(), lambda item: taken.append(1 / item), capacity=8)
+    inbox = ClientInbox[int](asyncio.get_running_loop(), lambda item: taken.append(1 / item), capacity=8)
     with caplog.at_level(logging.ERROR):
         flood(inbox, 3)
         await settled()
@@ -67,7 +67,7 @@ async def test_an_item_that_cannot_be_taken_is_counted_and_logged_and_the_next_o
 
 async def test_after_closing_nothing_is_taken_any_more() -> None:
     taken: list[int] = []
-    inbox = Inbox(asyncio.get_running_loop(), taken.append, capacity=8)
+    inbox = ClientInbox(asyncio.get_running_loop(), taken.append, capacity=8)
     inbox.put(1)
     inbox.close()
     inbox.put(2)
@@ -77,7 +77,7 @@ async def test_after_closing_nothing_is_taken_any_more() -> None:
 
 def test_a_loop_that_has_ended_does_not_trouble_the_thread_that_puts() -> None:
     loop = asyncio.new_event_loop()
-    inbox = Inbox[int](loop, print, capacity=8)
+    inbox = ClientInbox[int](loop, print, capacity=8)
     loop.close()
     inbox.put(1)
 

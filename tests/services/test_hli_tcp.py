@@ -322,7 +322,7 @@ async def test_any_valid_line_keeps_the_leases_of_its_connection(
     async with json_client(running.port) as client:
         await running.peer.turn()
         await leased(client)
-        (lease,) = [lease for lease in [running.hli.core._books.leases.of("fr")] if lease]
+        (lease,) = [lease for lease in [running.hli.core._state.leases.of("fr")] if lease]
         before_s = lease.expires_s
         await client.ask("description", "io", "lease", "verdict", **line)
         assert lease.expires_s > before_s
@@ -332,7 +332,7 @@ async def test_a_malformed_line_does_not_keep_a_lease(running: Running) -> None:
     async with json_client(running.port) as client:
         await running.peer.turn()
         await leased(client)
-        (lease,) = [lease for lease in [running.hli.core._books.leases.of("fr")] if lease]
+        (lease,) = [lease for lease in [running.hli.core._state.leases.of("fr")] if lease]
         before_s = lease.expires_s
         for line in (b"nonsense\n", b'{"type":"io"}\n', b'{"type":"increment","robot":"fr"}\n'):
             client.send_bytes(line)

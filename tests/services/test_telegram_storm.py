@@ -8,9 +8,9 @@ from telegram_storm import Storm
 @pytest.mark.parametrize("seed", range(4))
 def test_no_telegram_moves_the_robot(seed):
     storm = Storm(seed)
-    storm.run(25_000)
-    assert storm.answers > 5_000
-    assert storm.admitted > 2_000
+    storm.run(8_000)
+    assert storm.answers > 2_500
+    assert storm.admitted > 1_000
     assert storm.krc.counters["session_restarted"] >= storm.sessions
     for counter in ("telegrams_implausible", "reply_missed", "braked_cycles"):
         assert storm.krc.counters[counter] > 0, counter

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deltaq_cell.description import JointDescription, RobotDescription, RsiDriver, ServoLag
+from deltaq_cell.description import JointDescription, RobotDescription, RsiDescription, ServoLag
 from deltaq_emulator.context import NOTHING, Context
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import PROFILES
@@ -60,7 +60,7 @@ def make_robot(joints: tuple[str, ...], servo_lag: ServoLag = NO_LAG, **driver: 
     return RobotDescription(
         model="kr16",
         server="tcp/127.0.0.1:1",
-        driver=RsiDriver(
+        driver=RsiDescription(
             kind="rsi",
             port=49152,
             ethernet_xml="none.xml",

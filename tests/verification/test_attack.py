@@ -17,9 +17,9 @@ def assert_nothing_gave_way(report):
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_thousands_of_decisions_under_attack_break_nothing(seed):
-    report = run(seed=seed, duration_s=30.0)
+    report = run(seed=seed, duration_s=15.0)
     assert_nothing_gave_way(report)
-    assert report.decided > 3000
+    assert report.decided > 1500
 
 
 def test_one_seed_is_one_run():

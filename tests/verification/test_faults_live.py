@@ -34,6 +34,7 @@ def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tm
     assert dead.recovery == "restart of the robot-server, KRC: acknowledge and restart, reset"
 
 
+@pytest.mark.nightly
 def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path):
     (row,) = run_table(
         write_private_cell(tmp_path), "fr", faults=[fault_named("wall-clock-back")], live=True
@@ -42,6 +43,7 @@ def test_a_time_of_day_that_is_set_back_in_every_service_brakes_nobody(tmp_path)
     assert (row.reason, row.recovery) == (None, "by itself")
 
 
+@pytest.mark.nightly
 def test_an_hli_whose_clock_leaps_has_the_robot_held_though_its_sessions_broke_as_it_said_so(tmp_path):
     faults = [fault_named("hli-clock-forward")]
     (row,) = run_table(write_private_cell(tmp_path), "fr", faults=faults, live=True).rows

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deltaq_emulator.settings import KrcSettings, Mode
+from deltaq_emulator.settings import KrcSettings, OperatingMode
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -78,7 +78,7 @@ def test_an_absolute_krc_is_ready_well_within_half_a_second_and_nowhere_else(mon
 
 
 def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
-    stack = cell_with(monkeypatch, mode=Mode.T1)
+    stack = cell_with(monkeypatch, mode=OperatingMode.T1)
     arm = stack.arms["fr"]
     assert furthest(stack, "fr", 100).max() == 0.0
     assert arm.server.state.phase is Phase.OFFLINE

@@ -7,9 +7,9 @@ from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 from deltaq_services.robot_server.mode_probe import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.storm.admitted import ROUNDING, Admitted
-from deltaq_verification.storm.forger import Forger, Sender
+from deltaq_verification.storm.forger import ForgedSender, Forger
 from deltaq_verification.storm.pulses import Pulses
-from deltaq_verification.storm.witness import UNHEARD, Kind, Passed, UnexplainedError, Witness
+from deltaq_verification.storm.witness import UNHEARD, DatagramOrigin, Passed, UnexplainedError, Witness
 
 PULSES = pulse_offsets(FR, CELL.cycle_s)
 
@@ -28,9 +28,9 @@ class Wire:
         if admission is not None:
             self.admissions.append(admission)
         answer = self.krc.answer(own, admission)
-        self.passed.append((Kind.TELEGRAM, own))
+        self.passed.append((DatagramOrigin.TELEGRAM, own))
         if answer is not None:
-            self.passed.append((Kind.REPLY, answer))
+            self.passed.append((DatagramOrigin.REPLY, answer))
             self.krc.correction = KRC.decode(answer).correction
 
     def begin(self):
@@ -56,7 +56,7 @@ class Wire:
         """The last reply, with a correction that is off."""
         told = KRC.decode(self.passed[-1][1])
         self.passed[-1] = (
-            Kind.REPLY,
+            DatagramOrigin.REPLY,
             self.krc.driver._codec.encode(told.ipoc, told.correction + off, {}),
         )
 
@@ -168,8 +168,8 @@ def test_a_pulse_that_does_not_end_where_it_began_is_not_explained(wire):
 
 def test_an_admission_explains_one_step_only(wire):
     wire.drive()
-    last = next(place for place, one in enumerate(wire.passed) if one[0] is Kind.REPLY)
-    steps = [one for one in wire.passed[last:] if one[0] is Kind.REPLY]
+    last = next(place for place, one in enumerate(wire.passed) if one[0] is DatagramOrigin.REPLY)
+    steps = [one for one in wire.passed[last:] if one[0] is DatagramOrigin.REPLY]
     wire.passed += [steps[0], *steps]  # back to where it began, and the same way again
     with pytest.raises(UnexplainedError):
         wire.judge()
@@ -180,11 +180,11 @@ def test_a_session_that_begins_anew_has_no_correction(wire):
     krc = wire.krc
     krc.tick(40)
     programmed = krc.q
-    wire.passed.append((Kind.TELEGRAM, telegram(krc.ipoc, programmed, programmed)))
+    wire.passed.append((DatagramOrigin.TELEGRAM, telegram(krc.ipoc, programmed, programmed)))
     codec = krc.driver._codec
-    wire.passed.append((Kind.REPLY, codec.encode(krc.ipoc, np.zeros(6), {})))
+    wire.passed.append((DatagramOrigin.REPLY, codec.encode(krc.ipoc, np.zeros(6), {})))
     wire.judge()
-    wire.passed[-1] = (Kind.REPLY, codec.encode(krc.ipoc, krc.correction, {}))
+    wire.passed[-1] = (DatagramOrigin.REPLY, codec.encode(krc.ipoc, krc.correction, {}))
     with pytest.raises(UnexplainedError):
         wire.judge()
 
@@ -195,7 +195,7 @@ def test_the_forger_makes_every_kind_and_most_of_them_seem_to_be_somebody_else_s
     forger.overhear(telegram(1000, FR.home))
     forged = [forger.forge() for _ in range(20_000)]
     assert {one.kind for one in forged} == set(forger._kinds)
-    assert sum(one.sender is not Sender.KRC for one in forged) > 10_000
+    assert sum(one.sender is not ForgedSender.KRC for one in forged) > 10_000
 
 
 def test_a_reply_to_a_telegram_of_an_earlier_session_does_not_end_a_trial():

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 Tactic = Callable[[Array, Array], Array]
 """(n,) own setpoint and (3,) the other robot's tool [m] to (n,) increment."""
 

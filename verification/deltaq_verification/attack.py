@@ -13,10 +13,10 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_verification.adversary import Adversary
@@ -25,8 +25,6 @@ from deltaq_verification.oracle import ClearanceOracle, limit_violations
 from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 from deltaq_verification.virtual_cell.wires import MessageWire
-
-Array = NDArray[np.float64]
 
 CLEARANCE_TOLERANCE_M = 1e-4
 """Tolerance of the stop distance: the telegram's decimals and the drives' older setpoints."""
@@ -56,7 +54,7 @@ _SEVERE = _Impairment(loss=0.3, duplicate=0.2, slow=0.4)
 _CUT = _Impairment(loss=1.0)
 
 
-class Violation(BaseModel):
+class AttackViolation(BaseModel):
     """A cycle in which an invariant did not hold."""
 
     model_config = ConfigDict(frozen=True)
@@ -77,7 +75,7 @@ class AttackReport(BaseModel):
     cycles: int
     decided: int
     cycle_s: float
-    violations: tuple[Violation, ...]
+    violations: tuple[AttackViolation, ...]
     limits: LimitCounts
     clearance_min_m: float
     self_clearance_min_m: float
@@ -91,7 +89,7 @@ class AttackReport(BaseModel):
 @dataclass
 class _Record:
     setpoints: dict[str, list[Array]] = field(default_factory=dict)
-    violations: list[Violation] = field(default_factory=list)
+    violations: list[AttackViolation] = field(default_factory=list)
     least: float = np.inf
     least_own: float = np.inf
     tactics: Counter[str] = field(default_factory=Counter)
@@ -199,7 +197,7 @@ def _judge(
     ):
         if found.distance_m < bound - CLEARANCE_TOLERANCE_M:
             record.violations.append(
-                Violation(
+                AttackViolation(
                     cycle=cycle, what=f"{what} {' '.join(found.pair)}", value=found.distance_m, bound=bound
                 )
             )

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
@@ -26,11 +26,9 @@ from deltaq_verification.adversary import Adversary
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Figures:
+class ConservatismFigures:
     """Decisions that clearance limited, and the oracle's judgement of them."""
 
     decisions: int
@@ -106,7 +104,7 @@ class Auditor:
 
 def run(
     cell_name: str = "lab", seed: int = 0, cycles: int = 1500, every: int = 10, samples: int = 60
-) -> Figures:
+) -> ConservatismFigures:
     """Measure; arguments as for `Auditor`, `cycles` of both robots."""
     random = np.random.default_rng(seed)
     stack = VirtualCell(cell_name)
@@ -124,7 +122,7 @@ def run(
         for name, adversary in adversaries.items():
             target = next(tool for other, tool in tools.items() if other != name)
             stack.ask(name, adversary.increment(q_cmd[name], target))
-    return Figures(auditor.decisions, auditor.bound, auditor.asked, auditor.confirmed)
+    return ConservatismFigures(auditor.decisions, auditor.bound, auditor.asked, auditor.confirmed)
 
 
 def main() -> None:

@@ -12,22 +12,19 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array, Indices
 from deltaq_verification.counts import LimitCounts
 from deltaq_verification.pair_distances import PairDistances
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 STRUCTURE = "structure"
 """Owner of the bodies that stand still."""
 
 
 @dataclass(frozen=True)
-class Near:
+class NearestPair:
     """Least distance [m] over some configurations, and between which bodies."""
 
     distance_m: float
@@ -68,15 +65,15 @@ class ClearanceOracle:
         gate = cell.description.gate
         self.stop_distances_m: Array = np.where(own, gate.self_stop_distance_m, gate.stop_distance_m)
 
-    def between_robots_and_structure(self, configurations: Mapping[str, Array]) -> Near:
+    def between_robots_and_structure(self, configurations: Mapping[str, Array]) -> NearestPair:
         """Least distance between robots, and between robots and structure; (n,) [rad or m] per robot."""
         return self._nearest(self._foreign, configurations)
 
-    def between_robots(self, configurations: Mapping[str, Array]) -> Near:
+    def between_robots(self, configurations: Mapping[str, Array]) -> NearestPair:
         """Least distance between bodies of two robots; (n,) [rad or m] per robot."""
         return self._nearest(self._of_two_robots, configurations)
 
-    def of_one_robot(self, configurations: Mapping[str, Array]) -> Near:
+    def of_one_robot(self, configurations: Mapping[str, Array]) -> NearestPair:
         """Least distance between two bodies of one robot; (n,) [rad or m] per robot."""
         return self._nearest(self._own, configurations)
 
@@ -100,13 +97,13 @@ class ClearanceOracle:
         self._distances.place(configurations)
         return self._distances.below(limits_m)
 
-    def _nearest(self, pairs: Indices, configurations: Mapping[str, Array]) -> Near:
+    def _nearest(self, pairs: Indices, configurations: Mapping[str, Array]) -> NearestPair:
         self._distances.place(configurations)
         distance, nearest = self._distances.least(pairs)
         if nearest < 0:
-            return Near(distance, ("", ""))
+            return NearestPair(distance, ("", ""))
         one, other = self._pairs[nearest]
-        return Near(distance, (self._names[one], self._names[other]))
+        return NearestPair(distance, (self._names[one], self._names[other]))
 
 
 TELEGRAM_STEP = 1e-6 * np.pi / 180

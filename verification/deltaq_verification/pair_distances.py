@@ -13,12 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from deltaq_protocol.arrays import Array, Indices
 
 _INEXACT_M = 1e-5
 """Taken off every bound: ten times what coal's iterations may be off."""

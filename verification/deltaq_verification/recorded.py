@@ -7,10 +7,8 @@ from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Command, Request, ServerState
 from deltaq_protocol.messages import Message
 from deltaq_services.hli.outputs import Output as HliOutput
@@ -19,9 +17,6 @@ from deltaq_services.recorder.writer import RecordingWriter
 from deltaq_services.sim.answers import Output
 from deltaq_services.sim.gate_log import memory_is_due
 from deltaq_verification.virtual_cell.cell import VirtualCell
-
-Array = NDArray[np.float64]
-
 
 _TAKEN = {ServerState: topics.SERVER_STATE, Request: topics.REQUEST, Command: topics.COMMAND}
 

@@ -15,17 +15,15 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_protocol.arrays import Array
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.retreat_situations import Situation, situation
 from deltaq_verification.retreat_stage import Stage
-
-Array = NDArray[np.float64]
 
 TOLERANCE_M = 1e-5
 """How much nearer a pair may come in all."""
@@ -40,7 +38,7 @@ _CREEP = 1e-6
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RetreatOutcome:
     """Result of one situation.
 
     Attributes:
@@ -71,7 +69,7 @@ class RetreatAttack:
         self._oracle = ClearanceOracle(self._cell)
         self._stops_m = self._oracle.stop_distances_m
 
-    def run(self, seed: int, ask: str | None = None) -> Outcome:
+    def run(self, seed: int, ask: str | None = None) -> RetreatOutcome:
         """Play one situation.
 
         Args:
@@ -107,7 +105,7 @@ class RetreatAttack:
                     keeps_m = np.minimum(keeps_m, self._oracle.distances_m(undriven, keeps_m))
                 nearer = max(nearer, -self._oracle.least_room_m(now, keeps_m))
         gained = self._room(stage.q_cmd()) - began
-        return Outcome(seed, ask, drawn.room_m, _moves(drawn), nearer, gained, dict(outcomes))
+        return RetreatOutcome(seed, ask, drawn.room_m, _moves(drawn), nearer, gained, dict(outcomes))
 
     def _room(self, q: dict[str, Array]) -> float:
         """Least distance of all pairs beyond their stop distances [m]."""
@@ -156,7 +154,7 @@ def _prepare(cell_name: str) -> None:
     _attack = RetreatAttack(cell_name)
 
 
-def _run(seed: int) -> Outcome:
+def _run(seed: int) -> RetreatOutcome:
     assert _attack is not None  # every process of the pool has prepared it
     return _attack.run(seed)
 
@@ -183,7 +181,7 @@ def main() -> None:
     print(json.dumps(summary(outcomes)))
 
 
-def summary(outcomes: list[Outcome]) -> dict[str, object]:
+def summary(outcomes: list[RetreatOutcome]) -> dict[str, object]:
     """Figures of many situations: how near, how often it got out, and the worst seed."""
     worst = max(outcomes, key=lambda item: item.nearer_m)
     inside = [

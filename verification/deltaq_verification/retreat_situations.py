@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
 from deltaq_verification.oracle import ClearanceOracle
-
-Array = NDArray[np.float64]
 
 DEEPEST_M = 0.03
 """Largest depth inside the stop distance at which a situation begins."""

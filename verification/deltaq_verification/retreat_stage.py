@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.proximity import Proximity
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState
 from deltaq_protocol.messages import Outcome, Phase
@@ -18,8 +18,6 @@ from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.violations import Violations
 from deltaq_verification.retreat_situations import Situation
-
-Array = NDArray[np.float64]
 
 
 class Stage:

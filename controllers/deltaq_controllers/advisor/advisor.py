@@ -6,17 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.exact import Clearance, ExactClearance
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.search import Pool, search
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
 from deltaq_controllers.criteria import TABLE, Postures
 from deltaq_controllers.criteria.normalised import cost
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 THERE_M, THERE_RAD = 1e-4, 1e-3
 """The robot's hands count as being where they should be within this."""
@@ -81,7 +79,7 @@ class Progress:
 
 
 def advise(
-    problem: Problem,
+    problem: AdvisorProblem,
     present: Array,
     *,
     generator: np.random.Generator,
@@ -133,7 +131,7 @@ def advise(
     return found
 
 
-def hands_are_there(problem: Problem, q: Array) -> bool:
+def hands_are_there(problem: AdvisorProblem, q: Array) -> bool:
     """Whether the hands are where the task has them at `q` (n,)."""
     off = problem.tracker.hands(q) - problem.poses
     return bool(np.abs(off[:, :3, 3]).max() < THERE_M and np.abs(off[:, :3, :3]).max() < THERE_RAD)
@@ -161,7 +159,7 @@ def _chosen(
 
 
 def _described(
-    problem: Problem, pool: Pool, chosen: list[tuple[int, Clearance]], present: Array, hands_move: bool
+    problem: AdvisorProblem, pool: Pool, chosen: list[tuple[int, Clearance]], present: Array, hands_move: bool
 ) -> list[Option]:
     if not chosen:
         return []

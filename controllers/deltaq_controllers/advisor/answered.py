@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Answered:

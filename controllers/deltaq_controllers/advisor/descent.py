@@ -7,12 +7,10 @@ free joints is `dE/du + dE/dq_arm dq_arm/du`. Steps are quasi-Newton ones (BFGS)
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.criteria import Postures
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 LENGTHS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
 """Fractions of a step that are tried."""
@@ -24,7 +22,7 @@ RADIUS = 0.4
 """Longest step at first [rad or m]."""
 
 
-def reduced_gradient(problem: Problem, q: Array) -> Array:
+def reduced_gradient(problem: AdvisorProblem, q: Array) -> Array:
     """(N, m) gradient of the energy by the free joints, at configurations (N, n)."""
     postures = Postures(problem.data, q)
     by_joint = problem.energy.gradient(postures)
@@ -41,7 +39,7 @@ def reduced_gradient(problem: Problem, q: Array) -> Array:
 
 
 def descend(
-    problem: Problem, q: Array, energy: Array, generator: np.random.Generator, steps: int
+    problem: AdvisorProblem, q: Array, energy: Array, generator: np.random.Generator, steps: int
 ) -> tuple[Array, Array]:
     """Descend from configurations, each on its branch.
 

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import composite_model
 from deltaq_cell.group import Group
 from deltaq_cell.proximity import Proximity
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)

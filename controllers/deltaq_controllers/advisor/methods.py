@@ -10,13 +10,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.descent import descend
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.seeding import feasible
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class Found:
     done: float
 
 
-Method = Callable[[Problem, np.random.Generator, float], Iterator[Found]]
+Method = Callable[[AdvisorProblem, np.random.Generator, float], Iterator[Found]]
 
 CHAINS, CHAIN_STEPS = 64, 50
 BRANCHES_EVERY = 10
@@ -43,7 +41,9 @@ FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.05, 5e-4
 FIRST_STEP, LAST_STEP = 0.12, 0.01
 
 
-def annealing(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+def annealing(
+    problem: AdvisorProblem, generator: np.random.Generator, effort: float = 1.0
+) -> Iterator[Found]:
     """Simulated annealing in many short chains.
 
     III-C with the acceptance `exp(-(E_trial - E) / kT)` that the print leaves out, see the errata. One long chain that
@@ -69,7 +69,7 @@ def annealing(problem: Problem, generator: np.random.Generator, effort: float = 
         yield Found(q, energy, 0.1 + 0.9 * (step + 1) / steps)
 
 
-def shotgun(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+def shotgun(problem: AdvisorProblem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
     """Gradient tracking from many starts."""
     rounds = max(1, round(2 * effort))
     for number in range(rounds):
@@ -79,7 +79,7 @@ def shotgun(problem: Problem, generator: np.random.Generator, effort: float = 1.
             yield Found(q, energy, (number + 0.25 * (part + 1)) / rounds)
 
 
-def genetic(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+def genetic(problem: AdvisorProblem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
     """A genetic algorithm: tournaments, blended parents, mutation, and the best of old and new survive."""
     q, energy = _start(problem, generator, CHAINS)
     yield Found(q, energy, 0.1)
@@ -100,7 +100,9 @@ def genetic(problem: Problem, generator: np.random.Generator, effort: float = 1.
         yield Found(q, energy, 0.1 + 0.9 * (generation + 1) / generations)
 
 
-def monte_carlo(problem: Problem, generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+def monte_carlo(
+    problem: AdvisorProblem, generator: np.random.Generator, effort: float = 1.0
+) -> Iterator[Found]:
     """Trials drawn evenly over the free joints' ranges."""
     rounds = max(1, round(20 * effort))
     for number in range(rounds):
@@ -108,7 +110,9 @@ def monte_carlo(problem: Problem, generator: np.random.Generator, effort: float 
         yield Found(trials.q, trials.energy, (number + 1) / rounds)
 
 
-def brute_force(problem: Problem, _generator: np.random.Generator, effort: float = 1.0) -> Iterator[Found]:
+def brute_force(
+    problem: AdvisorProblem, _generator: np.random.Generator, effort: float = 1.0
+) -> Iterator[Found]:
     """Every point of a coarse grid."""
     side = max(2, int((20_000 * effort) ** (1.0 / problem.free)))
     axes = [
@@ -130,7 +134,7 @@ METHODS: dict[str, Method] = {
 """All methods by name."""
 
 
-def _start(problem: Problem, generator: np.random.Generator, count: int) -> tuple[Array, Array]:
+def _start(problem: AdvisorProblem, generator: np.random.Generator, count: int) -> tuple[Array, Array]:
     """At most `count` feasible configurations, drawn until there are enough or few can be hoped for."""
     q, energy = np.empty((0, problem.robot.n)), np.empty(0)
     for attempt in range(6):

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.criteria import Postures
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from deltaq_protocol.arrays import Array, Flags
 
 STEP = 0.05
 """Distance in the free joints between two configurations that are checked while searching [rad or m]."""
@@ -44,7 +41,7 @@ class MotionValidator:
         margin_m: margin to bodies that is kept.
     """
 
-    def __init__(self, problem: Problem, space: Space, ends: Array, wider: float) -> None:
+    def __init__(self, problem: AdvisorProblem, space: Space, ends: Array, wider: float) -> None:
         self.space, self._data = space, problem.data
         room = float(Postures(problem.data, ends).nearest.room.min())
         self.margin_m = float(np.clip(0.8 * room, 0.0, wider * MARGIN_M))

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.motion_validator import FINE_SHARE, MARGIN_M, MotionValidator
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.advisor.trees import Tree, connected
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 ROUNDS = 30
 """How often a tree is grown in search of one path."""
@@ -46,7 +44,7 @@ class PathPlanner:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: AdvisorProblem,
         space: Space,
         exact: ExactClearance,
         generator: np.random.Generator,

@@ -13,16 +13,13 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.criteria import TABLE, Normalised, Postures, RobotData
 from deltaq_controllers.criteria.normalised import references
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 WEIGHTS = {"travel": 1.0, "clearance": 1.0}
 """The two criteria of the paper's own application: joint limits and collisions."""
@@ -47,7 +44,7 @@ class Trials:
     row: Indices
 
 
-class Problem:
+class AdvisorProblem:
     """One task of one robot.
 
     Args:
@@ -91,7 +88,7 @@ class Problem:
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
         self.count = 0
 
-    def at(self, T_world_hands: Array) -> Problem:
+    def at(self, T_world_hands: Array) -> AdvisorProblem:
         """The same with the hands (h, 4, 4) elsewhere, and no trials yet."""
         other = copy(self)
         other.poses, other.count = _checked(T_world_hands, len(self.robot.hands)), 0

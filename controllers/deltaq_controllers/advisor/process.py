@@ -12,18 +12,13 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.live import cell_model
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Description
-
-Array = NDArray[np.float64]
-
 
 _READY = 0
 """Number of the unrequested answer which says that the process has loaded its model of the cell."""

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.descent import descend
 from deltaq_controllers.advisor.methods import METHODS
-from deltaq_controllers.advisor.problem import AdvisorError, Problem
-
-Array = NDArray[np.float64]
+from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
+from deltaq_protocol.arrays import Array
 
 DISTINCT = 0.25
 """Options differ by more than this in at least one joint [rad or m]."""
@@ -60,7 +59,7 @@ class Pool:
 
 
 def search(
-    problem: Problem,
+    problem: AdvisorProblem,
     generator: np.random.Generator,
     method: str = "annealing",
     effort: float = 1.0,

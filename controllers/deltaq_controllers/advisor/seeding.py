@@ -7,14 +7,14 @@ only are therefore drawn for that hand alone, which multiplies the yields instea
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltaq_controllers.advisor.problem import Problem
-
-Array = NDArray[np.float64]
+from deltaq_controllers.advisor.problem import AdvisorProblem
+from deltaq_protocol.arrays import Array
 
 
-def feasible(problem: Problem, generator: np.random.Generator, shared: int, own: int, at_most: int) -> Array:
+def feasible(
+    problem: AdvisorProblem, generator: np.random.Generator, shared: int, own: int, at_most: int
+) -> Array:
     """Values of the free joints with which every hand reaches its pose inside the limits; bodies are not checked.
 
     Args:

@@ -6,17 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Option, Progress, advise
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
-from deltaq_controllers.advisor.problem import Problem
+from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import HandsKept
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 GoOn = Callable[[Progress], bool]
 
 
@@ -51,7 +50,7 @@ class AdvisorSession:
         seed: int = 0,
     ) -> None:
         self.tracker = ConstraintTracker(cell.robots[robot])
-        self._problem = Problem(
+        self._problem = AdvisorProblem(
             cell, robot, self.tracker.hands(cell.robots[robot].home), weights, self.tracker
         )
         self._exact = ExactClearance(cell, robot)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.inverse.tracking import ConstraintTracker
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Space(Protocol):

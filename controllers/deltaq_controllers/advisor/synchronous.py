@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.advisor import Progress
 from deltaq_controllers.advisor.session import AdvisorSession
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class SynchronousAdvisor:

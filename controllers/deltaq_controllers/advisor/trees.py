@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.advisor.motion_validator import MotionValidator
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.intp]
+from deltaq_protocol.arrays import Array, Indices
 
 REACH = 0.3
 """Longest extension of a tree, in any free joint [rad or m]."""

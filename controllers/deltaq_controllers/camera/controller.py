@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.interface import LastIncrement, View
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class CameraController:

@@ -9,17 +9,13 @@ import importlib
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_controllers.camera.controller import CameraController
 from deltaq_controllers.camera.follower import CameraFollower, FollowerGains
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import Controller, ControllerError
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class FocusController(Controller, Protocol):

@@ -18,12 +18,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.vectors import components, cross, distance
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 ANTIPODE_RAD = 1e-3
 """Errors within this of 180 degrees are taken as exactly this far from it [rad]."""

@@ -8,11 +8,9 @@ alpha-beta filter estimates, and then held during the integration as the paper d
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.interface import ControllerError
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class FocusTracker:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.focus import FocusTracker
@@ -14,10 +13,9 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import Emergency
 from deltaq_controllers.spheres import PlacedSpheres
+from deltaq_protocol.arrays import Array
 
 __all__ = ["AS_PRINTED", "CORRECTED", "CameraFollower", "FollowerGains", "Variants"]
-
-Array = NDArray[np.float64]
 
 
 class CameraFollower:

@@ -12,11 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 
 _STILL = 1e-300

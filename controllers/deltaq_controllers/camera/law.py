@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import CameraPose
 from deltaq_controllers.camera.gains import FollowerGains, Variants
 from deltaq_controllers.camera.law_equations import (
+    CameraGoal,
     Decay,
-    Goal,
     kept_looking,
     rates,
     with_bounded_zoom,
@@ -21,8 +20,7 @@ from deltaq_controllers.camera.repulsion import Potential, Repulsion
 from deltaq_controllers.camera.subtasks import RollJoint, turns_about_view_axis
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.redundancy import WeightedGradient, emergency_rates
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class CameraLaw:
@@ -79,7 +77,7 @@ class CameraLaw:
             variants.bounded_rates,
             cycle_s / gains.horizon_s,
         )
-        self._goal = Goal(np.zeros(3), 0.0, 1.0, gains.distance, math.inf)
+        self._goal = CameraGoal(np.zeros(3), 0.0, 1.0, gains.distance, math.inf)
         self._warm_up(np.array(robot.home), max_dq)
 
     def _warm_up(self, q: Array, max_dq: Array) -> None:
@@ -114,7 +112,7 @@ class CameraLaw:
         """
         self._kinematics.update(q)
         clearance = self._repulsion.approach(self._kinematics, obstacles, radii)
-        goal = Goal(focus, focus_speed, desired_distance, self._gains.distance, math.inf)
+        goal = CameraGoal(focus, focus_speed, desired_distance, self._gains.distance, math.inf)
         share = self._decay.share_of_horizon
         self._goal = (
             with_bounded_zoom(goal, self._pose(), q, self._weights, self._gains, share)

@@ -9,18 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.error import CameraPose, Look, look_on, view_jacobians
 from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.subtasks import RollJoint, turn_to_level, view_distance_field
 from deltaq_controllers.redundancy import WeightedGradient, damped_rates, weighted_rates
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 
-
-class Goal(NamedTuple):
+class CameraGoal(NamedTuple):
     """What the field is for.
 
     Attributes:
@@ -59,7 +57,7 @@ class Decay(NamedTuple):
 def rates(
     pose: CameraPose,
     q: Array,
-    goal: Goal,
+    goal: CameraGoal,
     weights: WeightedGradient,
     decay: Decay,
     roll_joint: RollJoint,
@@ -108,13 +106,13 @@ def _roll_rate(pose: CameraPose, q_last: float, roll_joint: RollJoint, decay: De
 
 @compiled
 def with_bounded_zoom(
-    goal: Goal,
+    goal: CameraGoal,
     pose: CameraPose,
     q: Array,
     weights: WeightedGradient,
     gains: FollowerGains,
     share_of_horizon: float,
-) -> Goal:
+) -> CameraGoal:
     """The goal with a gain k of (14), and a largest error for it, such that it can always brake.
 
     How far a field along `approach` moves the lens depends on what the camera task and the joint limits
@@ -127,7 +125,7 @@ def with_bounded_zoom(
     moved = weighted_rates(weights, q, jacobian, np.zeros(2), towards, view.stretch)
     mobility = max((towards * moved).sum(), gains.min_mobility_m2)
     rate = _bounded(abs(error), gains.zoom_m_s2, goal.focus_speed, share_of_horizon)
-    return Goal(
+    return CameraGoal(
         goal.focus, goal.focus_speed, goal.desired_distance, gains.distance / mobility, rate / gains.distance
     )
 

@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 SPEED_SHARE, BRAKE_SHARE = 0.2, 0.3
 """Fractions of the joints' speeds and accelerations that the motion to the start uses."""

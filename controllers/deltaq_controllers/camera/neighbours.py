@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import WORLD, composite_model
@@ -32,15 +31,13 @@ from deltaq_controllers.camera.pairs import (
 )
 from deltaq_controllers.kinematics import placement_views
 from deltaq_controllers.spheres import Spheres, local_box
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from deltaq_protocol.arrays import Array, Indices
 
 _UNKNOWN_M = -1e6
 """Lower bound of the distance of a pair that was never measured [m]."""
 
 
-class Near(NamedTuple):
+class NearPairs(NamedTuple):
     """Pairs of bodies in range, those first whose distance is the least fraction of it.
 
     Attributes:
@@ -50,7 +47,7 @@ class Near(NamedTuple):
         others: (k, m) change per increment of the joints of all robots of the cell, the own ones zero.
     """
 
-    pairs: Index
+    pairs: Indices
     distance: Array
     own: Array
     others: Array
@@ -109,9 +106,9 @@ class Neighbours:
         self._q = np.zeros(self._model.nq)
         self._travel = np.zeros(len(carriers))
         self._at_least = np.where(checked, _UNKNOWN_M, np.inf)
-        self._reported: Index = np.zeros(0, dtype=np.intp)
+        self._reported: Indices = np.zeros(0, dtype=np.intp)
 
-    def near(self, q: Array, ranges: Array) -> Near:
+    def near(self, q: Array, ranges: Array) -> NearPairs:
         """What is near at a configuration, as a fraction of the range.
 
         Ordered by distance less range, the many bodies of an approaching robot, which matter from afar, would
@@ -133,9 +130,9 @@ class Neighbours:
         chosen = nearest(ranges, pairs, distances, self._most)
         self._reported, distances = pairs[chosen], distances[chosen]
         own, rows = self._rows(self._reported, distances)
-        return Near(self._reported, distances, own, rows)
+        return NearPairs(self._reported, distances, own, rows)
 
-    def _surround(self, carriers: Index) -> None:
+    def _surround(self, carriers: Indices) -> None:
         """Bounding spheres of the bodies; `_centres` and `_radii` of all, `_spheres` to place the `_moving` ones."""
         centres, radii = [], []
         for body in self._geometry.geometryObjects:
@@ -160,7 +157,7 @@ class Neighbours:
         )
         self._q = q
 
-    def _candidates(self, ranges: Array) -> Index:
+    def _candidates(self, ranges: Array) -> Indices:
         """Pairs other than those returned last time that can be within (p,) ranges."""
         return candidates(
             self._one,
@@ -173,7 +170,7 @@ class Neighbours:
             self._at_least,
         )
 
-    def _measure(self, pairs: Index) -> Array:
+    def _measure(self, pairs: Indices) -> Array:
         """(k,) distances of pairs [m]."""
         distances = np.empty(len(pairs))
         for place, pair in enumerate(pairs.tolist()):
@@ -182,7 +179,7 @@ class Neighbours:
         self._at_least[pairs] = distances + self._travel[self._one[pairs]] + self._travel[self._other[pairs]]
         return distances
 
-    def _rows(self, pairs: Index, distances: Array) -> tuple[Array, Array]:
+    def _rows(self, pairs: Indices, distances: Array) -> tuple[Array, Array]:
         """Change of each distance, as it was measured, per increment of the own joints (k, n) and of others (k, m)."""
         contacts = np.empty((len(pairs), 3, 3))
         for contact, pair, distance_m in zip(contacts, pairs.tolist(), distances.tolist(), strict=True):

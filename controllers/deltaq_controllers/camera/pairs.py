@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.spheres import Spheres, placed
 from deltaq_controllers.vectors import cross, distance
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from deltaq_protocol.arrays import Array, Indices
 
 _LEAST_RANGE_M = 1e-3
 """Of smaller ranges, or none, no fraction is taken [m]."""
@@ -23,7 +20,7 @@ TOUCHING_M = 1e-3
 def note_travel(
     spheres: Spheres,
     placements: Array,
-    moving: Index,
+    moving: Indices,
     turned_by: Array,
     turned: Array,
     centres: Array,
@@ -42,15 +39,15 @@ def note_travel(
 
 @compiled
 def candidates(
-    one: Index,
-    other: Index,
-    reported: Index,
+    one: Indices,
+    other: Indices,
+    reported: Indices,
     ranges: Array,
     travel: Array,
     centres: Array,
     radii: Array,
     at_least: Array,
-) -> Index:
+) -> Indices:
     """Pairs except those of last time that can be within (p,) ranges; bounds from their spheres go to `at_least`."""
     possible = at_least - travel[one] - travel[other] < ranges
     possible[reported] = False
@@ -64,7 +61,7 @@ def candidates(
 
 
 @compiled
-def ranges_of_nearer(ranges: Array, reported: Index, distances: Array, most: int) -> Array:
+def ranges_of_nearer(ranges: Array, reported: Indices, distances: Array, most: int) -> Array:
     """(p,) how near a pair has to be to be among the `most` nearest, given the distances (k,) of those found so far."""
     share = 1.0
     if len(reported) == most:
@@ -76,7 +73,7 @@ def ranges_of_nearer(ranges: Array, reported: Index, distances: Array, most: int
 
 
 @compiled
-def nearest(ranges: Array, pairs: Index, distances: Array, most: int) -> Index:
+def nearest(ranges: Array, pairs: Indices, distances: Array, most: int) -> Indices:
     """Places of those of `pairs` (k,) in range, the least fraction of their range first, and `most` of them at most."""
     # of two equal pairs the one that is first in the list of all pairs comes first
     order = np.argsort(pairs, kind="mergesort")

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
-from deltaq_controllers.camera.neighbours import Near
+from deltaq_controllers.camera.neighbours import NearPairs
 from deltaq_controllers.limits import IncrementLimits
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _BRAKING = 0.98
 """Fraction of its deceleration with which a joint stops at a limit; the rest leaves the solver room between bounds."""
@@ -64,7 +63,7 @@ class Barriers(NamedTuple):
 
 @compiled
 def barriers_of(
-    near: Near,
+    near: NearPairs,
     keeping: Keeping,
     braking: Braking,
     rates: Array,

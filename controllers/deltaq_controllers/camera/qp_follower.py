@@ -18,10 +18,9 @@ more than leaves room to brake with the acceleration that the joints have in tha
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.camera.error import CameraPose, view_angle
-from deltaq_controllers.camera.neighbours import Near, Neighbours
+from deltaq_controllers.camera.neighbours import NearPairs, Neighbours
 from deltaq_controllers.camera.qp_constraints import Barriers, Braking, Keeping, barriers_of, bounds
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_others import OtherRobots
@@ -34,9 +33,8 @@ from deltaq_controllers.interface import ControllerError, LastIncrement, RobotVi
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
-
-Array = NDArray[np.float64]
 
 MOST_PAIRS = 16
 """Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""
@@ -184,7 +182,9 @@ class QpFollower:
             self._cycle_s,
         )
 
-    def _barriers(self, near: Near, travel: Array, cycles: int, slowest: Array, fastest: Array) -> Barriers:
+    def _barriers(
+        self, near: NearPairs, travel: Array, cycles: int, slowest: Array, fastest: Array
+    ) -> Barriers:
         """Barriers of the distances in range, while a brake from an increment (n,) has so many cycles left."""
         # the brake that follows an increment ends `reach * dq` away, as the gate will see it too; at most
         # a cycle is added to it

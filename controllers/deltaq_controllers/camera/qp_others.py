@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.camera.focus import FocusTracker
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView
 from deltaq_controllers.spheres import PlacedSpheres
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class OtherRobots:

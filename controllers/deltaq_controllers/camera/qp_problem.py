@@ -15,14 +15,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from quadprog import solve_qp
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_tasks import Tasks
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _MILLI = 1e3
 """Costs count in mm and mrad, so that the solver's numbers are near one."""

@@ -6,15 +6,13 @@ import math
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.error import CameraPose, look_on, view_jacobians
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.subtasks import RollJoint, roll_effects, turn_to_level
 from deltaq_controllers.vectors import solved
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Aim(NamedTuple):

@@ -18,8 +18,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.kinematics import Kinematics, joints_that_move
 from deltaq_controllers.spheres import Spheres, placed
 from deltaq_controllers.vectors import distance
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _TRAVEL_MARGIN = 1.5
 """Intermediate points of a Runge-Kutta step may lie a little outside the increment cap."""

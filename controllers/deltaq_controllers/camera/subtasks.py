@@ -10,11 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 LEVEL_RATIO = 0.1
 """Sine of the angle between view axis and vertical below which there is no roll worth correcting."""

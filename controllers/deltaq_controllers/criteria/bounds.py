@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
+
 Single = NDArray[np.float32]
 
 ROUNDING_M = 1e-3
@@ -39,7 +40,7 @@ class Standing:
     sizes: Array
 
 
-class Bounds:
+class CriterionBounds:
     """Bounds of the distance of every pair of one robot's capsules with each other and with standing bodies.
 
     Args:

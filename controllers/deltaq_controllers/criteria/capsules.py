@@ -6,11 +6,9 @@ from typing import Any
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.spheres import local_box
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _TINY = 1e-12
 

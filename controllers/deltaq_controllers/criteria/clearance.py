@@ -13,23 +13,20 @@ from typing import Any
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.batch import Frames
-from deltaq_controllers.criteria.bounds import ROUNDING_M, Bounds, Standing
+from deltaq_controllers.batch import FrameBatch
+from deltaq_controllers.criteria.bounds import ROUNDING_M, CriterionBounds, Standing
 from deltaq_controllers.criteria.capsules import box_points, capsule, segment_points
 from deltaq_controllers.spheres import local_box
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from deltaq_protocol.arrays import Array, Indices
 
 CHUNK = 128
 """Configurations that are measured together: their intermediate arrays stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestBodies:
     """The tightest pair of each of N configurations.
 
     Attributes:
@@ -49,7 +46,7 @@ class Nearest:
     away: Array
 
 
-_FIELDS = tuple(Nearest.__dataclass_fields__)
+_FIELDS = tuple(NearestBodies.__dataclass_fields__)
 
 
 class ClearanceField:
@@ -99,9 +96,9 @@ class ClearanceField:
                         self._least[i, k] = radii[i] + other_radii[k] + gate.stop_distance_m
                 elif self.joints[i] != self.joints[k] and shorter_first[i] < shorter_first[k]:
                     self._least[i, k] = radii[i] + other_radii[k] + gate.self_stop_distance_m
-        self._bounds = Bounds(lengths, self._standing, self._least)
+        self._bounds = CriterionBounds(lengths, self._standing, self._least)
 
-    def nearest(self, frames: Frames, count: int) -> Nearest:
+    def nearest(self, frames: FrameBatch, count: int) -> NearestBodies:
         """The tightest pair of each configuration.
 
         Args:
@@ -116,13 +113,13 @@ class ClearanceField:
             return parts[0]
         if not parts:
             return self._nothing(0)
-        return Nearest(*(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS))
+        return NearestBodies(*(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS))
 
-    def _nothing(self, count: int) -> Nearest:
+    def _nothing(self, count: int) -> NearestBodies:
         index, nowhere = np.zeros(count, dtype=np.intp), np.zeros((count, 3))
-        return Nearest(np.full(count, np.inf), index, index - 1, nowhere, nowhere, nowhere)
+        return NearestBodies(np.full(count, np.inf), index, index - 1, nowhere, nowhere, nowhere)
 
-    def _placed(self, frames: Frames, part: slice) -> tuple[Array, Array]:
+    def _placed(self, frames: FrameBatch, part: slice) -> tuple[Array, Array]:
         """(N, c, 3) middles and halves of the capsules in the world."""
         count = part.stop - part.start
         middles, halves = np.empty((count, len(self.joints), 3)), np.empty((count, len(self.joints), 3))
@@ -135,7 +132,7 @@ class ClearanceField:
             halves[:, which] = self._halves[which] @ turn
         return middles, halves
 
-    def _nearest(self, middles: Array, halves: Array) -> Nearest:
+    def _nearest(self, middles: Array, halves: Array) -> NearestBodies:
         count = len(middles)
         if not np.isfinite(self._least).any():
             return self._nothing(count)
@@ -148,14 +145,14 @@ class ClearanceField:
         rows, pairs = np.nonzero(lower <= bound[:, None] + ROUNDING_M)
         others = self._measured(middles, halves, rows, pairs)
         rows = np.append(each, rows)
-        measured = Nearest(
+        measured = NearestBodies(
             *(np.concatenate([getattr(first, name), getattr(others, name)]) for name in _FIELDS)
         )
         order = np.lexsort((measured.room, rows))
         best = order[np.searchsorted(rows[order], each)]
-        return Nearest(*(getattr(measured, name)[best] for name in _FIELDS))
+        return NearestBodies(*(getattr(measured, name)[best] for name in _FIELDS))
 
-    def _measured(self, middles: Array, halves: Array, rows: Indices, pairs: Indices) -> Nearest:
+    def _measured(self, middles: Array, halves: Array, rows: Indices, pairs: Indices) -> NearestBodies:
         """The given pairs, each of one configuration, exactly."""
         standing, count = self._standing, len(pairs)
         first, other = np.divmod(pairs, self._least.shape[1])
@@ -189,7 +186,7 @@ class ClearanceField:
 
         away = (sign / np.maximum(np.abs(distance), 1e-12))[:, None] * (on_first - on_second)
         room = distance - self._least[first, other]
-        return Nearest(room, first, np.where(other < own, other, -1), on_first, on_second, away)
+        return NearestBodies(room, first, np.where(other < own, other, -1), on_first, on_second, away)
 
 
 def _capsules(bodies: list[Any]) -> tuple[Array, Array, Array]:

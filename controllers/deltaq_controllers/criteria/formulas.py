@@ -6,11 +6,9 @@ Values are (N,), gradients (N, n).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.criteria.postures import Postures
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 RATE_STEP = 1e-5
 """Step of the central difference behind the gradient of the rate, which is a second derivative [rad or m]."""

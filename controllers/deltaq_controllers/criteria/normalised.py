@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.criteria.table import BY_NAME, Criterion
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
 
 SAMPLES = 50
 """Configurations over which the median is taken."""

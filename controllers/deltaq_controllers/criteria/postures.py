@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.batch import BatchKinematics, Frames
-from deltaq_controllers.criteria.clearance import ClearanceField, Nearest
-
-Array = NDArray[np.float64]
+from deltaq_controllers.batch import BatchKinematics, FrameBatch
+from deltaq_controllers.criteria.clearance import ClearanceField, NearestBodies
+from deltaq_protocol.arrays import Array
 
 STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
 """Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""
@@ -58,7 +57,7 @@ class Postures:
         frames: joints placed at `q`, if they are known already.
     """
 
-    def __init__(self, data: RobotData, q: Array, frames: Frames | None = None) -> None:
+    def __init__(self, data: RobotData, q: Array, frames: FrameBatch | None = None) -> None:
         self.data = data
         self.q = np.atleast_2d(np.asarray(q, dtype=np.float64))
         self._frames = frames
@@ -67,12 +66,12 @@ class Postures:
         return len(self.q)
 
     @cached_property
-    def frames(self) -> Frames:
+    def frames(self) -> FrameBatch:
         """All joints, placed."""
         return self._frames or self.data.kinematics.frames(self.q)
 
     @cached_property
-    def nearest(self) -> Nearest:
+    def nearest(self) -> NearestBodies:
         """The tightest pair of bodies of each."""
         return self.data.field.nearest(self.frames, len(self))
 

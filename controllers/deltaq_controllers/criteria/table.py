@@ -12,13 +12,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_controllers.criteria import formulas
 from deltaq_controllers.criteria.postures import Postures
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 
 class Category(StrEnum):

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array, Flags
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 TURN = 2.0 * np.pi
 

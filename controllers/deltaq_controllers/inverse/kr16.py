@@ -21,8 +21,7 @@ from deltaq_controllers.inverse.branches import (
     two_links,
     wrapped,
 )
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 SHOULDER_HEIGHT = 0.675
 """Height of A2 over the base [m]."""

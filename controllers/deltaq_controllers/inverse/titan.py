@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.inverse.branches import (
     FREE,
@@ -24,9 +23,7 @@ from deltaq_controllers.inverse.branches import (
     two_links,
     wrapped,
 )
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from deltaq_protocol.arrays import Array, Flags
 
 CHUNK = 2048
 """Poses that are solved together: their intermediate arrays stay in the processor's cache."""

@@ -17,9 +17,8 @@ from deltaq_controllers.batch import BatchKinematics
 from deltaq_controllers.inverse.branches import Branches, wrapped
 from deltaq_controllers.inverse.kr16 import SHOULDER_HEIGHT, T_WRIST_FLANGE, Kr16Inverse
 from deltaq_controllers.inverse.titan import TitanInverse, TitanLengths
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
-
-Array = NDArray[np.float64]
 
 ARM_JOINTS = 6
 

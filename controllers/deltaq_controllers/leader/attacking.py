@@ -9,14 +9,12 @@ from __future__ import annotations
 from itertools import cycle
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2, ScriptedLeader, Workspace
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 TARGETS = ("lens", "wrist", "elbow", "all")
 """What an attack can be aimed at; `all` takes them in turn."""

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 STICK_ACCELERATION_M_S2 = 2.0
 """Largest acceleration of the tool that the operator asks for [m/s^2]."""

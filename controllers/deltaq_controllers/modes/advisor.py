@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
@@ -16,11 +15,10 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 AT_START = 1e-9
 """The robot stands where a path begins within this, in every joint [rad or m]."""
@@ -94,7 +92,7 @@ class Advisor(Protocol):
         ...
 
 
-class AdvisorMode(Mode):
+class AdvisorMode(TeleoperationMode):
     """Intelligent assistance (Hooper & Noakes, section III): options are requested as the mode begins.
 
     The robot goes to the chosen option along a self-motion, in the time that its joints need, and comes to

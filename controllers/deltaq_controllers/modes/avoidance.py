@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.redundancy import limit_gradient
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 WEIGHT_SCALE = 0.02
 """Scale of the limit weights: a joint at 90 % of its range moves a fifth of what a free one does."""

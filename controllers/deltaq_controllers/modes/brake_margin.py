@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.modes.hands import Hands
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 BRAKED_M, BRAKED_RAD = 2.5e-5, 5e-5
 """How far a hand may be off at the end of a brake, which is straight in joint space [m, rad]."""

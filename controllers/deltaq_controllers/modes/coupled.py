@@ -6,20 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.modes.avoidance import limit_weights, moves_out, travel_gradient
 from deltaq_controllers.modes.hands import Hands, turned
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import LENGTH_M, Inverse
 from deltaq_controllers.modes.singularity_slowdown import slowed
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 DRIFT_SHARE_S_M = 2.0
 """Fraction of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""
@@ -35,7 +33,7 @@ _NO_WORSE_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Criterion:
+class WeightedCriterion:
     """A cost that the redundant joints reduce.
 
     Attributes:
@@ -47,7 +45,7 @@ class Criterion:
     weight: float = 1.0
 
 
-def weighed(data: RobotData, weights: Mapping[str, float]) -> Criterion:
+def weighed(data: RobotData, weights: Mapping[str, float]) -> WeightedCriterion:
     """A weighted sum of the criteria of `deltaq_controllers.criteria.table`, by name.
 
     Raises:
@@ -59,10 +57,10 @@ def weighed(data: RobotData, weights: Mapping[str, float]) -> Criterion:
         row: Array = cost.gradient(Postures(data, q[None]))[0]
         return row
 
-    return Criterion(gradient)
+    return WeightedCriterion(gradient)
 
 
-class CoupledMode(Mode):
+class CoupledMode(TeleoperationMode):
     """Shared control (Hooper & Noakes, section IV): redundancy resolved by weighted criteria.
 
     Joint rates are `g + W^-1 J^T (J W^-1 J^T)^-1 (v - J g)` (Whitney; Liegeois), g = -W^-1 grad the descent of
@@ -77,14 +75,14 @@ class CoupledMode(Mode):
     name = ModeName.COUPLED
     drives_hands = True
 
-    def __init__(self, robot: RobotModel, criteria: Sequence[Criterion] | None = None) -> None:
+    def __init__(self, robot: RobotModel, criteria: Sequence[WeightedCriterion] | None = None) -> None:
         self._hands = Hands(robot)
         self._lower, self._upper = robot.lower, robot.upper
         self._max_velocity = robot.max_velocity
         self._share = np.where(robot.revolute, REVOLUTE_SHARE, 1.0)
         self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
         self._criteria = (
-            (Criterion(lambda q: travel_gradient(q, self._lower, self._upper)),)
+            (WeightedCriterion(lambda q: travel_gradient(q, self._lower, self._upper)),)
             if criteria is None
             else tuple(criteria)
         )

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.hands import Hands, turned
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limitation, of_conditioning
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import Inverse
 from deltaq_controllers.modes.singularity_slowdown import slowed
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 
-
-class DecoupledMode(Mode):
+class DecoupledMode(TeleoperationMode):
     """The classic mode of teleoperation (Hooper & Noakes, section II).
 
     A base joint carries its hands along. The arms' displacement is found by Newton's method, so that a hand that is

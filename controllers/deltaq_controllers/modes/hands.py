@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.kinematics import joints_that_move
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 ARM_JOINTS = 6
 """Joints next to a hand that make up its arm."""

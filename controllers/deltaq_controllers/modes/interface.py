@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 
-
-class Mode(Protocol):
+class TeleoperationMode(Protocol):
     """Turns a motion of joints and hands into joint displacements.
 
     Attributes:
@@ -42,7 +41,7 @@ class Mode(Protocol):
         """The option that the robot stands at."""
         return None
 
-    def stand_in(self) -> Mode:
+    def stand_in(self) -> TeleoperationMode:
         """The mode that `practise` runs in place of this one; itself, unless it would start work elsewhere."""
         return self
 

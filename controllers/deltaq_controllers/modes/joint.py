@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_protocol.arrays import Array
 
-Array = NDArray[np.float64]
 
-
-class JointMode(Mode):
+class JointMode(TeleoperationMode):
     """Drives joints independently (Hooper & Noakes, section II)."""
 
     name = ModeName.JOINT

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.resolved_rate import WEAK, Inverse
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-
-Array = NDArray[np.float64]
 
 
 class Limit(StrEnum):

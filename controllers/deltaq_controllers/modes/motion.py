@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 HAND_AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Axes of a hand: along x, y, z [m/s] and about them [rad/s]."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import RobotView, View
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 
@@ -39,7 +39,7 @@ def practise(teleoperator: Teleoperator) -> None:
                 q = q + practising.increment(View(RobotView(cycle, cycle * cycle_s, q, q)))
 
 
-def _always(mode: Mode) -> Callable[[RobotModel], Mode]:
+def _always(mode: TeleoperationMode) -> Callable[[RobotModel], TeleoperationMode]:
     return lambda _: mode
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 LENGTH_M = 0.5
 """Travel that a turn of 1 rad counts as [m/rad]."""

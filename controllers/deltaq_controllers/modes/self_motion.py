@@ -10,12 +10,11 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.avoidance import limit_weights, moves_out
 from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands, turned
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved_rate import Inverse
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 KEPT_M, KEPT_RAD = 1e-6, 1e-6
 """A step after which a hand is farther off than this is not made [m, rad]."""
@@ -28,7 +27,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Parts of a step that are tried, until the hands stay."""
 
 
-class SelfMotionMode(Mode):
+class SelfMotionMode(TeleoperationMode):
     """Moves within the null space of the hands (Hooper & Noakes, section II).
 
     The hands are held where they were when the mode began: a brake of the gate, which is straight in joint space, may

@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Motion
 from deltaq_controllers.modes.resolved_rate import WEAK, Inverse
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 STANDING_LOSS = 0.3
 """Fraction of a motion that the damping leaves out when the robot has come to a stand."""

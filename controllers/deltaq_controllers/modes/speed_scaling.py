@@ -11,13 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.motion import Motion
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_increment
-
-Array = NDArray[np.float64]
 
 RAMP_SHARE = 0.5
 """Fraction of each joint's acceleration that an operator's own changes of speed use."""

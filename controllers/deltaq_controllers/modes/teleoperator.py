@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
@@ -17,16 +16,15 @@ from deltaq_controllers.modes import speed_scaling
 from deltaq_controllers.modes.coupled import CoupledMode
 from deltaq_controllers.modes.decoupled import DecoupledMode
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import Mode
+from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.joint import JointMode
 from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_joint, of_speed
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.self_motion import SelfMotionMode
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Verdict
 
-Array = NDArray[np.float64]
-
-ModeTable = Mapping[ModeName, Callable[[RobotModel], Mode]]
+ModeTable = Mapping[ModeName, Callable[[RobotModel], TeleoperationMode]]
 
 MODES: ModeTable = {
     ModeName.JOINT: JointMode,
@@ -77,9 +75,9 @@ class Teleoperator:
         self._hands = Hands(robot)
         self.cycle_s = cycle_s
         self._last = LastIncrement(self.limits.max_ddq)
-        self._modes: dict[ModeName, Mode] = {}
+        self._modes: dict[ModeName, TeleoperationMode] = {}
         self._mode = self.mode_named(mode)
-        self._next: Mode | None = self._mode
+        self._next: TeleoperationMode | None = self._mode
         self._rest = Motion.rest(robot.n, len(self._hands.names))
         self._motion = self._rest
         self._asked = np.zeros(robot.n)
@@ -107,7 +105,7 @@ class Teleoperator:
         return self._hands.names
 
     @property
-    def made_modes(self) -> tuple[Mode, ...]:
+    def made_modes(self) -> tuple[TeleoperationMode, ...]:
         """The modes made so far."""
         return tuple(self._modes.values())
 
@@ -116,7 +114,7 @@ class Teleoperator:
         """Whether the robot was last asked to stand still, and did."""
         return not self._is_moving
 
-    def mode_named(self, name: ModeName) -> Mode:
+    def mode_named(self, name: ModeName) -> TeleoperationMode:
         """The mode of that name, made when it is first asked for.
 
         Raises:

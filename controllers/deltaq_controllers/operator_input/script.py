@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedSeq
-from ruamel.yaml.error import YAMLError
 
+from deltaq_cell.problems import CellError
+from deltaq_cell.yaml_tree import parse
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
@@ -100,15 +99,17 @@ class Script:
 def _read(path: Path) -> list[tuple[str, Any]]:
     """The items of a YAML list, each with its place."""
     try:
-        root = YAML(typ="rt").load(path.read_text(encoding="utf-8"))
+        root = parse(path.read_text(encoding="utf-8"), path.name)
     except OSError as error:
         raise ControllerError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise ControllerError(f"{path.name}: not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(root, CommentedSeq) or not root:
+    except UnicodeDecodeError:
+        raise ControllerError(f"{path.name}: is not UTF-8 text; save it as UTF-8") from None
+    except CellError as error:
+        raise ControllerError(str(error)) from None
+    if not isinstance(root.value, list) or not root.value:
         example = "- {duration_s: 1, move: {x_m_s: 0.05}}"
         raise ControllerError(f"{path.name}: a script is a list of steps such as `{example}`")
-    return [(f"{path.name}:{root.lc.data[index][0] + 1}", step) for index, step in enumerate(root)]
+    return [(f"{step.file}:{step.line}", step.plain()) for step in root.value]
 
 
 def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, OperatorCommand]:

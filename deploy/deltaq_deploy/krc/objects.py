@@ -17,7 +17,7 @@ UNCORRECTED = 6.0
 
 
 @dataclass(frozen=True)
-class Link:
+class SignalLink:
     """An input of an object and the output that it is linked to, both counted from 1."""
 
     port: str
@@ -59,7 +59,7 @@ class Thing:
     kind: str
     name: str
     type_number: int
-    links: tuple[Link, ...] = ()
+    links: tuple[SignalLink, ...] = ()
     outputs: tuple[tuple[str, str | None], ...] = ()
     parameters: tuple[Parameter, ...] = ()
 
@@ -77,7 +77,7 @@ def objects_of(plan: KrcPlan) -> tuple[Thing, ...]:
                 "STOP",
                 "STOP1",
                 18,
-                (Link("In1", 1, ETHERNET, plan.stop.channel, "Bool"),),
+                (SignalLink("In1", 1, ETHERNET, plan.stop.channel, "Bool"),),
                 (),
                 (Parameter("Mode", 1, "4", "ExitMoveCorr", "KUKA.RSIVisual.RSI_StopType"),),
             )
@@ -92,7 +92,7 @@ def _correction(plan: KrcPlan) -> Thing:
         "AXISCORR",
         "AXISCORR1",
         33,
-        tuple(Link(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.arm),
+        tuple(SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.arm),
         (("Stat", "Int"), *((axis, None) for axis in ARM_AXES)),
         tuple(limits),
     )
@@ -105,7 +105,7 @@ def _external_correction(plan: KrcPlan) -> Thing:
         "AXISCORREXT",
         "AXISCORREXT1",
         33,
-        tuple(Link(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.external),
+        tuple(SignalLink(f"Corr{one.axis}", one.number, ETHERNET, one.channel) for one in plan.external),
         tuple((axis, None) for axis in EXTERNAL_AXES),
         tuple(limits),
     )
@@ -146,7 +146,7 @@ def _outputs(plan: KrcPlan) -> list[Thing]:
             "MAP2DIGOUT",
             f"MAP2DIGOUT{number}",
             14,
-            (Link("In1", 1, ETHERNET, signal.channel, "Int"),),
+            (SignalLink("In1", 1, ETHERNET, signal.channel, "Int"),),
             (),
             (
                 Parameter("Index", 1, str(signal.digital), kind="System.Int32", least=1, most=4096),
@@ -160,7 +160,7 @@ def _outputs(plan: KrcPlan) -> list[Thing]:
 def _ethernet(plan: KrcPlan, inputs: list[Thing]) -> Thing:
     wired = [signal for signal in plan.inputs if signal.digital is not None]
     links = tuple(
-        Link(f"In{signal.channel}", signal.channel, source.name, 1)
+        SignalLink(f"In{signal.channel}", signal.channel, source.name, 1)
         for signal, source in zip(wired, inputs, strict=True)
     )
     last = plan.stop or (plan.outputs or plan.corrections)[-1]

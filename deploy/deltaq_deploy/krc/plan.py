@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import PurePath
 
 from deltaq_cell.check import KRC_CYCLES_S
-from deltaq_cell.description import CellDescription, RsiDriver
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.axes import ARM_AXES, Krc
@@ -178,7 +178,7 @@ def plan_for(
     """
     description = cell.robots[robot]
     driver = description.driver
-    if not isinstance(driver, RsiDriver):
+    if not isinstance(driver, RsiDescription):
         raise KrcFilesError(
             f"robot {robot} of cell {cell.cell} has no KRC: its driver is {driver.kind}, not rsi"
         )

@@ -13,11 +13,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi.errors import EthernetConfigError
 
-Array = NDArray[np.float64]
 Krc = Literal["krc2", "krc4"]
 Unit = Literal["rad", "m"]
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, Array, AxisMap
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, AxisMap
 from deltaq_protocol.rsi.errors import TelegramError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (

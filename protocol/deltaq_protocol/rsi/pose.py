@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from deltaq_protocol.rsi.axes import Array
+from deltaq_protocol.arrays import Array
 
 
 def pose_from_matrix(T: Array) -> tuple[float, float, float, float, float, float]:

@@ -14,7 +14,8 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, Array, AxisMap
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M, POSE_AXES, AxisMap
 from deltaq_protocol.rsi.errors import EthernetConfigError, TelegramError
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import (

@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from deltaq_protocol.codec import pack
-from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import UNSEALED, Seal
 from deltaq_protocol.session import declare_publisher, sending
@@ -39,7 +39,7 @@ class LoopSession:
         self._seal = seal
         self._publishers: dict[str, Any] = {}
         self._declared: list[Any] = []
-        self._inboxes: dict[str, Inbox[Any]] = {}
+        self._inboxes: dict[str, ClientInbox[Any]] = {}
 
     def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
         """Call `take` in the loop with every sample of a topic, of any robot and service."""
@@ -80,5 +80,5 @@ class LoopSession:
         self._session.close()
 
     def _callback(self, topic: Topic, take: Callable[[Any], None]) -> Any:
-        inbox = self._inboxes[topic.name] = Inbox[Any](self._loop, take, _WAITING)
+        inbox = self._inboxes[topic.name] = ClientInbox[Any](self._loop, take, _WAITING)
         return zenoh.handlers.Callback(inbox.put, indirect=False)

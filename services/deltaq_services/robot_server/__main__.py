@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deltaq_cell.description import RobotDescription, RsiDriver
+from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_cell
@@ -21,7 +21,7 @@ def main() -> None:
     robot = cell.robots[options.robot]
     file = find_cell(options.cell)
     refuse_unsafe(file, robot)
-    xml = resolve_near(file, robot.driver.ethernet_xml) if isinstance(robot.driver, RsiDriver) else None
+    xml = resolve_near(file, robot.driver.ethernet_xml) if isinstance(robot.driver, RsiDescription) else None
     serve(cell, options.robot, xml)
 
 

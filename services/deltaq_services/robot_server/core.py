@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
 from deltaq_protocol.messages import Phase
@@ -29,8 +29,6 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.memory import ServerMemory
 from deltaq_services.robot_server.mode_probe import KinematicMode, Mode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.settling import Settling
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

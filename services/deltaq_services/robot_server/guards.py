@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_travel
 from deltaq_protocol.guarded import Admission, ServerState
-
-Array = NDArray[np.float64]
 
 _SLACK = 1.0 + 1e-6
 """Rounding that a bound tolerates."""

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from types import TracebackType
 from typing import Self
 
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import RsiDescription
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.robot_server.measurement import Measurement

@@ -22,11 +22,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltaq_cell.description import RobotDescription, RsiDriver
-
-Array = NDArray[np.float64]
+from deltaq_cell.description import RobotDescription, RsiDescription
+from deltaq_protocol.arrays import Array
 
 PROBE_RAD = math.radians(0.03)
 PROBE_M = 0.03e-3
@@ -274,7 +272,7 @@ def mode_of_session(
     robot: RobotDescription, cycle_s: float, lag_cycles: int, q: Array
 ) -> ModeProbe | KinematicMode:
     """What finds out the mode of a session that begins with the robot at `q`, see `ModeProbe`."""
-    if isinstance(robot.driver, RsiDriver):
+    if isinstance(robot.driver, RsiDescription):
         return ModeProbe(robot, cycle_s, lag_cycles, q)
     return KinematicMode()
 

@@ -14,18 +14,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltaq_cell.description import CellDescription
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import CellDescription, RsiDescription
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
 from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session, SessionMemory
-
-Array = NDArray[np.float64]
 
 _EARLIER = 64
 """Sessions that are remembered with the correction that was sent last in them: a KRC that comes back after another was

@@ -11,12 +11,10 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.plausibility import Plausibility
-
-Array = NDArray[np.float64]
 
 CONFIRMATIONS = 4
 """Telegrams in a row that agree before a session is believed. Two agree when one is duplicated, three give the

@@ -11,8 +11,7 @@ import select
 import time
 from pathlib import Path
 
-from deltaq_cell.description import CellDescription
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer

@@ -12,12 +12,12 @@ from itertools import combinations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import (
     Admission,
     Command,
@@ -41,8 +41,6 @@ from deltaq_services.sim.gated_robot import GatedRobot
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.violations import Violations
-
-Array = NDArray[np.float64]
 
 
 class Decider(Protocol):

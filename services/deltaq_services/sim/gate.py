@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import GateDescription
 from deltaq_cell.proximity import Proximity
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Binding, Certificate, Certifier
@@ -25,8 +25,6 @@ from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch
 from deltaq_services.sim.violations import Violations
-
-Array = NDArray[np.float64]
 
 _HALVINGS = 5
 """How finely s is searched where clearance binds: 1/32 of what the limits leave."""

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
-
-Array = NDArray[np.float64]
 
 _SCALES = np.linspace(0.0, 1.0, 129)
 """Scales tried where the length of the brake, a whole number of cycles, makes the bound no formula."""

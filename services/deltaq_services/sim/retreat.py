@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import GateDescription
 from deltaq_cell.group import Group
 from deltaq_cell.proximity import Proximity
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Certifier
@@ -26,8 +26,6 @@ from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Piece
 from deltaq_services.sim.violations import Pair, Violations
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

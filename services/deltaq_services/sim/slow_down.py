@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import GateDescription
 from deltaq_cell.proximity import Proximity
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.tracker import Tracker
-
-Array = NDArray[np.float64]
 
 
 class SlowDown:

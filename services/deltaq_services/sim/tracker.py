@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
 from deltaq_services.sim.tube import Branch, Windows, tube
-
-Array = NDArray[np.float64]
 
 _ENDED_PROCESSES = 16
 """Processes of one Robot Server that are remembered: their states may be overtaken by those of their successor."""

@@ -13,11 +13,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.kernel_strip import strip_around
-
-Array = NDArray[np.float64]
+from deltaq_protocol.arrays import Array
 
 _SHORTEST = 1e-7
 """Strips are not divided below this half-length [rad or m]."""

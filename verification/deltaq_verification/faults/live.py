@@ -8,10 +8,10 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_emulator.states import KrcState
 from deltaq_launch.cell_connection import connect
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -31,8 +31,6 @@ from deltaq_verification.faults.virtual import ATTEMPTS, FaultRunError
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Process
-
-Array = NDArray[np.float64]
 
 CRUISE_S = 0.4
 """From the first full increments to the fault."""

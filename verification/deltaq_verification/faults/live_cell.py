@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_emulator.states import KrcState
 from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import Role, Service, cell_services, recorder
+from deltaq_protocol.arrays import Array
 from deltaq_verification.faults.actions import (
     BeginInThePast,
     FillDisk,
@@ -29,8 +29,6 @@ from deltaq_verification.faults.panel import PanelClient
 from deltaq_verification.faults.relay_placement import PlacedRelay, RelayPlacement, placed
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Process
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from deltaq_cell.description import RsiDriver
+from deltaq_cell.description import RsiDescription
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.services import Role
 from deltaq_verification.faults.actions import (
@@ -86,7 +86,7 @@ class Injector:
                 self._running.relay.impair(faults)
             case Bombard():
                 driver = self._loaded.model.description.robots[self._robot].driver
-                assert isinstance(driver, RsiDriver)  # `load_rsi_cell` has seen to that
+                assert isinstance(driver, RsiDescription)  # `load_rsi_cell` has seen to that
                 self._bomber = Bomber(fault.action, (driver.address, driver.port))
                 self._bomber.__enter__()
             case FillDisk():

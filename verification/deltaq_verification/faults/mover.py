@@ -15,11 +15,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import PROTOCOL_VERSION
-
-Array = NDArray[np.float64]
 
 CRUISE_RAD_S = np.deg2rad(30.0)
 SWING_RAD = np.deg2rad(85.0)

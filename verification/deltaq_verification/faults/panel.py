@@ -7,7 +7,7 @@ import socket
 from collections.abc import Mapping
 from typing import Any
 
-from deltaq_cell.description import CellDescription, RsiDriver
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_emulator.catalogue import TEXTS, Code
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
@@ -73,7 +73,7 @@ class PanelClient:
 
     def __init__(self, cell: CellDescription, robot: str) -> None:
         driver = cell.robots[robot].driver
-        if not isinstance(driver, RsiDriver) or driver.control_port is None:
+        if not isinstance(driver, RsiDescription) or driver.control_port is None:
             raise UnknownFaultError(
                 f"robots.{robot} has no emulated controller with a panel; give its driver a `control_port`, or "
                 "name another robot"

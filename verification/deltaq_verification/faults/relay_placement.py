@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deltaq_cell.description import CellDescription, RsiDriver
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_emulator.faults import LinkFaults
 from deltaq_launch.services import Service
 from deltaq_protocol.endpoint import Endpoint
@@ -111,7 +111,7 @@ def placed(place: RelayPlacement, cell: CellDescription, robot: str, seed: int) 
         Link.HLI_SERVER: cell.robots[robot].server,
         Link.SIM_SERVER: cell.robots[robot].server,
     }
-    if isinstance(driver := cell.robots[robot].driver, RsiDriver):
+    if isinstance(driver := cell.robots[robot].driver, RsiDescription):
         ends[Link.KRC_SERVER] = f"udp/{driver.address}:{driver.port}"
     to = Endpoint.parse(ends[place.link])
     listen = Endpoint(to.transport, HERE, _free_port(to.transport))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array
 from deltaq_verification.oracle import TELEGRAM_STEP, limit_violations
-
-Array = NDArray[np.float64]
 
 ABRUPT_PER_CYCLE = 2
 """Of a setpoint that stands still for a cycle: one abrupt stop, one abrupt start."""

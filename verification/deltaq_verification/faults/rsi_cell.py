@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_cell.description import RsiDriver
+from deltaq_cell.description import RsiDescription
 from deltaq_verification.faults.catalogue import UnknownFaultError
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 
@@ -22,7 +22,7 @@ def load_rsi_cell(cell_name: str | Path, robot: str | None = None) -> LoadedCell
     loaded = LoadedCell.load(cell_name)
     description = loaded.model.description
     for name, one in description.robots.items():
-        if not isinstance(one.driver, RsiDriver):
+        if not isinstance(one.driver, RsiDescription):
             raise UnknownFaultError(
                 f"robots.{name}.driver is {one.driver.kind!r}; faults are injected in cells whose robots are "
                 "all driven over RSI: use such a cell, e.g. --cell lab"

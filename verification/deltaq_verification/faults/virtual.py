@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_emulator.states import KrcState
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Done, Phase
 from deltaq_services.robot_server.peer import Address
@@ -33,14 +33,12 @@ from deltaq_verification.faults.mover import CRUISE_RAD_S
 from deltaq_verification.faults.panel import checked, describe, pendant_message, recovery
 from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle
-from deltaq_verification.virtual_cell.arm import HERE, OTHER_PORT, Arm
+from deltaq_verification.virtual_cell.arm import HERE, OTHER_PORT, VirtualArm
 from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.clients import Say
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Life, Link, Process, VirtualProcess
 from deltaq_verification.virtual_cell.wires import MessageWire
-
-Array = NDArray[np.float64]
 
 CRUISE_CYCLES = 40
 """From the first full increment to the fault."""
@@ -267,7 +265,7 @@ class _Run:
         self.mover = VirtualController(self.robot, self.model.n, cycle_s, home, say)
         return self.mover
 
-    def _process(self, process: Process) -> VirtualProcess[Any] | Arm:
+    def _process(self, process: Process) -> VirtualProcess[Any] | VirtualArm:
         return self.connection if process is Process.CONTROLLER else self.stack.process(process, self.robot)
 
     def _ask_panel(self, request: Mapping[str, Any]) -> None:

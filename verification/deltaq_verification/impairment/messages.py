@@ -9,7 +9,7 @@ import zenoh
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint
-from deltaq_protocol.inbox import Inbox
+from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.session import open_session
 from deltaq_verification.impairment.pump import Pump
 
@@ -57,7 +57,7 @@ class _Way:
     def __init__(self, loop: asyncio.AbstractEventLoop, source: Any, target: Any, seed: int) -> None:
         self._target = target
         self.pump = Pump(loop, self._publish, seed)
-        self._inbox = Inbox[zenoh.Sample](loop, self._take, _WAITING)
+        self._inbox = ClientInbox[zenoh.Sample](loop, self._take, _WAITING)
         self._subscriber = source.declare_subscriber(
             "**",
             zenoh.handlers.Callback(self._inbox.put, indirect=False),

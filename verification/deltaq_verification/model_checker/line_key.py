@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP
 from deltaq_verification.model_checker.ranks import ranks
 from deltaq_verification.model_checker.rsi_line import Own, RsiLine
-
-Array = NDArray[np.float64]
 
 _TICKS_APART = 4
 """No age is judged that is greater, in cycles."""

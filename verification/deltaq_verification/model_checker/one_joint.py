@@ -9,18 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription
 from deltaq_cell.robot import RobotModel
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Outcome
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
-
-Array = NDArray[np.float64]
 
 ROBOT = "slide"
 CYCLE_S = 2.0**-7

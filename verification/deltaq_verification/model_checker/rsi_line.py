@@ -13,16 +13,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import CellDescription
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import Address, Peer, PeerMemory, Sender
 from deltaq_services.robot_server.rsi_driver import DriverMemory, RsiDriver
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, KRC_TIMEOUT_CYCLES, ROBOT
-
-Array = NDArray[np.float64]
 
 KRC_AT: Address = ("127.0.0.1", 1)
 SECOND_AT: Address = ("127.0.0.1", 2)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
@@ -23,8 +21,6 @@ from deltaq_verification.model_checker.one_joint import IPOC_STEP, ROBOT, STEP
 from deltaq_verification.model_checker.rsi_line import KRC_AT, Program
 from deltaq_verification.model_checker.safety_monitor import Property
 from deltaq_verification.model_checker.system import System
-
-Array = NDArray[np.float64]
 
 
 class _TakesLate(RobotServer):

@@ -13,7 +13,7 @@ import sys
 from dataclasses import asdict
 
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
-from deltaq_verification.storm.run import Report, run_storm
+from deltaq_verification.storm.run import StormReport, run_storm
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -40,7 +40,7 @@ def _tell(forged: int) -> None:
     print(f"\r{forged} datagrams", end="", file=sys.stderr, flush=True)
 
 
-def _text(report: Report) -> str:
+def _text(report: StormReport) -> str:
     rate = report.forged / report.duration_s
     lines = [f"\n{report.forged} datagrams of the attacker in {report.duration_s:.0f} s, {rate:.0f} a second"]
     tables = {

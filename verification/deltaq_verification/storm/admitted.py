@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.description import RobotDescription
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_protocol.guarded import Admission
-
-Array = NDArray[np.float64]
 
 ROUNDING = 2e-8
 """What six decimals of a degree may add to a difference of two corrections [rad or m]."""

@@ -18,7 +18,7 @@ _ROOM = 60_000
 """Bytes of an oversized datagram, at most."""
 
 
-class Sender(StrEnum):
+class ForgedSender(StrEnum):
     """Whose address a datagram carries."""
 
     KRC = "the KRC"
@@ -26,11 +26,11 @@ class Sender(StrEnum):
     STRANGER = "a stranger"
 
 
-class Forgery(NamedTuple):
+class ForgedDatagram(NamedTuple):
     """One datagram of the attacker."""
 
     kind: str
-    sender: Sender
+    sender: ForgedSender
     datagram: bytes
 
 
@@ -45,26 +45,26 @@ class Forger:
         self._random = random.Random(seed)
         self._overheard: deque[bytes] = deque(maxlen=_OVERHEARD)
         self._ipoc = self._random.randrange(_IPOCS)
-        make: dict[str, tuple[float, Sender, Callable[[], bytes]]] = {
-            "copy from elsewhere": (150, Sender.STRANGER, self._own),
-            "next from elsewhere": (100, Sender.STRANGER, self._next_moved),
-            "copy of a second KRC": (100, Sender.SECOND_KRC, self._own),
-            "session of a second KRC": (250, Sender.SECOND_KRC, self._session),
-            "noise": (50, Sender.STRANGER, self._noise),
-            "own noise": (50, Sender.KRC, self._noise),
-            "truncated": (120, Sender.KRC, self._truncated),
-            "garbled": (120, Sender.KRC, self._garbled),
-            "duplicate": (10, Sender.KRC, self._own),
-            "overtaken": (8, Sender.KRC, self._older),
-            "oversized": (40, Sender.KRC, self._oversized),
-            "empty": (10, Sender.KRC, lambda: b""),
-            "another digit": (2, Sender.KRC, lambda: self._other_digit(self._own())),
-            "far": (1, Sender.KRC, lambda: self._with_ipoc(self._own(), 12 * self._random.randrange(2, 10**6))),
-            "back": (2, Sender.KRC, lambda: self._with_ipoc(self._own(), -self._random.randrange(1, 5000))),
-            "next": (0.5, Sender.KRC, lambda: self._with_ipoc(self._own(), _STEP)),
-            "next elsewhere": (0.5, Sender.KRC, self._next_moved),
-            "next with another digit": (1, Sender.KRC, lambda: self._other_digit(self._next())),
-            "session from elsewhere": (0.2, Sender.KRC, self._session),
+        make: dict[str, tuple[float, ForgedSender, Callable[[], bytes]]] = {
+            "copy from elsewhere": (150, ForgedSender.STRANGER, self._own),
+            "next from elsewhere": (100, ForgedSender.STRANGER, self._next_moved),
+            "copy of a second KRC": (100, ForgedSender.SECOND_KRC, self._own),
+            "session of a second KRC": (250, ForgedSender.SECOND_KRC, self._session),
+            "noise": (50, ForgedSender.STRANGER, self._noise),
+            "own noise": (50, ForgedSender.KRC, self._noise),
+            "truncated": (120, ForgedSender.KRC, self._truncated),
+            "garbled": (120, ForgedSender.KRC, self._garbled),
+            "duplicate": (10, ForgedSender.KRC, self._own),
+            "overtaken": (8, ForgedSender.KRC, self._older),
+            "oversized": (40, ForgedSender.KRC, self._oversized),
+            "empty": (10, ForgedSender.KRC, lambda: b""),
+            "another digit": (2, ForgedSender.KRC, lambda: self._other_digit(self._own())),
+            "far": (1, ForgedSender.KRC, lambda: self._with_ipoc(self._own(), 12 * self._random.randrange(2, 10**6))),
+            "back": (2, ForgedSender.KRC, lambda: self._with_ipoc(self._own(), -self._random.randrange(1, 5000))),
+            "next": (0.5, ForgedSender.KRC, lambda: self._with_ipoc(self._own(), _STEP)),
+            "next elsewhere": (0.5, ForgedSender.KRC, self._next_moved),
+            "next with another digit": (1, ForgedSender.KRC, lambda: self._other_digit(self._next())),
+            "session from elsewhere": (0.2, ForgedSender.KRC, self._session),
         }  # fmt: skip
         self._make = make
         self._kinds = list(make)
@@ -74,13 +74,13 @@ class Forger:
         """A true telegram has passed."""
         self._overheard.append(telegram)
 
-    def forge(self) -> Forgery | None:
+    def forge(self) -> ForgedDatagram | None:
         """The next datagram; None while nothing was overheard."""
         if not self._overheard:
             return None
         (kind,) = self._random.choices(self._kinds, self._weights)
         _, sender, make = self._make[kind]
-        return Forgery(kind, sender, make())
+        return ForgedDatagram(kind, sender, make())
 
     def chance(self, share: float) -> bool:
         """Whether something happens that happens to this share."""

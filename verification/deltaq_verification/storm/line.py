@@ -15,8 +15,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from deltaq_verification.storm.forger import Forger, Sender
-from deltaq_verification.storm.witness import Kind, Passed
+from deltaq_verification.storm.forger import ForgedSender, Forger
+from deltaq_verification.storm.witness import DatagramOrigin, Passed
 
 Address = tuple[str, int]
 
@@ -37,7 +37,7 @@ _HURRY_S = 0.02
 """What the attacker catches up with at most: its datagrams are spread, so that the Robot Server's loop keeps up."""
 
 
-class Line:
+class AttackedLine:
     """The wire; a context manager.
 
     Args:
@@ -61,9 +61,9 @@ class Line:
         self._forger, self._period_s, self._on_passed = forger, 1.0 / rate_hz, on_passed
         self._to_krc = _udp(HERE)
         self._senders = {
-            Sender.KRC: _udp(HERE),
-            Sender.SECOND_KRC: _udp(HERE),
-            Sender.STRANGER: _udp(ELSEWHERE),
+            ForgedSender.KRC: _udp(HERE),
+            ForgedSender.SECOND_KRC: _udp(HERE),
+            ForgedSender.STRANGER: _udp(ELSEWHERE),
         }
         for sender in self._senders.values():
             sender.connect(server)
@@ -106,39 +106,39 @@ class Line:
         for telegram, sender, _ in _waiting(self._to_krc):
             self._krc = sender
             self._forger.overhear(telegram)
-            self._on_passed(Passed(Kind.TELEGRAM, telegram, time.time_ns()))
+            self._on_passed(Passed(DatagramOrigin.TELEGRAM, telegram, time.time_ns()))
             if self._forger.chance(_LOST):
                 self.sent["true lost"] += 1
             elif self._overtaken is None and self._forger.chance(_OVERTAKEN):
                 self.sent["true overtaken"] += 1
                 self._overtaken = telegram
             else:
-                self._send(Sender.KRC, telegram)
+                self._send(ForgedSender.KRC, telegram)
                 if self._overtaken is not None:
-                    self._send(Sender.KRC, self._overtaken)
+                    self._send(ForgedSender.KRC, self._overtaken)
                     self._overtaken = None
                 if self._forger.chance(_TWICE):
                     self.sent["true twice"] += 1
-                    self._send(Sender.KRC, telegram)
+                    self._send(ForgedSender.KRC, telegram)
 
-    def _carry_replies(self, sock: socket.socket, sender: Sender) -> None:
+    def _carry_replies(self, sock: socket.socket, sender: ForgedSender) -> None:
         """Whoever is answered, it is the Robot Server's setpoint that moves; the KRC gets what is meant for it."""
         for reply, _, stamp_ns in _waiting(sock):
-            self._on_passed(Passed(Kind.REPLY, reply, stamp_ns))
-            if sender is Sender.KRC and self._krc is not None:
+            self._on_passed(Passed(DatagramOrigin.REPLY, reply, stamp_ns))
+            if sender is ForgedSender.KRC and self._krc is not None:
                 self._to_krc.sendto(reply, self._krc)
-            elif sender is not Sender.KRC:
+            elif sender is not ForgedSender.KRC:
                 self.sent[f"true reply to {sender}"] += 1
 
     def _attack(self) -> None:
         forgery = self._forger.forge()
         if forgery is not None and len(forgery.datagram) <= _READABLE:
-            self._on_passed(Passed(Kind.FORGERY, forgery.datagram, time.time_ns()))
+            self._on_passed(Passed(DatagramOrigin.FORGERY, forgery.datagram, time.time_ns()))
         if forgery is not None and self._send(forgery.sender, forgery.datagram):
             self.sent[f"{forgery.kind}, from {forgery.sender}"] += 1
             self.forged += 1
 
-    def _send(self, sender: Sender, datagram: bytes) -> bool:
+    def _send(self, sender: ForgedSender, datagram: bytes) -> bool:
         try:
             self._senders[sender].send(datagram)
         except OSError:  # nobody listens there yet, or its buffer is full

@@ -19,7 +19,7 @@ _RESTART_LOOKS = 120
 """Looks after which the program on the KRC is started anew, so that sessions begin while the storm goes on."""
 
 
-class Operator:
+class StormOperator:
     """Looks at pendant and phase in a thread of its own; a context manager.
 
     Args:

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deltaq_cell.description import RsiDriver
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import resolve_near
 from deltaq_emulator.settings import KrcSettings
 from deltaq_launch.launcher import Launcher
@@ -19,8 +19,8 @@ from deltaq_services.robot_server.mode_probe import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.storm.admitted import Admitted
 from deltaq_verification.storm.forger import Forger
-from deltaq_verification.storm.line import Address, Line
-from deltaq_verification.storm.operator import Operator
+from deltaq_verification.storm.line import Address, AttackedLine
+from deltaq_verification.storm.operator import StormOperator
 from deltaq_verification.storm.overheard import Overheard
 from deltaq_verification.storm.witness import Passed, UnexplainedError, Witness
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
@@ -36,7 +36,7 @@ _SETTLED_S = 1.0
 
 
 @dataclass(frozen=True)
-class Report:
+class StormReport:
     """What a storm came to.
 
     Attributes:
@@ -69,7 +69,7 @@ def run_storm(
     rate_hz: float,
     seed: int = 0,
     on_progress: Callable[[int], None] | None = None,
-) -> Report:
+) -> StormReport:
     """Start the cell, let a controller move the robot, attack its wire, and judge every reply.
 
     Args:
@@ -85,11 +85,11 @@ def run_storm(
     """
     description = loaded.model.description
     driver = description.robots[robot].driver
-    assert isinstance(driver, RsiDriver)  # `load_rsi_cell` has seen to that
+    assert isinstance(driver, RsiDescription)  # `load_rsi_cell` has seen to that
     passed: list[Passed] = []
     forger = Forger(seed)
     server = (driver.address, driver.port)
-    with Line(server, forger, rate_hz, passed.append) as line, ExitStack() as stack:
+    with AttackedLine(server, forger, rate_hz, passed.append) as line, ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         services = _services(loaded, robot, line.address, folder)
         launcher = stack.enter_context(Launcher(services, lambda *_: None))
@@ -97,7 +97,7 @@ def run_storm(
         overheard = stack.enter_context(Overheard(description, robot))
         # only now: no admission may come before somebody listens
         stack.enter_context(Launcher([_mover(loaded, robot)], lambda *_: None)).start()
-        operator = stack.enter_context(Operator(description, robot))
+        operator = stack.enter_context(StormOperator(description, robot))
 
         def look_until(enough: Callable[[], bool]) -> None:
             while not enough():
@@ -123,7 +123,7 @@ def run_storm(
         witness.judge(passed[:last], admitted)
     except UnexplainedError as error:
         unexplained = str(error)
-    return Report(
+    return StormReport(
         forged=line.forged,
         duration_s=ended_s - begun_s,
         sent=dict(line.sent),

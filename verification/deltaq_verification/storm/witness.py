@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcCodec, SensorCodec, TelegramError
 from deltaq_verification.storm.admitted import ROUNDING, Admitted
 from deltaq_verification.storm.pulses import Pulses
 
-Array = NDArray[np.float64]
 Origin = tuple[float, ...]
 """Programmed position of a session of the KRC's program [rad or m]."""
 
@@ -31,7 +30,7 @@ class UnexplainedError(Exception):
     """A correction changed, and nothing explains it."""
 
 
-class Kind(Enum):
+class DatagramOrigin(Enum):
     """Whose datagram it is."""
 
     TELEGRAM = 0
@@ -45,7 +44,7 @@ class Kind(Enum):
 class Passed:
     """A datagram that passed, and when [ns]."""
 
-    kind: Kind
+    kind: DatagramOrigin
     datagram: bytes
     stamp_ns: int
 
@@ -80,11 +79,11 @@ class Witness:
         """
         for one in sorted(passed, key=lambda one: one.stamp_ns):
             match one.kind:
-                case Kind.REPLY:
+                case DatagramOrigin.REPLY:
                     self._reply(one.datagram, admitted)
-                case Kind.TELEGRAM:
+                case DatagramOrigin.TELEGRAM:
                     self._telegram(one.datagram)
-                case Kind.FORGERY:
+                case DatagramOrigin.FORGERY:
                     self._forgery(one.datagram)
 
     def _telegram(self, datagram: bytes) -> None:

@@ -7,13 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.robot_server.core import RobotServer, Setpoint
@@ -22,15 +20,13 @@ from deltaq_services.robot_server.peer import Address, Peer, Sender
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_verification.virtual_cell.parts import Life, VirtualProcess
 
-Array = NDArray[np.float64]
-
 HERE = "127.0.0.1"
 OTHER_PORT = 2
 """Where others than the KRC send from."""
 _KRC: Address = (HERE, 1)
 
 
-class Arm(VirtualProcess[RobotServer]):
+class VirtualArm(VirtualProcess[RobotServer]):
     """A robot that is no KUKA, and the process of its Robot Server.
 
     Args:
@@ -109,8 +105,8 @@ class Arm(VirtualProcess[RobotServer]):
             self._publish(self.server.state)
 
 
-class KrcArm(Arm):
-    """A robot with an emulated KRC; further arguments as of `Arm`.
+class KrcArm(VirtualArm):
+    """A robot with an emulated KRC; further arguments as of `VirtualArm`.
 
     Args:
         krc: the emulated controller.

@@ -13,9 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, ServerState, Supervision
 from deltaq_protocol.messages import Message, ResetRequest, RobotState, Status, StopRequest, Verdict
@@ -24,13 +22,17 @@ from deltaq_services.hli.outputs import Output as HliOutput
 from deltaq_services.hli.outputs import Sender, ToGuarded, ToOpen
 from deltaq_services.sim.answers import Output as SimOutput
 from deltaq_services.sim.core import Sim
-from deltaq_verification.virtual_cell.arm import Arm, KrcArm
-from deltaq_verification.virtual_cell.clients import Connection, Port, Say, SteppedController, VirtualClient
+from deltaq_verification.virtual_cell.arm import KrcArm, VirtualArm
+from deltaq_verification.virtual_cell.clients import (
+    ClientPort,
+    Connection,
+    Say,
+    SteppedController,
+    VirtualClient,
+)
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Life, Link, Process, VirtualProcess
 from deltaq_verification.virtual_cell.wires import MessageWire
-
-Array = NDArray[np.float64]
 
 _BEGAN_S = 1e9
 """Time of day at the beginning: epochs and ids are counted from it [s since 1970]."""
@@ -159,7 +161,9 @@ class VirtualCell:
         self._wires |= {(link, to, robot, kind): wire for robot in robots}
         self._plugged.append((wire, to))
 
-    def process(self, process: Process, robot: str) -> VirtualProcess[Sim] | VirtualProcess[HliCore] | Arm:
+    def process(
+        self, process: Process, robot: str
+    ) -> VirtualProcess[Sim] | VirtualProcess[HliCore] | VirtualArm:
         """What can be killed, frozen and started: a service; of the Robot Servers, that of `robot`."""
         match process:
             case Process.SIM:
@@ -263,7 +267,7 @@ class VirtualCell:
 
     def _asked(self, request: Message) -> list[Message]:
         answers: list[Message] = []
-        self._to_hli(request, Port(answers.append))
+        self._to_hli(request, ClientPort(answers.append))
         return answers
 
     def _next_arrival_s(self) -> float | None:
@@ -302,10 +306,10 @@ class VirtualCell:
         self._tokens += 1
         return f"token-{self._tokens}"
 
-    def _arm(self, name: str, q: Array, seed: int) -> Arm:
+    def _arm(self, name: str, q: Array, seed: int) -> VirtualArm:
         begin, xml = partial(self._loaded.server, name), self._loaded.ethernet_xml(name)
         if xml is None:
-            return Arm(begin, q, self._publish, lambda: self.now_s)
+            return VirtualArm(begin, q, self._publish, lambda: self.now_s)
         krc, driver = self._loaded.krc(name, q, xml), partial(self._loaded.driver, xml)
         silence_s = self.cell.description.gate.krc_timeout_s
         return KrcArm(krc, driver, silence_s, seed, begin, self._publish, lambda: self.now_s)

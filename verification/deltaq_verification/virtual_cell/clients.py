@@ -6,9 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.messages import (
     Increment,
@@ -23,7 +21,6 @@ from deltaq_services.hli.outputs import Sender
 from deltaq_verification.virtual_cell.parts import VirtualProcess
 from deltaq_verification.virtual_cell.wires import MessageWire
 
-Array = NDArray[np.float64]
 Say = Callable[[Message | InvalidMessageError], None]
 """Sends to the HLI a message, or what is none."""
 
@@ -44,7 +41,7 @@ class VirtualClient(Protocol):
         ...
 
 
-class Port(Sender):
+class ClientPort(Sender):
     """The HLI's end of a connection.
 
     Args:
@@ -86,7 +83,7 @@ class Connection(VirtualProcess[VirtualClient]):
 
     def start(self) -> None:
         """Connect anew; nothing that is meant for the connection before arrives here."""
-        port = Port(lambda message: self.tell(message) if self._port is port else None)
+        port = ClientPort(lambda message: self.tell(message) if self._port is port else None)
         self._port = port
         super().start()
 

@@ -6,21 +6,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.description import RsiDriver as RsiDescription
+from deltaq_cell.description import RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import KrcSettings
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_protocol.rsi import load_ethernet_xml
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.shell import sensor_codec
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""`deltaq replay`."""
+"""Verbs that write, replay and draw recordings."""
 
 from __future__ import annotations
 
@@ -8,10 +8,47 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_command.errors import BAD
-from deltaq_command.options import JsonOption
+from deltaq_command.options import CellOption, JsonOption
 
 if TYPE_CHECKING:
     from deltaq_verification.replay import Replay
+
+
+def record(
+    file: Annotated[Path, typer.Argument(help="MCAP file to write; it must not exist.")],
+    cell: CellOption = "lab",
+    duration_s: Annotated[
+        float | None, typer.Option(min=0.1, help="Duration of the recording; until Ctrl-C if not given.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Record a running cell: what controllers see, and every input and output of the gate."""
+    import contextlib
+    import signal
+
+    from deltaq_cell.load import load_cell
+    from deltaq_command.console import print_json, print_table
+    from deltaq_command.progress import progress_bar
+    from deltaq_services.process import end_on_interrupt
+    from deltaq_services.recorder.shell import Recorder
+
+    signal.signal(signal.SIGTERM, end_on_interrupt)
+    interrupted = contextlib.suppress(KeyboardInterrupt)  # that is how a recording ends
+    with Recorder(load_cell(cell), file) as recorder, progress_bar(f"recording to {file}"), interrupted:
+        recorder.run(duration_s)
+    writer = recorder.writer
+    summary = {
+        "file": str(file),
+        "messages": writer.messages,
+        "gate_messages": writer.gate_messages,
+        "bytes": file.stat().st_size,
+        "lost": recorder.lost,
+        "invalid": recorder.invalid,
+    }
+    if json:
+        print_json(summary)
+    else:
+        print_table("recorded", ("what", "value"), ((key, str(value)) for key, value in summary.items()))
 
 
 def replay(
@@ -82,3 +119,21 @@ def notices(result: Replay) -> list[str]:
     if not result.messages:
         lines.append("nothing could be replayed: the recording has no snapshot of the gate to begin from")
     return lines
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")],
+    figure: Annotated[
+        Path | None, typer.Option(help="Picture to write; beside the recording if not given.")
+    ] = None,
+) -> None:
+    """Draw a recording: where the tools went; of a camera on fr that follows gr, the paper's figure."""
+    from deltaq_command.progress import progress_bar
+    from deltaq_experiments.replay_plot import plot as draw
+
+    picture = figure or file.with_suffix(".png")
+    with progress_bar(f"drawing {file}"):
+        notices = draw(file, picture)
+    for line in notices:
+        typer.echo(f"deltaq: {line}", err=True)
+    typer.echo(f"{picture}")

@@ -1,9 +1,14 @@
-"""`deltaq status`."""
+"""Verbs that look at a running cell."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import contextlib
+from itertools import count as counted
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from deltaq_command.errors import BAD
 from deltaq_command.options import CellOption, JsonOption, UrlOption
 
 if TYPE_CHECKING:
@@ -53,3 +58,53 @@ def shown(answer: Status, cell: Description) -> Group:
         pair = " and ".join(answer.nearest.pair)
         lines.append(f"nearest: {pair}, {answer.nearest.distance_m * 1000:.0f} mm")
     return Group(table_of(f"cell {answer.identity or answer.cell}", columns, rows), *map(Text, lines))
+
+
+def top(
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two updates.")] = 0.5,
+    count: Annotated[int, typer.Option(min=0, help="End after this many updates; 0: at Ctrl-C.")] = 0,
+    json: JsonOption = False,
+) -> None:
+    """Watch a running cell: repeat `status` until Ctrl-C; with --json one object a line."""
+    import time
+
+    from rich.live import Live
+
+    from deltaq_command.console import console, print_json
+    from deltaq_launch.cell_connection import Where, connect
+
+    with connect(Where.of(cell, url), "deltaq top") as running, contextlib.suppress(KeyboardInterrupt):
+        screen = contextlib.nullcontext() if json else Live(console=console(), auto_refresh=False)
+        with screen as live:
+            for look in counted(1):
+                answer = running.status()
+                if live is None:
+                    print_json(answer.model_dump(mode="json"))
+                else:
+                    live.update(shown(answer, running.description), refresh=True)
+                if look == count:
+                    return
+                time.sleep(interval_s)
+
+
+def health(
+    service: Annotated[str, typer.Argument(help="A service of the cell, e.g. sim or robot-server-fr.")],
+    cell: CellOption = "lab",
+    json: JsonOption = False,
+) -> None:
+    """Ask one service whether it is healthy: exit status 0 yes, 1 no, 3 no answer."""
+    from deltaq_cell.load import load_cell
+    from deltaq_command.console import print_json
+    from deltaq_launch.probes import probe
+    from deltaq_launch.services import cell_services, one
+
+    description = load_cell(cell)
+    answer = probe(one(cell_services(description, cell), service), description)
+    if json:
+        print_json({"service": service, "healthy": answer.healthy, "detail": answer.detail})
+    else:
+        typer.echo(f"{service}: {'healthy' if answer.healthy else 'not healthy'}  {answer.detail}".rstrip())
+    if not answer.healthy:
+        raise typer.Exit(BAD)

@@ -1,4 +1,4 @@
-"""`deltaq experiment`."""
+"""Verbs that run experiments and benchmarks."""
 
 from __future__ import annotations
 
@@ -123,3 +123,88 @@ def _show(report: dict[str, Any]) -> None:
     print_table(
         f"{report['experiment']} with the {report['controller']} controller", ("what", "value"), flat(report)
     )
+
+
+def peg_and_valve(
+    cell: CellOption = "lab",
+    robot: Annotated[str, typer.Option(help="A redundant robot with one hand.")] = "gr",
+    mode: Annotated[
+        list[str] | None, typer.Option(help="Only this mode; may be given several times.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Put in a peg and turn a valve in each mode of teleoperation, in virtual time; report time and error."""
+    from deltaq_command.console import print_json, print_table
+    from deltaq_command.progress import progress_bar
+    from deltaq_experiments.peg_and_valve import OPERATORS, run
+
+    with progress_bar("peg and valve") as move:
+        figures = run(cell, robot, mode or tuple(OPERATORS), move)
+    if json:
+        print_json({"robot": robot, "modes": [one.model_dump(mode="json") for one in figures]})
+        return
+    rows = [
+        (
+            one.mode,
+            f"{one.time_s:.1f}",
+            f"{one.insert_s:.1f}",
+            f"{one.turn_s:.1f}",
+            f"{one.peg_off_mm:.1f}",
+            f"{one.peg_tilt_deg:.2f}",
+            f"{one.valve_off_mm:.1f}",
+            f"{100 * one.limit_margin:.0f}",
+        )
+        for one in figures
+    ]
+    columns = (
+        "mode",
+        "task s",
+        "insert s",
+        "turn s",
+        "peg off mm",
+        "peg tilt deg",
+        "valve off mm",
+        "limit margin %",
+    )
+    print_table(f"peg and valve with {robot}", columns, rows)
+
+
+def bench(
+    cell: CellOption = "lab",
+    cycles: Annotated[int, typer.Option(min=10, help="Cycles of tracking that are timed.")] = 400,
+    json: JsonOption = False,
+) -> None:
+    """Measure against references in the same run; exit status 1 if a median is beyond its bound."""
+    import sys
+
+    from rich.progress import Progress
+
+    from deltaq_command.console import console, print_json, print_table
+    from deltaq_experiments.bench import run
+
+    output = console(sys.stderr)
+    with Progress(console=output, transient=True, disable=not output.is_terminal) as progress:
+        task = progress.add_task("tracking", total=cycles)
+        table = run(cell, cycles, lambda done, _: progress.update(task, completed=done))
+    if json:
+        print_json(table.model_dump(mode="json") | {"good": table.good})
+    else:
+        columns = ("what", "reference", "median µs", "reference µs", "ratio", "p99 ratio", "at most")
+        print_table(
+            "figures as ratios",
+            columns,
+            (
+                (
+                    row.what,
+                    row.reference,
+                    f"{row.median_us:.0f}",
+                    f"{row.reference_us:.0f}",
+                    f"{row.median_ratio:.2f}",
+                    f"{row.p99_ratio:.2f}",
+                    f"{row.at_most:g}",
+                )
+                for row in table.rows
+            ),
+        )
+    if not table.good:
+        raise typer.Exit(BAD)

@@ -1,0 +1,66 @@
+"""The description of a cell, as its YAML file gives it.
+
+Field names carry their unit. People read and write degrees here; `JointDescription` and everything
+behind it returns rad and m. The numbers of a robot in joint order come from `RobotDescription.lower` and
+its siblings.
+"""
+
+from deltaq_cell.description.base import (
+    DescriptionModel,
+    Endpoint,
+    JointName,
+    Name,
+    NotNegative,
+    Pose,
+    Positive,
+    Vector3,
+)
+from deltaq_cell.description.bodies import (
+    Attachment,
+    Body,
+    BoxShape,
+    Camera,
+    CapsuleShape,
+    Colour,
+    CylinderShape,
+    Hand,
+    Shape,
+    SphereShape,
+    Tool,
+)
+from deltaq_cell.description.cell import MOST_ROBOTS, CellDescription, ContactDescription, GateDescription
+from deltaq_cell.description.driver import Driver, KinematicDriver, RsiDescription, ServoLag
+from deltaq_cell.description.joint import JointDescription
+from deltaq_cell.description.robot import RobotDescription
+
+__all__ = [
+    "MOST_ROBOTS",
+    "Attachment",
+    "Body",
+    "BoxShape",
+    "Camera",
+    "CapsuleShape",
+    "CellDescription",
+    "Colour",
+    "ContactDescription",
+    "CylinderShape",
+    "DescriptionModel",
+    "Driver",
+    "Endpoint",
+    "GateDescription",
+    "Hand",
+    "JointDescription",
+    "JointName",
+    "KinematicDriver",
+    "Name",
+    "NotNegative",
+    "Pose",
+    "Positive",
+    "RobotDescription",
+    "RsiDescription",
+    "ServoLag",
+    "Shape",
+    "SphereShape",
+    "Tool",
+    "Vector3",
+]

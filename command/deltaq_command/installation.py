@@ -1,0 +1,117 @@
+"""Verbs about files and the machine: check, schema, key and doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deltaq_command.errors import BAD
+from deltaq_command.options import CellOption, JsonOption
+
+
+def check(
+    cell: Annotated[str, typer.Argument(help="Name of a shipped cell or path of a YAML file.")],
+    json: JsonOption = False,
+) -> None:
+    """Check the description of a cell; name file, line, field, value and bound of every error.
+
+    It also lists which bodies of a robot are never checked against which, and why.
+    """
+    from deltaq_cell.check import check_cell
+    from deltaq_cell.never_checked import Why
+    from deltaq_command.console import print_json
+
+    report = check_cell(cell)
+    if json:
+        print_json(report.as_dict())
+    else:
+        for problem in report.problems:
+            typer.echo(f"{problem.severity}: {problem}")
+        if not report.problems:
+            typer.echo(f"{cell}: good")
+        for robot, pairs in report.never_checked.items():
+            for why in dict.fromkeys(pairs.values()):
+                if why is Why.ONE_LINK:  # dozens where a gripper is modelled in parts; --json names them
+                    typer.echo(
+                        f"{robot}: never checked, since {why}: {list(pairs.values()).count(why)} pairs"
+                    )
+                    continue
+                named = [
+                    " - ".join(name.removeprefix(f"{robot}/") for name in p) for p in pairs if pairs[p] is why
+                ]
+                typer.echo(f"{robot}: never checked, since {why}: {', '.join(named)}")
+    if not report.ok:
+        raise typer.Exit(BAD)
+
+
+def schema(
+    topic: Annotated[str | None, typer.Argument(help="Only this topic.", show_default=False)] = None,
+) -> None:
+    """Print the JSON Schema of every message, enough to write a controller in another language."""
+    import json
+
+    from deltaq_command.streams import by_name
+    from deltaq_protocol.topics import TOPICS
+
+    chosen = TOPICS if topic is None else (by_name(topic),)
+    document: dict[str, Any] = {
+        row.name: {
+            "key": row.template,
+            "realm": row.realm.value,
+            "kind": row.kind.value,
+            "publishers": [party.value for party in row.publishers],
+            "readers": [party.value for party in row.readers],
+            "rate": row.rate_text,
+            "max_age_cycles": row.max_age_cycles,
+            "max_age_s": row.max_age_s,
+            "priority": row.priority.value,
+            "message": row.message.model_json_schema(),
+            "reply": row.reply.model_json_schema() if row.reply else None,
+        }
+        for row in chosen
+    }
+    if topic is None:
+        document["json-lines"] = _lines()
+    typer.echo(json.dumps(document, indent=2))
+
+
+def _lines() -> dict[str, Any]:
+    from deltaq_protocol import messages
+
+    types = (messages.Hello, messages.Welcome, messages.Error, messages.Done)
+    return {"only over TCP": [message.model_json_schema() for message in types]}
+
+
+def key(file: Annotated[Path, typer.Argument(help="File to write; it must not exist.")]) -> None:
+    """Make a key for services that reach one another off the loopback, in a file that only its owner may read."""
+    from deltaq_services.guarded_key import KEY_FILE, write_new_key
+
+    write_new_key(file)
+    typer.echo(
+        f"{file}: set {KEY_FILE} to its path for HLI, SIM and every Robot Server, on each of their machines"
+    )
+
+
+def doctor(cell: CellOption = "lab", json: JsonOption = False) -> None:
+    """Report whether this machine is fit to run a cell, and what would improve it."""
+    from dataclasses import asdict
+
+    from deltaq_cell.load import load_cell
+    from deltaq_command.console import print_json, print_table
+    from deltaq_launch.doctor import examine
+    from deltaq_launch.findings import Rating
+
+    findings = examine(load_cell(cell), cell)
+    bad = any(finding.verdict is Rating.BAD for finding in findings)
+    if json:
+        print_json({"fit": not bad, "findings": [asdict(finding) for finding in findings]})
+    else:
+        print_table(
+            "this machine",
+            ("what", "found", "verdict", "advice"),
+            ((finding.what, finding.found, finding.verdict, finding.advice) for finding in findings),
+        )
+    if bad:
+        raise typer.Exit(BAD)

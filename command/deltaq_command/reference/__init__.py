@@ -1,0 +1,32 @@
+"""Writes `docs/reference` from the code: `python -m deltaq_command.reference`.
+
+Every page follows from a table or a model, so that none can fall behind; a test holds the committed pages.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deltaq_command.reference import installation, robots, rooms, wire
+
+FOLDER = Path(__file__).parents[3] / "docs" / "reference"
+WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
+
+
+def pages() -> dict[str, str]:
+    """Every page by file name."""
+    texts = {
+        "topics.md": wire.topics(),
+        "messages.md": wire.messages(),
+        "reasons.md": wire.reasons(),
+        "counters.md": wire.counters(),
+        "phases.md": robots.phases(),
+        "krc.md": robots.krc(),
+        "rsi-sessions.md": robots.sessions(),
+        "criteria.md": robots.criteria(),
+        "cell.md": installation.cell(),
+        "services.md": installation.services(),
+        "cli.md": installation.cli(),
+        "rooms.md": rooms.rooms(),
+    }
+    return {name: WRITTEN + text.rstrip() + "\n" for name, text in texts.items()}

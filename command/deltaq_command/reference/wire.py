@@ -1,0 +1,73 @@
+"""Pages of what crosses a wire."""
+
+from __future__ import annotations
+
+from deltaq_command.reference.markdown import fields, message_link, models, table
+from deltaq_protocol import guarded
+from deltaq_protocol import messages as open_messages
+from deltaq_protocol import topics as table_of_topics
+from deltaq_protocol.messages import Message
+from deltaq_protocol.reasons import EXPLANATIONS
+from deltaq_services.counters import COUNTERS
+
+
+def topics() -> str:
+    """The table of topics."""
+    rows = (
+        (
+            f"`{topic.name}`",
+            topic.realm,
+            topic.kind,
+            f"`{topic.template}`",
+            message_link(topic.message) + (f" → {message_link(topic.reply)}" if topic.reply else ""),
+            ", ".join(topic.publishers),
+            ", ".join(topic.readers),
+            topic.rate_text,
+            topic.max_age_cycles,
+            topic.max_age_s,
+            topic.priority,
+            topic.recorded,
+        )
+        for topic in table_of_topics.TOPICS
+    )
+    columns = (
+        *("topic", "realm", "kind", "key", "message", "published or asked by", "read or answered by"),
+        *("rate", "greatest age [cycles]", "greatest age [s]", "priority", "recorded"),
+    )
+    return (
+        "# Topics\n\nzenoh carries msgpack maps with the fields of the message named. Clients reach the open realm;"
+        " HLI, SIM and Robot Servers alone speak in the guarded realm. What is older than its greatest age is not"
+        " acted upon; where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of"
+        " the two decides. See [the loop](../explanation/the-loop.md).\n\n" + table(columns, rows)
+    )
+
+
+def messages() -> str:
+    """The fields of every message."""
+    parts = [
+        "# Messages\n\nThe fields are the same in msgpack and in JSON lines; `deltaq schema` prints them as JSON"
+        " Schema. `q` is a configuration and `dq` an increment over one cycle, in rad and m, in joint order."
+    ]
+    for module, realm in ((open_messages, "Open realm"), (guarded, "Guarded realm")):
+        parts.append(f"## {realm}")
+        parts += [fields(model, level=3) for model in models(module, Message)]
+    return "\n\n".join(parts)
+
+
+def reasons() -> str:
+    """The reason codes."""
+    rows = ((f"`{code}`", text) for code, text in EXPLANATIONS.items())
+    return (
+        "# Reason codes\n\nWhy a request was scaled, held or refused, and why a robot is held.\n\n"
+        + table(("code", "meaning"), rows)
+    )
+
+
+def counters() -> str:
+    """The counters."""
+    rows = ((row.service.replace("_", " "), f"`{row.name}`", row.meaning) for row in COUNTERS)
+    return (
+        "# Counters\n\nWhat `deltaq status --json` and the states of the guarded realm count, each from the start of"
+        " its process; what never happened is left out. A part in braces is filled in: a [reason code](reasons.md), a"
+        " [topic](topics.md), a robot.\n\n" + table(("service", "counter", "what was counted"), rows)
+    )
