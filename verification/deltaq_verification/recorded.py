@@ -11,10 +11,9 @@ from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Command, Request, ServerState
 from deltaq_protocol.messages import Message
-from deltaq_services.hli.outputs import Output as HliOutput
-from deltaq_services.hli.outputs import ToOpen
+from deltaq_protocol.topic import Realm
+from deltaq_services.outputs import Output, ToTopic, published
 from deltaq_services.recorder.writer import RecordingWriter
-from deltaq_services.sim.answers import Output
 from deltaq_services.sim.gate_log import memory_is_due
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -65,7 +64,7 @@ class RecordedCell(VirtualCell):
         """Virtual time [ns]."""
         return round(self.now_s * 1e9)
 
-    def gate_takes(self, message: Message) -> list[Output]:
+    def gate_takes(self, message: Message) -> list[ToTopic]:
         """Log what the gate is given and gives, and now and then what it remembers."""
         outputs = super().gate_takes(message)
         answered = [(output.topic, output.message) for output in outputs]
@@ -74,9 +73,8 @@ class RecordedCell(VirtualCell):
             self.writer.gate_remembers(self.sim.snapshot(), self.time_ns)
         return outputs
 
-    def carry_out(self, outputs: list[HliOutput]) -> None:
+    def carry_out(self, outputs: list[Output]) -> None:
         """Log what everybody may hear."""
-        for output in outputs:
-            if isinstance(output, ToOpen):
-                self.writer.publish(output.topic, output.message, self.time_ns)
+        for output in published(outputs, Realm.OPEN):
+            self.writer.publish(output.topic, output.message, self.time_ns)
         super().carry_out(outputs)

@@ -8,7 +8,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
@@ -93,7 +93,7 @@ class Commands:
         again = [stop for stop in self._stops.values() if time_s >= stop.again_s]
         for stop in again:
             self._stops[stop.command.robot] = replace(stop, again_s=time_s + STOP_PERIOD_S)
-        return [ToGuarded(topics.COMMAND, "", stop.command) for stop in again]
+        return [ToTopic(topics.COMMAND, "", stop.command) for stop in again]
 
     def answered(self, reply: CommandReply) -> list[Output]:
         """Answer the sender of the command, or send the command again as the gate requires."""
@@ -137,7 +137,7 @@ class Commands:
     def _sent_again(self, awaited: _Awaited) -> list[Output]:
         command = self.numbered(awaited.command)
         self._awaited[command.id] = replace(awaited, command=command)
-        return [ToGuarded(topics.COMMAND, "", command)]
+        return [ToTopic(topics.COMMAND, "", command)]
 
     def overdue(self, time_s: float) -> tuple[int, list[ToSender]]:
         """How many commands the gate has just left unanswered, and the errors for their senders."""

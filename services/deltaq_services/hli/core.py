@@ -39,11 +39,11 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.increments import Increments
-from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 from deltaq_services.pace import Pace
 
 
@@ -158,7 +158,7 @@ class HliCore:
             reason=state.reason,
             gate=self._gate.fingerprint if self._gate else "",
         )
-        outputs.append(ToOpen(topics.STATE, state.robot, placed))
+        outputs.append(ToTopic(topics.STATE, state.robot, placed))
         return outputs
 
     def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
@@ -172,7 +172,7 @@ class HliCore:
         lease = self._state.leases.of(verdict.robot)
         if not awaited and lease is not None:
             sender = lease.connection
-        outputs: list[Output] = [ToOpen(topics.VERDICT, verdict.robot, verdict)]
+        outputs: list[Output] = [ToTopic(topics.VERDICT, verdict.robot, verdict)]
         if sender is not None:
             outputs.insert(0, ToSender(sender, verdict))
         return outputs + self._state.learn_epoch(verdict)
@@ -193,7 +193,7 @@ class HliCore:
             self._state.commands.learn(health.epoch, health.newest_id or 0)
         if health.nearest is None or not self._proximity.due(time_s):
             return []
-        return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
+        return [ToTopic(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
 
     def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
         """Welcome a client, or tell it that it speaks another version."""

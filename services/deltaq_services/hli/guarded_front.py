@@ -19,9 +19,9 @@ from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
-from deltaq_services.hli.outputs import Output
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
+from deltaq_services.outputs import Output
 
 _log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from deltaq_services.hli.outputs import Sender
+from deltaq_services.outputs import Sender
 
 
 @dataclass

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Increment, Phase, Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.outputs import Sender
+from deltaq_services.outputs import Sender
 
 _MAX_AWAITED = 64
 """Increments whose verdict may be outstanding; a gate that answers keeps this at one or two."""

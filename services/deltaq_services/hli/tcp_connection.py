@@ -25,9 +25,9 @@ from deltaq_protocol.messages import (
     StopRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.outputs import Output, Sender, ToSender
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.refusals import answered_by_error
+from deltaq_services.outputs import Output, Sender, ToSender
 
 MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100

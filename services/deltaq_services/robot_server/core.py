@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -23,27 +22,13 @@ from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.memory import ServerMemory
 from deltaq_services.robot_server.mode_probe import KinematicMode, Mode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.settling import Settling
-
-
-@dataclass(frozen=True, slots=True)
-class Setpoint:
-    """What a robot is sent in answer to a measurement.
-
-    Attributes:
-        q_cmd: (n,) setpoint [rad or m].
-        outputs: digital outputs by name.
-        motion_stop: the KRC has to end the motion itself.
-    """
-
-    q_cmd: Array
-    outputs: Mapping[str, bool]
-    motion_stop: bool
 
 
 class RobotServer:
@@ -149,7 +134,7 @@ class RobotServer:
         self._told, self._state = (measured, time_s), None
         return self._mode.added_to(self._held_at)
 
-    def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[Setpoint]:
+    def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
         """Take what has come: of the gate's messages the newest of each kind counts, and a measurement is a cycle.
 
         Args:
@@ -170,7 +155,7 @@ class RobotServer:
             admission, self._admission = self._admission, None
             supervision, self._supervision = self._supervision, None
             q_cmd = self.cycle(message, time_s, admission, supervision)
-            return [Setpoint(q_cmd, self.outputs, self.motion_stop)]
+            return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
         else:
             raise TypeError(
                 f"a Robot Server takes admissions, heartbeats and measurements, got a {type(message).__name__}"

@@ -14,7 +14,8 @@ from deltaq_emulator.recorder import CsvRecorder
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.rsi import TelegramError
-from deltaq_services.robot_server.core import RobotServer, Setpoint
+from deltaq_services.outputs import ToRobot
+from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import Address, Peer, Sender
 from deltaq_services.robot_server.rsi_driver import RsiDriver
@@ -96,7 +97,7 @@ class VirtualArm(VirtualProcess[RobotServer]):
     def _told(self, message: Admission | Supervision) -> None:
         self.server.take(message, self._now() + self.clock_s)
 
-    def _answer(self, measured: Measurement, now_s: float) -> Setpoint:
+    def _answer(self, measured: Measurement, now_s: float) -> ToRobot:
         (setpoint,) = self.server.take(measured, now_s + self.clock_s)
         return setpoint
 

@@ -17,10 +17,9 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, ServerState, Supervision
 from deltaq_protocol.messages import Message, ResetRequest, RobotState, Status, StopRequest, Verdict
+from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.outputs import Output as HliOutput
-from deltaq_services.hli.outputs import Sender, ToGuarded, ToOpen
-from deltaq_services.sim.answers import Output as SimOutput
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 from deltaq_services.sim.core import Sim
 from deltaq_verification.virtual_cell.arm import KrcArm, VirtualArm
 from deltaq_verification.virtual_cell.clients import (
@@ -220,17 +219,17 @@ class VirtualCell:
 
     # --- routing ------------------------------------------------------------------------------------------
 
-    def gate_takes(self, message: Message) -> list[SimOutput]:
+    def gate_takes(self, message: Message) -> list[ToTopic]:
         """The gate's answers to a message that has come."""
         return self.sim.take(message)
 
-    def carry_out(self, outputs: list[HliOutput]) -> None:
+    def carry_out(self, outputs: list[Output]) -> None:
         """Send what the HLI wants sent, in its order."""
         for output in outputs:
-            if isinstance(output, ToGuarded):
-                self._send(*_GUARDED[type(output.message)], output.message)
-            elif not isinstance(output, ToOpen):
+            if isinstance(output, ToSender):
                 output.sender.deliver(output.message)
+            elif output.topic.realm is Realm.GUARDED:
+                self._send(*_GUARDED[type(output.message)], output.message)
             elif isinstance(output.message, RobotState):
                 self.states[output.robot] = output.message
                 for connection in self._connections:

@@ -17,7 +17,7 @@ from deltaq_protocol.messages import (
     RobotState,
     Verdict,
 )
-from deltaq_services.hli.outputs import Sender
+from deltaq_services.outputs import Sender
 from deltaq_verification.virtual_cell.parts import VirtualProcess
 from deltaq_verification.virtual_cell.wires import MessageWire
 
