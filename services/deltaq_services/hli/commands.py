@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from deltaq_protocol import topics
@@ -57,6 +58,18 @@ class _Awaited:
     deadline_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class CommandsMemory:
+    """Snapshot of the commands: the newest id, the gate's epoch, ids that are told apart, and what is awaited."""
+
+    id: int
+    epoch: int
+    outdated_id: int
+    stop_id: int
+    awaited: Mapping[int, _Awaited]
+    stops: Mapping[str | None, _Stop]
+
+
 class Commands:
     """The commands that are in flight.
 
@@ -74,6 +87,17 @@ class Commands:
         self._stop_id = 0
         self._awaited: dict[int, _Awaited] = {}
         self._stops: dict[str | None, _Stop] = {}  # the newest of each robot, and of all robots
+
+    def snapshot(self) -> CommandsMemory:
+        """Snapshot of the commands, for `restore`."""
+        ids = (self._id, self._epoch, self._outdated_id, self._stop_id)
+        return CommandsMemory(*ids, dict(self._awaited), dict(self._stops))
+
+    def restore(self, memory: CommandsMemory) -> None:
+        """Go on from where others were."""
+        self._id, self._epoch = memory.id, memory.epoch
+        self._outdated_id, self._stop_id = memory.outdated_id, memory.stop_id
+        self._awaited, self._stops = dict(memory.awaited), dict(memory.stops)
 
     def numbered(self, command: Command) -> Command:
         """A command for the known gate, with an unused id."""

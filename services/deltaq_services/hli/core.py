@@ -39,6 +39,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.increments import Increments
+from deltaq_services.hli.memory import HliMemory
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState
@@ -133,6 +134,32 @@ class HliCore:
         raise TypeError(
             f"the HLI takes states, verdicts, replies and requests, got a {type(message).__name__}"
         )
+
+    def snapshot(self) -> HliMemory:
+        """Snapshot of all that answers depend on, for `restore`."""
+        state = self._state
+        return HliMemory(
+            leases=state.leases.snapshot(),
+            commands=state.commands.snapshot(),
+            links={name: link.snapshot() for name, link in state.links.items()},
+            mismatches=dict(state.mismatches),
+            gate=(self._gate, self._gate_heard_s),
+            heard_s=tuple(stream.snapshot() for stream in self._streams()),
+            proximity_s=self._proximity.snapshot(),
+        )
+
+    def restore(self, memory: HliMemory) -> None:
+        """Go on from where another HLI of this cell was, counters excepted."""
+        state = self._state
+        state.leases.restore(memory.leases)
+        state.commands.restore(memory.commands)
+        for name, link in memory.links.items():
+            state.links[name].restore(link)
+        state.mismatches = dict(memory.mismatches)
+        self._gate, self._gate_heard_s = memory.gate
+        for stream, times_s in zip(self._streams(), memory.heard_s, strict=True):
+            stream.restore(times_s)
+        self._proximity.restore(memory.proximity_s)
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate at once, then tell the controllers."""
@@ -244,9 +271,11 @@ class HliCore:
 
     def lagging(self, time_s: float) -> tuple[str, ...]:
         """What is silent, or comes more slowly than the table of topics says; for people."""
-        streams = (*self._states.values(), *self._services.values())
-        faults = (stream.fault(time_s) for stream in streams)
+        faults = (stream.fault(time_s) for stream in self._streams())
         return tuple(fault for fault in faults if fault is not None)
+
+    def _streams(self) -> tuple[Heard, ...]:
+        return *self._states.values(), *self._services.values()
 
     def _robot_status(self, robot: str, link: RobotLink, time_s: float) -> RobotStatus:
         state, lease = link.state, self._state.leases.of(robot)
