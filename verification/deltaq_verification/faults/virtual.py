@@ -125,14 +125,13 @@ class _Run:
         self.robot = robot
         self.model = self.stack.cell.robots[robot]
         self.arm = self.stack.krc_arms[robot]
-        self.connection = self.stack.connect(self._new_mover)
         ends = [(link, to) for link, both in _ENDS.items() for to in both]
         self.wires = {end: MessageWire(seed + 10 * number) for number, end in enumerate(ends)}
         for (link, to), wire in self.wires.items():
             if link is not Link.CONTROLLER_HLI:
                 self.stack.plug(link, to, wire, (robot, None))
-        self.connection.down = self.wires[Link.CONTROLLER_HLI, Process.CONTROLLER]
-        self.connection.up = self.wires[Link.CONTROLLER_HLI, Process.HLI]
+        down, up = (self.wires[Link.CONTROLLER_HLI, to] for to in _ENDS[Link.CONTROLLER_HLI])
+        self.connection = self.stack.connect(self._new_mover, up, down)
         self.cycle_s = self.stack.cell.description.cycle_s
         self.cruise = float(CRUISE_RAD_S * self.cycle_s)
         self.setpoints: list[Array] = [self.arm.krc.sample.q_setpoint]

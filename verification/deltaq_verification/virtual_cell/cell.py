@@ -89,6 +89,7 @@ class VirtualCell:
             name: self._arm(name, (start or {}).get(name, robot.home), seed)
             for name, robot in self.cell.robots.items()
         }
+        self._links = [link for arm in self.arms.values() for link in arm.links]
 
     @property
     def sim(self) -> Sim:
@@ -159,6 +160,7 @@ class VirtualCell:
         """
         self._wires |= {(link, to, robot, kind): wire for robot in robots}
         self._plugged.append((wire, to))
+        self._links.append(wire.link)
 
     def process(
         self, process: Process, robot: str
@@ -175,10 +177,16 @@ class VirtualCell:
 
     # --- clients ------------------------------------------------------------------------------------------
 
-    def connect(self, begin: Callable[[Say], VirtualClient]) -> Connection:
-        """Connect a client that `begin` makes; it is given what sends."""
-        connection = Connection(begin, lambda: self.now_s, self._to_hli)
+    def connect(
+        self,
+        begin: Callable[[Say], VirtualClient],
+        up: MessageWire | None = None,
+        down: MessageWire | None = None,
+    ) -> Connection:
+        """Connect a client that `begin` makes, to which what sends is given; over wires to the HLI and from it."""
+        connection = Connection(begin, lambda: self.now_s, self._to_hli, up, down)
         self._connections.append(connection)
+        self._links += [wire.link for wire in (up, down) if wire is not None]
         return connection
 
     def acquire(self, robot: str, client: str) -> None:
@@ -270,10 +278,7 @@ class VirtualCell:
         return answers
 
     def _next_arrival_s(self) -> float | None:
-        links = [link for arm in self.arms.values() for link in arm.links]
-        links += [wire.link for wire, _ in self._plugged]
-        links += [wire.link for one in self._connections for wire in (one.up, one.down) if wire is not None]
-        return min((due_s for link in links if (due_s := link.next_s) is not None), default=None)
+        return min((due_s for link in self._links if (due_s := link.next_s) is not None), default=None)
 
     def _pump(self) -> None:
         for arm in self.arms.values():

@@ -65,8 +65,6 @@ class Connection(VirtualProcess[VirtualClient]):
         begin: makes the client, as its process does when it starts; it is given what sends.
         now: the time [s].
         to_hli: takes what the client has sent once it arrives, and whom to answer.
-
-    Attributes:
         up, down: wires to the HLI and from it; None for perfect ones.
     """
 
@@ -75,9 +73,10 @@ class Connection(VirtualProcess[VirtualClient]):
         begin: Callable[[Say], VirtualClient],
         now: Callable[[], float],
         to_hli: Callable[[Message | InvalidMessageError, Sender], None],
+        up: MessageWire | None = None,
+        down: MessageWire | None = None,
     ) -> None:
-        self.up: MessageWire | None = None
-        self.down: MessageWire | None = None
+        self._up, self._down = up, down
         self._now, self._to_hli = now, to_hli
         super().__init__(lambda: begin(self._say))
 
@@ -89,26 +88,26 @@ class Connection(VirtualProcess[VirtualClient]):
 
     def tell(self, message: Message) -> None:
         """The HLI says something."""
-        if self.down is None or self.down.perfect:
+        if self._down is None or self._down.perfect:
             self._told(message)
         else:
-            self.down.send(self._now(), message)
+            self._down.send(self._now(), message)
 
     def pump(self, now_s: float) -> None:
         """Carry what arrives by now."""
-        for message in self.down.take(now_s) if self.down is not None else ():
+        for message in self._down.take(now_s) if self._down is not None else ():
             self._told(message)
-        for message in self.up.take(now_s) if self.up is not None else ():
+        for message in self._up.take(now_s) if self._up is not None else ():
             self._to_hli(message, self._port)
 
     def _told(self, message: Message) -> None:
         self.do(partial(self.core.take, message))
 
     def _say(self, said: Message | InvalidMessageError) -> None:
-        if self.up is None or self.up.perfect or isinstance(said, InvalidMessageError):
+        if self._up is None or self._up.perfect or isinstance(said, InvalidMessageError):
             self._to_hli(said, self._port)
         else:
-            self.up.send(self._now(), said)
+            self._up.send(self._now(), said)
 
 
 class SteppedController:
