@@ -17,7 +17,9 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.kernel import NONE, look
 from deltaq_cell.kernel_arrays import Pairs
+from deltaq_cell.kernel_gap import ROUNDING_M
 from deltaq_cell.kernel_place import place
+from deltaq_cell.kernel_planes import keeps
 from deltaq_cell.kernel_strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.proximity import DistanceQuery, Proximity
@@ -138,10 +140,13 @@ class CompiledProximity(Proximity):
             return DistanceQuery([], False, None, 0.0)
         open_ = np.flatnonzero(self._found.open[: listed.numbers.size])
         told = self._measure(listed, tightest)
+        overlapping = open_[self._found.at_most_m[open_] < _OVERLAP_M].tolist()
         if too_near:
-            overlapping = open_[self._found.at_most_m[open_] < _OVERLAP_M]
-            others = [self._measure(listed, index) for index in overlapping.tolist()]
+            others = [self._measure(listed, index) for index in overlapping]
             told = min(told, *others, key=lambda item: item[0].swept_m - item[1]) if others else told
+        elif kept := [index for index in overlapping if self._keeps_depth(listed, index, room_m)]:
+            self._found.open[kept] = False
+            open_ = np.setdiff1d(open_, kept)
         return DistanceQuery(_part(listed, open_) if open_.size else [], too_near, *told)
 
     def _listed(self, groups: Sequence[Group]) -> PairedGroups:
@@ -172,6 +177,31 @@ class CompiledProximity(Proximity):
             self._is_measured = True
         nearest = self._meter.measure(int(listed.numbers[index]), float(self._found.travel_m[index]))
         return nearest, float(listed.pairs.stop_m[index])
+
+    def _keeps_depth(self, listed: PairedGroups, index: int, room_m: float) -> bool:
+        """Whether bodies in one another get no deeper than is allowed, by planes along coal's way out of one another.
+
+        The kernel's search ends where bodies overlap, and leaves a direction along which they may be far deeper.
+        """
+        asked_m = float(listed.pairs.stop_m[index]) + room_m
+        nearest, _ = self._measure(listed, index)
+        if asked_m >= 0.0 or nearest.distance_m >= 0.0:
+            return False
+        first, second = nearest.points_m
+        normal = (second - first) / nearest.distance_m
+        length = float(np.linalg.norm(normal))
+        if not 0.5 < length < 2.0:  # coal found no way out
+            return False
+        return keeps(
+            self._anatomy,
+            self._where,
+            int(listed.pairs.first[index]),
+            int(listed.pairs.second[index]),
+            normal / length,
+            nearest.distance_m + ROUNDING_M,
+            asked_m,
+            self._found.twist,
+        )
 
     def _jacobian(self, robot: str) -> Array:
         first, last = self._ranges[robot][0]

@@ -62,6 +62,9 @@ NOT_RUN = {
 }
 """All that no test does as it is printed, and why: whoever adds to the pages' marks adds it here."""
 
+INSTALLED_BESIDE = {"bring-your-own-robot.md": ("example-robot-data",)}
+"""What a page has its reader install, from a package index that no test asks."""
+
 OTHER_COMMENTS = {"table"}
 """Comments that other tests read."""
 
@@ -104,6 +107,8 @@ def read(page: Path, installed: Installed, folder: Path, *options: str, timeout_
     home, empty = folder / "home", folder / "empty"
     home.mkdir()
     empty.mkdir()
+    for package in INSTALLED_BESIDE.get(page.name, ()):
+        installed.add(package)
     command = [*network, sys.executable, pages.__file__, str(page), str(empty), *options]
     # in a group of its own, which a page that hangs is ended with
     with subprocess.Popen(

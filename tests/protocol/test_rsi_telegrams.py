@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +21,7 @@ from deltaq_protocol.rsi import (
     TelegramError,
 )
 from deltaq_protocol.rsi.ethernet_xml import parse_ethernet_xml
-from deltaq_protocol.rsi.pose import matrix_from_pose, pose_from_matrix
+from deltaq_protocol.rsi.pose import pose_from_matrix
 
 ARM = tuple(f"a{i}" for i in range(1, 7))
 NINE = ("e1", "e2", "e3", *ARM)
@@ -293,6 +295,11 @@ def test_both_ends_understand_each_other_within_half_a_decimal(
     heard = at_krc.decode(at_pc.encode(ipoc, q))
     assert heard.ipoc == ipoc
     assert np.abs((heard.correction - q) * axes.commanded).max() <= 0.5e-6 + 1e-9
+
+
+def matrix_from_pose(x: float, y: float, z: float, a: float, b: float, c: float) -> Any:
+    """(4, 4) transform of X, Y, Z [m] and A, B, C [rad], as pinocchio has KUKA's Rz Ry Rx."""
+    return pin.SE3(pin.rpy.rpyToMatrix(c, b, a), np.array([x, y, z])).homogeneous
 
 
 @given(st.lists(st.floats(-3.1, 3.1), min_size=3, max_size=3))

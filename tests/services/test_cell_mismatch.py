@@ -12,7 +12,7 @@ from small_cell import server_state, small_cell, told, tool_pose
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.identity import content_identity
-from deltaq_protocol.guarded import Health
+from deltaq_protocol.guarded import Health, Supervision
 from deltaq_protocol.messages import Error, Increment, LeaseAction, LeaseRequest, Phase, ResetRequest, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
@@ -33,14 +33,15 @@ def test_the_gate_admits_nothing_while_a_robot_server_has_read_another_cell() ->
     rig.cycle()
     assert rig.state.phase is Phase.ENGAGED
     rig.servers["gr"] = RobotServer(OTHER.description, "gr", process=2)
-    for _ in range(10):
+    for count in range(1, 11):
         rig.cycle()
         verdict = rig.request()
         assert verdict.outcome == "refused"
+        assert rig.sim.counters["states_of_another_cell_gr"] == count
     (reason,) = verdict.reasons
     assert reason.code is ReasonCode.CELL_MISMATCH
     assert reason.what == f"the Robot Server of gr has read cell {THEIRS}, and here it is {OURS}"
-    assert rig.sim.counters["states_of_another_cell_gr"] >= 9
+    assert rig.sim.counters["states_of_another_cell_fr"] == 0
     assert rig.servers["gr"].state.phase is Phase.OFFLINE  # it never began
     reset = rig.command(kind="reset", robot="gr")
     assert (reset.accepted, reset.code) == (False, ReasonCode.CELL_MISMATCH)
@@ -74,6 +75,16 @@ def test_a_robot_server_holds_its_robot_under_a_gate_that_has_read_another_cell_
     for _ in range(3):
         rig.cycle()
     assert server.state.phase is Phase.READY
+
+
+def test_the_gate_orders_a_stop_of_a_robot_whose_server_has_read_another_cell() -> None:
+    state = Rig().state
+    ours, theirs = Sim(CELL, epoch=5), Sim(OTHER, epoch=6)
+    (alike, *_), (other, *_) = ours.on_state(state), theirs.on_state(state)
+    assert isinstance(alike.message, Supervision)
+    assert isinstance(other.message, Supervision)
+    assert (alike.message.stop, alike.message.cell) == (None, str(OURS))
+    assert (other.message.stop, other.message.cell) == (ReasonCode.CELL_MISMATCH, str(THEIRS))
 
 
 def test_a_stop_is_obeyed_from_whatever_gate() -> None:

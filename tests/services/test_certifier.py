@@ -99,6 +99,17 @@ def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(turn, 
 
 
 @pytest.mark.parametrize("order", [1, -1])
+def test_a_part_that_waits_while_another_is_divided_twice_still_counts_whoever_moves(order):
+    """The other part comes back with its gripper turned: near enough for two divisions, and never too near."""
+    far, turned = NEAR - one_joint("gr", 4, 0.3), NEAR - one_joint("gr", 4, 0.005) + one_joint("gr", 8, 0.05)
+    beside = standing("fr", FR_BESIDE_GR)
+    for start, is_certified in ((NEAR - one_joint("gr", 4, 0.005), True), (NEAR, False)):
+        there_and_turned = there_and_back(*(start, far, turned)[::order])
+        assert certify("gr", there_and_turned, ("fr", beside)).holds is is_certified
+        assert certify("fr", beside, ("gr", there_and_turned)).holds is is_certified
+
+
+@pytest.mark.parametrize("order", [1, -1])
 def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(order):
     folded = np.array((0.202, -0.063, 2.412, -1.8, -1.435, -1.305))  # the camera at its own base
     open_wide = folded - one_joint("fr", 1, 1.2)

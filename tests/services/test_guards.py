@@ -1,9 +1,12 @@
 """The Robot Server's own guards, at their bounds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_cell import server_state
 
+from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission
 from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
 
@@ -11,14 +14,14 @@ MAX_DQ, MAX_DV = np.full(6, 0.016), np.full(6, 0.001)
 BOUNDS = Bounds(lower=np.full(6, -1.0), upper=np.full(6, 2.0), max_dq=MAX_DQ, max_dv=MAX_DV)
 
 
-def answer(q=0.0, last=0.0, dq=0.0, brake_cycles=1):
+def answer(q=0.0, last=0.0, dq=0.0, brake_cycles=1, age_cycles=0):
     """What is said to an increment of all joints, by a robot whose setpoint is at `q` after an increment `last`."""
     state = server_state(q_cmd=(q,) * 6, dq=(last,) * 6)
     admission = Admission(
         robot="fr",
         epoch=state.epoch,
         sequence=state.sequence + 1,
-        cycle=state.cycle,
+        cycle=state.cycle - age_cycles,
         follows_sequence=state.sequence,
         follows_q_cmd=state.q_cmd,
         follows_dq=state.dq,
@@ -73,3 +76,13 @@ def test_outside_a_limit_it_may_stand_and_come_back_and_not_go_further_out(outsi
 def test_a_joint_outside_one_limit_does_not_open_the_other():
     state_far_up = answer(q=2.1, last=-0.0155, dq=-0.016, brake_cycles=10_000)
     assert state_far_up is Refusal.LEAVES_LIMITS
+
+
+@pytest.mark.parametrize("max_age_cycles", [0, 2])
+def test_an_admission_may_be_as_old_as_the_table_of_topics_says_and_is_never_of_a_cycle_to_come(
+    monkeypatch, max_age_cycles
+):
+    monkeypatch.setattr(topics, "ADMISSION", replace(topics.ADMISSION, max_age_cycles=max_age_cycles))
+    assert answer(age_cycles=max_age_cycles) is None
+    assert answer(age_cycles=max_age_cycles + 1) is Refusal.LATE
+    assert answer(age_cycles=-1) is Refusal.LATE

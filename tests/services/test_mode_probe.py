@@ -16,7 +16,9 @@ from deltaq_services.robot_server.mode_probe import (
     KinematicMode,
     Mode,
     ModeProbe,
+    joint_modes,
     mode_of_session,
+    pulse_offsets,
 )
 
 LAB, LAB_4MS, DAWM = load_cell("lab"), load_cell("lab-4ms"), load_cell("dawm")
@@ -155,6 +157,24 @@ def test_a_trial_sums_up_to_nothing_and_accelerates_no_joint_beyond_its_limit(ce
     assert (np.abs(np.diff(sent, n=2, axis=0)) <= arm.max_dv * (1 + 1e-9)).all()
 
 
+@pytest.mark.parametrize("cycle_s", [0.1, 0.03, 0.012, 0.004, 0.001])
+def test_a_pulse_is_as_short_as_limits_of_acceleration_allow(cycle_s):
+    pulse, max_dv = pulse_offsets(GR, cycle_s), GR.max_acceleration * cycle_s**2
+    half = (len(pulse) + 1) // 2
+    assert len(pulse) == 2 * half - 1
+    assert (2 * SIZE / half**2 <= max_dv).all()
+    assert half == 1 or (2 * SIZE / (half - 1) ** 2 > max_dv).any()
+
+
+@pytest.mark.parametrize("cell", [LAB, LAB_4MS])
+def test_what_is_said_to_be_a_pulse_is_what_a_trial_adds_and_then_takes_away(cell):
+    pulse = pulse_offsets(cell.robots["gr"], cell.cycle_s)
+    arm = Arm(cell=cell)
+    arm.trial(90)
+    moved = [offset for offset in arm.sent if offset.any()]
+    np.testing.assert_array_equal(moved, [*pulse, *-pulse])
+
+
 def test_a_robot_that_does_not_move_is_probed_again_and_again_until_it_does():
     arm = Arm(moves=False)
     probe = arm.trial(TRIAL - 1)
@@ -228,6 +248,25 @@ def test_a_robot_that_moves_on_though_nothing_is_sent_is_adrift_but_not_for_one_
     assert arm.probe.detail.startswith("the robot moves though its correction rests")
 
 
+def test_of_a_pulse_in_which_the_robot_is_found_adrift_nothing_is_added_any_more():
+    arm = Arm()
+    arm.trial(2)
+    arm.sag = 1.1 * ADRIFT * SIZE
+    arm.q = arm.start + arm.sag
+    arm.trial(2)
+    assert arm.sent[-1].any()
+    assert arm.trial(1).mode is Mode.ADRIFT
+    assert not arm.sent[-1].any()
+
+
+def test_a_robot_that_is_elsewhere_from_the_first_telegram_on_is_adrift_after_three():
+    arm = Arm()
+    arm.sag = 1.1 * ADRIFT * SIZE
+    arm.q = arm.start + arm.sag
+    assert arm.trial(2).mode is Mode.UNKNOWN
+    assert arm.trial(1).mode is Mode.ADRIFT
+
+
 @pytest.mark.parametrize("at", range(TRIAL))
 def test_told_to_end_it_undoes_a_pulse_and_begins_none(at):
     arm = Arm("relative")
@@ -279,6 +318,55 @@ def test_no_joint_is_displaced_by_more_than_a_tenth_of_its_tracking_tolerance():
     assert np.degrees(total[3]) == pytest.approx(0.005)
     assert np.degrees(total[4]) == pytest.approx(0.03)
     assert (total <= 0.1 * robot.tracking_tolerance).all()
+
+
+WINDOW = 12
+FIRST, SECOND = 4, 4 + WINDOW
+"""Samples in which the first pulse can be seen at the earliest, and its negative."""
+
+
+def course(*pulses, adds_up=False, drift=0.0):
+    """Samples of a joint that some shares of a pulse displace at some samples, and that drifts by so much a window."""
+    samples = np.arange(FIRST + 2 * WINDOW) * drift / WINDOW
+    for at, share in pulses:
+        samples[at : None if adds_up else at + 1] += share
+    return samples[:, np.newaxis]
+
+
+@pytest.mark.parametrize("late", [0, WINDOW - 4])
+def test_a_response_is_seen_as_early_and_as_late_as_a_window_allows(late):
+    pulses = (FIRST + late, 1.0), (SECOND + late, -1.0)
+    assert joint_modes(course(*pulses), WINDOW) == [Mode.ABSOLUTE]
+    assert joint_modes(course(*pulses, adds_up=True), WINDOW) == [Mode.RELATIVE]
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_response_of_half_a_pulse_or_of_twice_as_much_tells_nothing_and_one_within_does(share):
+    within = 0.51 if share < 1 else 1.99
+    for amount, mode in ((share, Mode.UNKNOWN), (within, Mode.ABSOLUTE)):
+        assert joint_modes(course((FIRST, amount), (SECOND, -amount)), WINDOW) == [mode]
+    assert joint_modes(course((FIRST, 0.5), (SECOND, -0.5), adds_up=True), WINDOW) == [Mode.UNKNOWN]
+    assert joint_modes(course((FIRST, 0.51), (SECOND, -0.51), adds_up=True), WINDOW) == [Mode.RELATIVE]
+
+
+@pytest.mark.parametrize("within", [FIRST, SECOND])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_joint_that_stays_a_quarter_of_a_pulse_away_is_not_back(within, sign):
+    for away, mode in ((0.25, Mode.UNKNOWN), (0.24, Mode.ABSOLUTE)):
+        samples = course((FIRST, 1.0), (SECOND, -1.0))
+        samples[within + WINDOW // 2 :] += sign * away  # from the middle of a window, so that it has no area
+        assert joint_modes(samples, WINDOW) == [mode]
+
+
+@pytest.mark.parametrize("early", [FIRST - 1, SECOND - 1])
+def test_what_is_seen_before_a_pulse_can_be_is_no_response(early):
+    assert joint_modes(course((early, 1.0)), WINDOW) == [Mode.UNKNOWN]
+
+
+@pytest.mark.parametrize("drift", [0.2, -0.2])
+def test_a_slow_drift_is_no_response_and_hides_none(drift):
+    assert joint_modes(course((FIRST, 1.0), (SECOND, -1.0), drift=drift), WINDOW) == [Mode.ABSOLUTE]
+    assert joint_modes(course(drift=drift), WINDOW) == [Mode.UNKNOWN]
 
 
 def test_a_robot_that_is_no_kuka_has_no_mode_to_be_found_out():

@@ -48,11 +48,18 @@ class Rig:
             self.cycle()
         assert self.server.detail == ""
 
-    def cycle(self, admission=None, gate=True, stop=None, epoch=EPOCH, q_start=None, missed_last=False):
+    def cycle(
+        self,
+        admission=None,
+        gate=True,
+        stop=None,
+        epoch=EPOCH,
+        q_start=None,
+        missed_last=False,
+        cell=IDENTITY,
+    ):
         self.ipoc += 12
-        supervision = Supervision(
-            robot="fr", epoch=epoch, cycle=0, stop=stop, resets=self.resets, cell=IDENTITY
-        )
+        supervision = Supervision(robot="fr", epoch=epoch, cycle=0, stop=stop, resets=self.resets, cell=cell)
         measured = Measurement(self.ipoc, self.q, q_start=q_start, missed_last=missed_last)
         self.q = self.server.cycle(measured, self.ipoc / 1000, admission, supervision if gate else None)
         return self.server.state
@@ -103,6 +110,7 @@ def test_before_it_hears_a_gate_it_follows_none_and_holds_for_no_reason():
     assert (state.phase, state.reason) == (Phase.OFFLINE, None)
     assert (state.cycle, state.epoch, state.sequence, state.resets) == (GATE_TIMEOUT + 5, 0, 0, 0)
     assert not server.counters
+    assert state.cell == IDENTITY  # so that a gate which has read another is noticed by both
 
 
 def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_taken():
@@ -259,6 +267,15 @@ def test_a_new_gate_is_not_obeyed_before_a_reset(rig):
     assert (state.phase, state.epoch, state.sequence) == (Phase.READY, 8, 0)
 
 
+@pytest.mark.parametrize("stop", [None, ReasonCode.OPERATOR_STOP])
+def test_a_gate_that_has_read_another_cell_holds_the_robot_and_each_word_of_it_is_counted(rig, stop):
+    rig.run_up(1)
+    for count in (1, 2, 3):
+        state = rig.cycle(stop=stop, cell=f"{IDENTITY}-another")
+        assert (state.phase, state.reason) == (Phase.HELD, stop or ReasonCode.CELL_MISMATCH)
+        assert rig.counters["supervision_of_another_cell"] == count
+
+
 def test_a_stop_brakes_along_the_certified_brake_and_holds(rig):
     rig.run_up(5)
     state = rig.cycle(rig.admission(5 * STEP), stop=ReasonCode.OPERATOR_STOP)
@@ -350,6 +367,7 @@ def test_a_krc_that_was_silent_before_its_first_telegram_changes_nothing():
     server.krc_silent(99.0)
     assert server.state is None
     assert server.counters == {"krc_silent": 1}
+    assert (server.detail, server.motion_stop) == ("", False)
 
 
 def test_a_silent_krc_does_not_hold_a_robot_that_no_gate_has_linked():
@@ -395,11 +413,29 @@ def test_before_it_is_linked_the_newest_session_is_where_it_begins():
     server = RobotServer(CELL, "fr", process=1)
     for q in (FR.home, FR.home + 0.1):
         np.testing.assert_array_equal(server.cycle(Measurement(12, q, q_start=q), 0.0), q)
+    assert server.counters["session_restarted"] == 1
     assert (server.state.phase, server.state.q_cmd, server.state.q_reset) == (
         Phase.OFFLINE,
         tuple((FR.home + 0.1).tolist()),
         None,
     )
+
+
+def test_a_new_session_is_no_other_reason_to_hold_a_robot_that_is_held(rig):
+    rig.cycle(stop=ReasonCode.OPERATOR_STOP)
+    rig.begin(FR.home)
+    assert rig.server.state.reason is ReasonCode.OPERATOR_STOP
+
+
+def test_in_a_new_session_the_robot_has_the_time_again_to_come_where_it_was_sent(rig):
+    for _ in range(LAG + 1):
+        rig.cycle()
+    assert rig.server.at_rest
+    elsewhere = FR.home + 0.1
+    rig.q = elsewhere + 1.01 * FR.tracking_tolerance
+    rig.cycle(q_start=elsewhere)
+    assert not rig.server.at_rest
+    assert not rig.server.motion_stop
 
 
 def test_a_reset_waits_until_the_robot_is_where_it_was_sent(rig):
@@ -530,6 +566,27 @@ def test_a_krc_that_adds_corrections_up_is_held_from_the_first_and_obeys_no_rese
     assert unprobed.cycle().reason is ReasonCode.KRC_LOST  # no reset of before is obeyed now
     unprobed.resets += 1
     assert unprobed.cycle().phase is Phase.READY
+
+
+def test_the_mode_of_the_session_before_is_not_why_the_next_is_held_and_each_refused_is_counted(unprobed):
+    relative(unprobed, PROBE_CYCLES + 1)
+    unprobed.begin(unprobed.q)
+    assert unprobed.server.state.reason is ReasonCode.KRC_LOST
+    unprobed.cycle(q_start=unprobed.q)
+    relative(unprobed, PROBE_CYCLES + 1)
+    assert unprobed.server.state.reason is ReasonCode.RSI_MODE
+    assert unprobed.counters["modes_refused"] == 2
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_probe_in_which_a_telegram_was_lost_says_nothing_against_a_robot_that_did_not_follow(
+    unprobed, is_lost
+):
+    for count in range(PROBE_CYCLES):
+        unprobed.q = FR.home
+        unprobed.ipoc += 12 * (is_lost and count == 4)
+        unprobed.cycle()
+    assert unprobed.server.detail.startswith("finds out" if is_lost else "a1, a2, a3, a4, a5, a6 did not")
 
 
 def test_a_krc_that_is_refused_before_a_gate_is_heard_is_held_once_it_is(unprobed):

@@ -11,6 +11,7 @@ SILENCE_S = 0.25
 
 def test_on_the_loopback_the_first_valid_telegram_names_the_krc():
     peer = Peer(None, SILENCE_S)
+    assert (peer.address, peer.stranger) == (None, "")
     assert peer.judge(OTHER, 0.0) is Sender.KRC
     assert peer.judge(KRC, 0.0) is Sender.KRC  # the other has not said anything valid
     peer.believed(KRC, 0.0)

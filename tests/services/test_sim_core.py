@@ -202,6 +202,37 @@ def test_retreat_leads_out_of_a_violation_slowly_and_not_further_in():
     assert abs(rig.verdict().dq[1]) > 2 * slow
 
 
+def violated_by_both():
+    """A rig whose gate has measured one robot too near to the floor, and remembers the same of the other."""
+    low = CELL.robots["fr"].home.copy()
+    low[1] = np.deg2rad(21.6)
+    rig = Rig(fr=low)
+    rig.request(dq=(0, 1e-4, 0, 0, 0, 0))
+    (fr,) = rig.sim.violations.snapshot()
+    gr = fr.model_copy(update={"pair": ("gr/link_3", "structure/floor")})
+    rig.sim.violations.restore([fr, gr])
+    return rig, fr, gr
+
+
+def test_a_server_that_starts_anew_begins_without_the_violations_of_its_robot_and_leaves_the_others():
+    rig, fr, gr = violated_by_both()
+    rig.cycle()
+    assert rig.sim.violations.snapshot() == (fr, gr)
+    rig.restart_server("fr")
+    rig.cycle()
+    assert rig.sim.violations.snapshot() == (gr,)
+
+
+def test_a_robot_that_somebody_else_displaced_begins_without_its_violations_too():
+    rig, _, gr = violated_by_both()
+    state = rig.state
+    elsewhere = tuple((np.array(state.q_cmd) + 0.1).tolist())
+    displaced = state.model_copy(update={"cycle": state.cycle + 1, "q": elsewhere, "q_cmd": elsewhere})
+    rig.sim.on_state(displaced)
+    assert rig.sim.robots["fr"].tracker.displaced
+    assert rig.sim.violations.snapshot() == (gr,)
+
+
 def test_nothing_is_admitted_beside_a_robot_that_was_never_heard(rig):
     alone = Sim(CELL, epoch=9)
     state = rig.state.model_copy(update={"epoch": 9})

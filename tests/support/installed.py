@@ -44,6 +44,10 @@ class Installed:
         path = f"{self.bin}{os.pathsep}{os.environ['PATH']}"
         return {**kept, "PATH": path, "VIRTUAL_ENV": str(self.folder), **more}
 
+    def add(self, package: str) -> None:
+        """Install another package beside it, as pip would."""
+        _link(distribution(package), self.packages)
+
     def run(self, *words: str, **more: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [str(self.bin / words[0]), *words[1:]],
@@ -109,9 +113,9 @@ def _asked_for(wheel: Path, extra: str) -> Iterable[Distribution]:
 def _link(package: Distribution, packages: Path) -> None:
     for file in package.files or ():
         source = Path(str(package.locate_file(file)))
-        if ".." in file.parts or not source.exists():
-            continue  # a script, or bytecode that has gone since
         target = packages / file
+        if ".." in file.parts or not source.exists() or target.exists():
+            continue  # a script, bytecode that has gone since, or what is there from before
         target.parent.mkdir(parents=True, exist_ok=True)
         target.symlink_to(source.resolve())
 

@@ -182,7 +182,6 @@ def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_se
         },
         "nobody sets one": {"outputs"},
         "none since the robot is kinematic": {"mode"},
-        "taken from each telegram": {"q"},
         "handed to each cycle": {"admission", "supervision"},
     }  # fmt: skip
     assert names(ServerMemory) == set.union(*told.values())

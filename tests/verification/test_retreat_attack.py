@@ -27,6 +27,13 @@ def test_who_stands_in_a_violation_is_let_out_of_it(attack):
     assert figures["outwards"]["let_out"] == figures["outwards"]["situations"] >= 4
 
 
+def test_a_robot_whose_bodies_are_in_one_another_is_let_out(attack):
+    folded = attack.run(301034, ask="outwards")
+    assert folded.room_m < -0.022  # link_5 is 2.9 mm inside link_1, and 20 mm are asked for
+    assert folded.gained_m > 0.03
+    assert folded.nearer_m <= TOLERANCE_M
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("forgotten", ["between setpoints", "since it began"])
 def test_a_gate_that_forgets_what_pairs_have_to_keep_is_found_out(attack, monkeypatch, forgotten):

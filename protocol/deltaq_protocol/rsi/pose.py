@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from deltaq_protocol.arrays import Array
 
 
@@ -17,16 +15,3 @@ def pose_from_matrix(T: Array) -> tuple[float, float, float, float, float, float
     if level > 1e-9:
         return x, y, z, math.atan2(r21, r11), b, math.atan2(r32, r33)
     return x, y, z, math.atan2(-r12, r22), b, 0.0
-
-
-def matrix_from_pose(x: float, y: float, z: float, a: float, b: float, c: float) -> Array:
-    """(4, 4) transform of X, Y, Z [m] and A, B, C [rad]."""
-    sa, ca, sb, cb, sc, cc = math.sin(a), math.cos(a), math.sin(b), math.cos(b), math.sin(c), math.cos(c)
-    return np.array(
-        [
-            [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc, x],
-            [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc, y],
-            [-sb, cb * sc, cb * cc, z],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )

@@ -61,7 +61,6 @@ class RobotServer:
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        self._q = np.zeros(0)
         self._q_cmd = np.zeros(0)
         self._q_reset: Array | None = None
         self._dq = np.zeros(0)
@@ -117,10 +116,9 @@ class RobotServer:
             self._begin_session(measured.q, measured.q_start)
         follows = self.state
         self._cycle += 1
-        self._q = measured.q
         self._watch(measured.q)
         self._probe(measured)
-        self._supervise(supervision)
+        self._supervise(supervision, measured.q)
         if measured.missed_last:
             # the KRC still stands at the setpoint before: send the missed one again instead of a double step
             self._cycles_missed += 1
@@ -170,7 +168,6 @@ class RobotServer:
             cycle=self._cycle,
             phase=self._phase,
             reason=self._reason,
-            q=tuple(self._q.tolist()),
             q_cmd=tuple(self._q_cmd.tolist()),
             q_reset=None if self._q_reset is None else tuple(self._q_reset.tolist()),
             dq=tuple(self._dq.tolist()),
@@ -195,7 +192,7 @@ class RobotServer:
         """Go on from where another Robot Server of this robot was, counters excepted."""
         self.process, self._cycle = memory.process, memory.cycle
         self._phase, self._reason = memory.phase, memory.reason
-        self._q, self._q_cmd, self._dq = np.array(memory.q), np.array(memory.q_cmd), np.array(memory.dq)
+        self._q_cmd, self._dq = np.array(memory.q_cmd), np.array(memory.dq)
         self._q_reset = None if memory.q_reset is None else np.array(memory.q_reset)
         self._plan, self._plan_dq = memory.plan, np.array(memory.plan.dq)
         self._epoch, self._sequence, self._resets = memory.epoch, memory.sequence, memory.resets
@@ -289,7 +286,7 @@ class RobotServer:
         self._plan_dq = np.zeros_like(self._q_cmd)
         self._plan = Plan(dq=tuple(self._plan_dq.tolist()), brake_cycles=1, step=1)
 
-    def _supervise(self, supervision: Supervision | None) -> None:
+    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         if supervision is None:
             self._cycles_without_gate += 1
             if self._cycles_without_gate > self._gate_timeout_cycles:
@@ -308,7 +305,7 @@ class RobotServer:
             self._stop(ReasonCode.RSI_MODE)
         if self._mode.bars:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
-        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(self._q, self._held_at)
+        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(q, self._held_at)
         may_be_reset = self._phase is Phase.HELD and self._mode.known and there
         if may_be_reset and supervision.resets > self._resets:
             self._q_cmd, self._q_reset = self._held_at, None

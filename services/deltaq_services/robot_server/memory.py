@@ -29,7 +29,6 @@ class ServerMemory:
     cycle: int
     phase: Phase
     reason: ReasonCode | None
-    q: Joints
     q_cmd: Joints
     q_reset: Joints | None
     dq: Joints

@@ -57,7 +57,7 @@ class Peer:
         """
         if sender == self.address:
             return Sender.KRC
-        host, port = sender[:2]
+        host, port = sender
         if port == 0 or self._krc_address not in (None, host):
             self.stranger = f"a stranger at {host}:{port}"
             return Sender.FOREIGN

@@ -225,7 +225,8 @@ class Session:
         last = self.last
         if last is None:
             return other, ""
-        step = self.step or 1
+        assert self.step is not None  # a session has the step of the telegrams that it began with
+        step = self.step
         behind = (last.ipoc - telegram.ipoc) % IPOC_WRAP
         if behind % step == 0 and behind <= _OVERTAKEN_CYCLES * step:
             return Kind.REPEATED, ""

@@ -38,10 +38,10 @@ class LateIsTaken(System):
 
 
 class _ResetsAtOnce(RobotServer):
-    def _supervise(self, supervision: Supervision | None) -> None:
+    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         plan = self._plan
         self._plan = Plan(dq=plan.dq, brake_cycles=1, step=1)
-        super()._supervise(supervision)
+        super()._supervise(supervision, q)
         self._plan = plan
 
 
@@ -93,9 +93,9 @@ class MissedReplyIsForgotten(System):
 
 
 class _NeverLosesTheGate(RobotServer):
-    def _supervise(self, supervision: Supervision | None) -> None:
+    def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         self._cycles_without_gate = 0
-        super()._supervise(supervision)
+        super()._supervise(supervision, q)
 
 
 class SilentGateIsIgnored(System):
