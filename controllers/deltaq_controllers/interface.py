@@ -1,6 +1,6 @@
 """What every controller is: a function from what it sees to one increment.
 
-The lockstep runner and the live shell drive any object with this one method, so a controller of your own
+A cell in virtual time and the live shell drive any object with this one method, so a controller of your own
 plugs in without touching either.
 """
 

@@ -15,15 +15,14 @@ from pydantic import BaseModel, ConfigDict
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
-from deltaq_controllers.interface import View
+from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
-from deltaq_experiments.virtual import view_of
 from deltaq_protocol.arrays import Array
 from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
-from deltaq_verification.lockstep import Lockstep
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 
 class BenchRow(BaseModel):
@@ -64,7 +63,7 @@ def run(
         cycles: cycles of tracking at 0.25 m/s in which every decision is timed.
         on_cycle: called with the number of cycles done and the number of all.
     """
-    stack = Lockstep(cell_name)
+    stack = VirtualCell(cell_name)
     raw = RawDistances(stack.cell)
     cycle_s = stack.cell.description.cycle_s
     leader = ScriptedLeader(stack.cell.robots[LEADER], cycle_s, 0.25, 0)
@@ -78,7 +77,7 @@ def run(
     gc.collect()
     for cycle in range(cycles):
         stack.cycle()
-        states = {name: view_of(arm.state) for name, arm in stack.arms.items()}
+        states = {name: RobotView.from_state(state) for name, state in stack.states.items()}
         stack.ask(LEADER, leader.increment(View(states[LEADER])))
         stack.ask(FOLLOWER, camera.increment(View(states[FOLLOWER], states)))
         references.append(raw.seconds({name: state.q_cmd for name, state in states.items()}))

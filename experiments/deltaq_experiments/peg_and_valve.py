@@ -31,7 +31,7 @@ from deltaq_experiments.peg_and_valve_operators import (
     error_to,
 )
 from deltaq_protocol.arrays import Array
-from deltaq_verification.lockstep import Lockstep
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 PEG_M = 0.1
 TURN_RAD = np.deg2rad(60.0)
@@ -126,7 +126,7 @@ def run(
 
 class _Run:
     def __init__(self, cell: str | Path, robot: str, mode: str) -> None:
-        self._stack = Lockstep(cell)
+        self._stack = VirtualCell(cell)
         self._cycle_s = self._stack.cell.description.cycle_s
         self._robot = model_of(self._stack.cell.robots, robot)
         if len(self._robot.hands) > 1:
@@ -181,9 +181,7 @@ class _Run:
         while True:
             self._stack.cycle()
             self._cycles += 1
-            state = self._stack.arms[self._name].state
-            assert state is not None  # the stack is ready
-            view = RobotView.from_state(state)
+            view = RobotView.from_state(self._stack.states[self._name])
             way.append(view.q)
             command = self._operator.command(view.q, goal)
             if command is None:

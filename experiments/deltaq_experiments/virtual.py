@@ -13,10 +13,9 @@ from deltaq_experiments.options import Options
 from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles
 from deltaq_experiments.trace import Trace
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import RobotState
 from deltaq_verification.counts import GateCounts
-from deltaq_verification.lockstep import Lockstep
-from deltaq_verification.recorded import lockstep
+from deltaq_verification.recorded import virtual_cell
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 
 @dataclass(frozen=True)
@@ -56,12 +55,12 @@ def record(
     Raises:
         DeltaqError: if the loop alone is slower than the latency asked for.
     """
-    with lockstep(options.cell, start, options.record) as stack:
+    with virtual_cell(options.cell, start, options.record) as stack:
         return _run(stack, options, camera, leader, before_cycle)
 
 
 def _run(
-    stack: Lockstep,
+    stack: VirtualCell,
     options: Options,
     camera: Controller,
     leader: Controller | None,
@@ -81,13 +80,12 @@ def _run(
         stack.cycle()
         if before_cycle is not None:
             before_cycle(cycle * cycle_s)
-        own, other = view_of(stack.arms[FOLLOWER].state), view_of(stack.arms[LEADER].state)
+        own, other = (RobotView.from_state(stack.states[name]) for name in (FOLLOWER, LEADER))
         seen.append(other)
         if leader is not None:
             stack.ask(LEADER, leader.increment(View(other, {FOLLOWER: own})))
         stack.ask(FOLLOWER, camera.increment(View(own, {LEADER: seen[0]})))
-        for name, arm in stack.arms.items():
-            assert arm.krc is not None  # both robots of these experiments are driven over RSI
+        for name, arm in stack.krc_arms.items():
             q[name].append(arm.krc.sample.q)
             setpoints[name].append(arm.krc.sample.q_setpoint)
     trace = Trace(
@@ -98,9 +96,3 @@ def _run(
     counters = stack.sim.counters
     reasons = {k.removeprefix("reason_"): v for k, v in counters.items() if k.startswith("reason_")}
     return RunRecord(trace, GateCounts.of(counters), reasons)
-
-
-def view_of(state: RobotState | None) -> RobotView:
-    """A robot of a running stack as its controller sees it."""
-    assert state is not None  # the stack is ready
-    return RobotView.from_state(state)

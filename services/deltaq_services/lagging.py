@@ -44,6 +44,14 @@ class Heard:
         """A message has come."""
         self._times_s.append(time_s)
 
+    def snapshot(self) -> tuple[float, ...]:
+        """When the newest messages came [s]."""
+        return tuple(self._times_s)
+
+    def restore(self, times_s: tuple[float, ...]) -> None:
+        """Go on from where another was."""
+        self._times_s = deque(times_s, maxlen=self._times_s.maxlen)
+
     def fault(self, time_s: float) -> str | None:
         """What is wrong with the stream, for people; None if nothing is."""
         times_s = self._times_s

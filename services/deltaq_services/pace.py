@@ -19,6 +19,14 @@ class Pace:
         self._period_s = period_s
         self._next_s = -math.inf
 
+    def snapshot(self) -> float:
+        """When the next message is due [s]."""
+        return self._next_s
+
+    def restore(self, next_s: float) -> None:
+        """Go on from where another was."""
+        self._next_s = next_s
+
     def due(self, time_s: float) -> bool:
         """Whether a message is due at `time_s`; if so, it counts as sent."""
         if time_s < self._next_s - _EARLY * self._period_s:

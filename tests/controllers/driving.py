@@ -15,7 +15,7 @@ from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Verdict
-from deltaq_verification.lockstep import Lockstep
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 CYCLE_S = 0.012
 
@@ -98,7 +98,7 @@ class StackDrive:
     def __init__(self, robot: str, mode: ModeName, q: Array | None = None) -> None:
         cell = "dawm" if robot == "dawm" else "lab"
         self.name = robot
-        self.stack = Lockstep(cell, {} if q is None else {robot: q})
+        self.stack = VirtualCell(cell, {} if q is None else {robot: q})
         self.robot = self.stack.cell.robots[robot]
         self.stack.run_until_ready()
         self.stack.acquire(robot, "test")
@@ -112,8 +112,7 @@ class StackDrive:
         self.teleoperator.command = OperatorCommand(rates, mode, option=option)
         for _ in range(round(duration_s / CYCLE_S)):
             self.stack.cycle()
-            state = self.stack.arms[self.name].state
-            assert state is not None
+            state = self.stack.states[self.name]
             increment = self.teleoperator.increment(View(RobotView.from_state(state)))
             verdict = self.stack.ask(self.name, increment)
             assert verdict is not None

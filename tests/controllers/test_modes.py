@@ -283,7 +283,7 @@ def swept(robot: str, joint: str, up_s: float, down_s: float) -> tuple[float, fl
     """Drive a joint to where something stops it, and as far to the other side; hand error and joint travel."""
     run = StackDrive(robot, SELF_MOTION)
     run.drive(0.3)
-    start = np.array(run.stack.arms[robot].state.q_cmd)  # type: ignore[union-attr] # the stack is ready
+    start = np.array(run.stack.states[robot].q_cmd)
     rate = 0.25 if model(robot).revolute[model(robot).joint_names.index(joint)] else 0.08
     way = [run.drive(up_s, **{joint: rate}), run.drive(down_s, **{joint: -rate}), run.drive(0.5)]
     off = [one.hand_errors(one.q, start) for one in way]

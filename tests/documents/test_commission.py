@@ -19,7 +19,7 @@ from deltaq_deploy.krc.pendant import PENDANT, table
 from deltaq_emulator.catalogue import Code
 from deltaq_emulator.settings import KrcSettings
 from deltaq_launch.real import refuse_unreal
-from deltaq_verification.lockstep import Lockstep
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "how-to" / "commission.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(
@@ -83,7 +83,7 @@ def test_a_correction_that_the_controller_cuts_off_at_five_degrees_is_held_as_th
 ) -> None:
     settings = KrcSettings.load().model_copy(update={"correction_limit_deg": 5.0})
     monkeypatch.setattr(KrcSettings, "load", lambda: settings)
-    cell = Lockstep("lab")
+    cell = VirtualCell("lab")
     cell.run_until_ready()
     cell.acquire("fr", "guide")
     home = cell.cell.robots["fr"].home[0]
@@ -91,8 +91,7 @@ def test_a_correction_that_the_controller_cuts_off_at_five_degrees_is_held_as_th
     for _ in range(400):
         cell.cycle()
         cell.ask("fr", step)
-        state = cell.arms["fr"].state
-        assert state is not None
+        state = cell.states["fr"]
         if state.phase == "held":
             break
     assert (state.phase, state.reason) == ("held", "tracking_error")

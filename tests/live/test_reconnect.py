@@ -14,12 +14,12 @@ from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseReply, LeaseRequest, RobotState, Verdict
 from deltaq_protocol.session import open_session, subscribe_newest
-from deltaq_verification.faults.actions import Link
-from deltaq_verification.faults.cell_factory import CellFactory
 from deltaq_verification.faults.relay_placement import RelayPlacement, placed
+from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.impairment.process import RelayProcess
 from deltaq_verification.impairment.relay import Unit
 from deltaq_verification.impairment.stream import StreamFaults
+from deltaq_verification.virtual_cell.parts import Link
 
 pytestmark = pytest.mark.live
 
@@ -58,7 +58,7 @@ def stack(tmp_path_factory):
         gate = []
 
         def rewired(services, file):
-            loaded = CellFactory.load(file)
+            loaded = load_rsi_cell(file)
             relay = placed(RelayPlacement(Link.HLI_SIM, Unit.BYTES), loaded.model.description, "fr", seed=0)
             gate.append(relays.enter_context(relay))
             return gate[0].with_relays(services, loaded, "fr", folder)

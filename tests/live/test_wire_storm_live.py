@@ -3,7 +3,7 @@
 import pytest
 from private_cell import write_private_cell
 
-from deltaq_verification.faults.cell_factory import CellFactory
+from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.storm.run import run_storm
 from deltaq_verification.storm.witness import UNHEARD
 
@@ -13,7 +13,7 @@ RATE_HZ = 2000.0
 
 
 def storm(folder, telegrams):
-    report = run_storm(CellFactory.load(write_private_cell(folder)), "fr", telegrams, RATE_HZ)
+    report = run_storm(load_rsi_cell(write_private_cell(folder)), "fr", telegrams, RATE_HZ)
     assert report.unexplained is None
     assert report.forged == telegrams
     assert report.replies.get(UNHEARD, 0) <= report.unheard <= report.admissions / 100

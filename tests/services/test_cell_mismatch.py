@@ -15,8 +15,9 @@ from deltaq_cell.identity import content_identity
 from deltaq_protocol.guarded import Health, Supervision
 from deltaq_protocol.messages import Error, Increment, LeaseAction, LeaseRequest, Phase, ResetRequest, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded
+from deltaq_services.outputs import Output, Sender, published
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.sim.core import Sim
 
@@ -144,12 +145,12 @@ def test_the_hli_hands_nothing_on_to_services_that_have_read_another_cell(servic
     assert status.mismatches == (reason.what,)
     assert status.identity == hli.core.description.identity
     assert status.hli["signs_of_life_of_another_cell"] == 1
-    assert any(isinstance(output, ToGuarded) for output in hli.core.requests.on_stop(_Client(), 50.0))
+    assert published(hli.core.requests.on_stop(_Client(), 50.0), Realm.GUARDED)
 
 
 def test_once_it_is_put_right_the_hli_hands_on_again() -> None:
     hli = _Hli()
     hli.hear("sim", str(THEIRS))
-    assert not isinstance(hli.move()[0], ToGuarded)
+    assert not published(hli.move()[:1], Realm.GUARDED)
     hli.hear("sim", f"{hli.core.description.identity}-bodies")  # the gate reads the bodies too
-    assert isinstance(hli.move()[0], ToGuarded)
+    assert published(hli.move()[:1], Realm.GUARDED)

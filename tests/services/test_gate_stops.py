@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from deltaq_protocol.messages import Outcome
-from deltaq_verification.lockstep import Lockstep
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 
 @pytest.fixture(scope="module")
 def oracle():
-    return ClearanceOracle(Lockstep("lab").cell)
+    return ClearanceOracle(VirtualCell("lab").cell)
 
 
 class Attack:
     """Drives FR with one request after the other and keeps what the emulated controllers did."""
 
     def __init__(self, oracle):
-        self.stack = Lockstep("lab")
+        self.stack = VirtualCell("lab")
         self.stack.run_until_ready()
         self.stack.acquire("fr", "attacker")
         self.fr = self.stack.cell.robots["fr"]
@@ -38,23 +38,23 @@ class Attack:
             dq = request() if callable(request) else request
             self.verdicts.append(self.stack.ask("fr", dq))
             self.setpoints.append(self.stack.arms["fr"].krc.sample.q_setpoint)
-            actual = {name: arm.krc.sample.q for name, arm in self.stack.arms.items()}
+            actual = {name: arm.q for name, arm in self.stack.arms.items()}
             self.least = min(self.least, self.oracle.between_robots_and_structure(actual).distance_m)
 
     def q(self):
-        return self.stack.arms["fr"].krc.sample.q
+        return self.stack.arms["fr"].q
 
     def violations(self):
         cycle_s = self.stack.cell.description.cycle_s
         return limit_violations(self.fr, np.array(self.setpoints), cycle_s)
 
     def clearance_m(self, q):
-        others = {"gr": self.stack.arms["gr"].krc.sample.q}
+        others = {"gr": self.stack.arms["gr"].q}
         return self.oracle.between_robots_and_structure(others | {"fr": q}).distance_m
 
     def away(self):
         """A tenth of full speed along the steepest way out."""
-        q = np.array(self.stack.arms["fr"].state.q_cmd)
+        q = np.array(self.stack.states["fr"].q_cmd)
         steps = 1e-4 * np.eye(6)
         steepest = np.array([self.clearance_m(q + step) - self.clearance_m(q - step) for step in steps])
         return 0.1 * steepest / np.max(np.abs(steepest) / self.full_speed)
@@ -63,7 +63,7 @@ class Attack:
         """Full speed of the tool towards a point of the world."""
 
         def request():
-            q = np.array(self.stack.arms["fr"].state.q_cmd)
+            q = np.array(self.stack.states["fr"].q_cmd)
             J = self.fr.jacobian(q)[:3]
             direction = np.asarray(point) - self.fr.forward(q)[:3, 3]
             dq = J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), direction)

@@ -34,8 +34,9 @@ from deltaq_protocol.messages import (
     Verdict,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToOpen, ToSender
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic, published
 
 CYCLE_S = 0.012
 
@@ -87,14 +88,14 @@ def sent(kind: type[Message], outputs: list[Output]) -> list[Any]:
 
 
 def only(kind: type[Message], outputs: list[Output]) -> Any:
-    found = [o.message for o in outputs if isinstance(o.message, kind) and not isinstance(o, ToOpen)]
+    found = [o.message for o in outputs if isinstance(o.message, kind) and not published([o], Realm.OPEN)]
     assert len(found) == 1, outputs
     return found[0]
 
 
 def refused(outputs: list[Output]) -> Any:
     """The reason of the one refusal that the sender was told of; nothing went to the gate."""
-    assert not [o for o in outputs if isinstance(o, ToGuarded)]
+    assert not published(outputs, Realm.GUARDED)
     verdict = only(Verdict, outputs)
     assert verdict.outcome is Outcome.REFUSED
     assert verdict.dq == ()
@@ -220,7 +221,7 @@ def test_an_error_names_what_it_answers_as_far_as_that_can_be_told(
 
 def test_what_is_refused_is_shown_to_everybody_who_watches_too() -> None:
     outputs = Bench().ready().move(1, cycle=101)
-    shown = [o for o in outputs if isinstance(o, ToOpen)]
+    shown = published(outputs, Realm.OPEN)
     assert [(o.topic, o.robot) for o in shown] == [(topics.VERDICT, "fr")]
 
 
@@ -309,7 +310,7 @@ def test_a_state_of_a_robot_or_shape_that_the_cell_does_not_have_is_ignored_and_
 
 
 def test_a_state_is_told_with_the_pose_of_the_tool() -> None:
-    state = next(o for o in Bench().state(100) if isinstance(o, ToOpen))
+    state = published(Bench().state(100), Realm.OPEN)[0]
     assert isinstance(state.message, RobotState)
     assert state.message.tool.position == (0.0, 0.0, 0.1)
 
@@ -325,7 +326,7 @@ def test_a_verdict_goes_to_the_one_who_asked_and_to_everybody_who_watches() -> N
     bench = Bench().ready()
     bench.move(1)
     outputs = bench.core.on_gate_verdict(verdict(1))
-    assert outputs == [ToSender(bench.client, verdict(1)), ToOpen(topics.VERDICT, "fr", verdict(1))]
+    assert outputs == [ToSender(bench.client, verdict(1)), ToTopic(topics.VERDICT, "fr", verdict(1))]
 
 
 def test_a_late_verdict_goes_to_who_asked_not_to_who_took_the_lease_since() -> None:
@@ -461,7 +462,7 @@ def test_the_nearest_pair_is_published_when_the_gate_tells_it_and_only_then() ->
     other = health.model_copy(update={"service": "robot-server-fr"})
     assert bench.core.on_health(other, bench.now) == []
     published = bench.core.on_health(health, bench.now)
-    assert published == [ToOpen(topics.PROXIMITY, "", Proximity(time_s=1.0, pairs=(pair,)))]
+    assert published == [ToTopic(topics.PROXIMITY, "", Proximity(time_s=1.0, pairs=(pair,)))]
     status = bench.core.status(bench.now + 0.5, bench.core.counters)
     assert (status.gate, status.gate_age_s, status.nearest) == ({"admitted": 3}, 0.5, pair)
 

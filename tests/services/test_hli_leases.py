@@ -10,7 +10,7 @@ from test_hli_core import Bench, only, refused, sent
 from deltaq_protocol.guarded import Command, CommandReply, Request
 from deltaq_protocol.messages import Error, IoRequest, Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.outputs import Output
+from deltaq_services.outputs import Output
 
 
 def controller_lost(outputs: list[Output]) -> bool:

@@ -12,9 +12,10 @@ from small_cell import server_state, small_cell, told, tool_pose
 from deltaq_protocol.guarded import Command, CommandReply, Health
 from deltaq_protocol.messages import Error, Phase, ResetRequest
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.topic import Realm
 from deltaq_services.hli.commands import REPLY_DEADLINE_S
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
+from deltaq_services.outputs import Output, Sender, ToSender, published
 from deltaq_services.sim.core import Sim
 
 
@@ -132,7 +133,7 @@ def _hli(epoch: int = 0) -> HliCore:
 
 
 def _sent(outputs: list[Output]) -> Command:
-    (command,) = (output.message for output in outputs if isinstance(output, ToGuarded))
+    (command,) = (output.message for output in published(outputs, Realm.GUARDED))
     assert isinstance(command, Command)
     return command
 

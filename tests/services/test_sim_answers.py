@@ -13,7 +13,7 @@ from deltaq_protocol.guarded import Admission, Command, CommandReply, Health, Re
 from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, receipt_of
-from deltaq_services.sim.answers import Output
+from deltaq_services.outputs import ToTopic
 from deltaq_services.sim.core import Sim
 from deltaq_verification.oracle import ClearanceOracle
 
@@ -74,7 +74,7 @@ def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
         robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True}, cell=state.cell
     )
     for _ in range(2):
-        assert rig.sim.on_state(state) == [Output(topics.SUPERVISION, "gr", expected)]
+        assert rig.sim.on_state(state) == [ToTopic(topics.SUPERVISION, "gr", expected)]
     assert rig.mail["fr"][1].outputs == {}
 
 
@@ -89,7 +89,7 @@ def test_a_stop_is_repeated_by_supervision_until_the_state_shows_it(rig):
 def test_a_repeated_state_can_show_that_a_reset_is_done(rig):
     assert rig.sim.on_command(bound(rig.sim, id=17, kind="reset", robot="fr")) == []
     done = rig.sim.on_state(rig.state)
-    assert done[1:] == [Output(topics.COMMAND_REPLY, "", CommandReply(id=17, accepted=True))]
+    assert done[1:] == [ToTopic(topics.COMMAND_REPLY, "", CommandReply(id=17, accepted=True))]
 
 
 def test_a_state_that_was_overtaken_is_supervised_as_the_newest(rig):

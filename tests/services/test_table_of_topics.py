@@ -31,7 +31,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Hertz, Party, Priority, Realm
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.outputs import Sender, ToGuarded, ToOpen
+from deltaq_services.outputs import Sender, published
 from deltaq_services.pace import Pace
 from deltaq_services.robot_server.link import Link
 
@@ -61,7 +61,7 @@ def _asked(core: HliCore, lease: str, age: int) -> ReasonCode | None:
     """Why an increment that answers a state so many cycles old is refused; None: it goes to the gate."""
     increment = Increment(robot="fr", seq=1, cycle=100 - age, dq=(0.0,) * 6, lease=lease)
     outputs = core.increments.on_increment(increment, None, NOW_S)
-    if any(isinstance(output, ToGuarded) for output in outputs):
+    if published(outputs, Realm.GUARDED):
         return None
     verdict = outputs[0].message
     assert isinstance(verdict, Verdict)
@@ -218,7 +218,7 @@ def _pairs_published(core: HliCore) -> int:
             service="sim", healthy=True, time_s=at_s, nearest=pair, cell=core.description.identity
         )
         outputs += core.on_health(health, at_s)
-    return sum(isinstance(output, ToOpen) for output in outputs)
+    return len(published(outputs, Realm.OPEN))
 
 
 def test_the_nearest_pair_comes_at_the_pace_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,15 +5,16 @@ import re
 import shlex
 import subprocess
 import sys
-from collections import deque
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 
 from deltaq_protocol.messages import Phase
-from deltaq_services.robot_server.mode_probe import KinematicMode
-from deltaq_services.robot_server.session import Belief, _Run
+from deltaq_services.robot_server.memory import ServerMemory
+from deltaq_services.robot_server.peer import PeerMemory
+from deltaq_services.robot_server.rsi_driver import DriverMemory
+from deltaq_services.robot_server.session import Belief, Run, SessionMemory
 from deltaq_verification.model_checker.attacked import AttackedSystem
 from deltaq_verification.model_checker.explore import explore
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, STEP
@@ -82,71 +83,67 @@ def test_with_more_attacks_every_property_holds(attacks, faults, cycles):
     assert explore(AttackedSystem(attacks), faults, cycles).counterexample is None
 
 
+def names(memory):
+    return {field.name for field in fields(memory)}
+
+
 def test_what_tells_one_moment_of_the_wire_from_another_leaves_out_no_memory_of_the_driver():
-    line = AttackedSystem(1).start(0).line
-    fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero", "_lower", "_upper"}
-    of_one_call = {"unmoved", "implausible", "fault", "detail", "_outputs"}
-    assert (
-        set(vars(line.driver)) == {"session", "_origin", "_sent", "_earlier", "_opened"} | fixed | of_one_call
-    )
-    told = {"belief", "step", "last", "_time_s", "_run"}
-    fixed = {"_given_step", "_plausible", "_near", "_cycle_s", "_silence_s", "_silence_cycles", "_least_s"}
-    assert set(vars(line.driver.session)) == told | fixed
-    assert set(vars(line.peer)) == {"address", "_heard_s"} | {"stranger", "_krc_address", "_silence_s"}
+    assert names(DriverMemory) == {"session", "origin", "sent", "earlier", "opened"} | {
+        "outputs"
+    }  # none are sent
+    assert names(SessionMemory) == {"belief", "step", "last", "time_s", "run"}
+    assert names(PeerMemory) == {"address", "heard_s"}
 
 
 def _changed_sessions(line):
-    last = line.driver.session.last
-    return {
+    session = line.driver.session
+    changes = {
         "belief": Belief.DOUBTED,
         "step": IPOC_STEP + 1,
-        "last": last._replace(ipoc=last.ipoc - IPOC_STEP),
-        "_time_s": line.driver.session._time_s - CYCLE_S,
-        "_run": _Run(1, line.driver.session._time_s, None, last),
+        "last": session.last._replace(ipoc=session.last.ipoc - IPOC_STEP),
+        "time_s": session.time_s - CYCLE_S,
+        "run": Run(1, session.time_s, None, session.last),
     }
+    return [{"driver": replace(line.driver, session=replace(session, **{n: v}))} for n, v in changes.items()]
 
 
 def _changed_drivers(line):
-    origin, sent = line.driver._origin, line.driver._sent
-    return {
-        "_origin": origin + STEP,
-        "_sent": sent + STEP,
-        "_earlier": deque([(origin, sent)]),
-        "_opened": True,
+    origin, sent = line.driver.origin, line.driver.sent
+    changes = {
+        "origin": origin + STEP,
+        "sent": sent + STEP,
+        "earlier": ((origin, sent),),
+        "opened": True,
     }
+    return [{"driver": replace(line.driver, **{name: value})} for name, value in changes.items()]
 
 
 def _changed_peers(line):
-    return {"address": SECOND_AT, "_heard_s": line.peer._heard_s - CYCLE_S}
+    changes = {"address": SECOND_AT, "heard_s": line.peer.heard_s - CYCLE_S}
+    return [{"peer": replace(line.peer, **{name: value})} for name, value in changes.items()]
 
 
-@pytest.mark.parametrize(
-    ("of", "changes"),
-    [
-        (lambda line: line.driver.session, _changed_sessions),
-        (lambda line: line.driver, _changed_drivers),
-        (lambda line: line.peer, _changed_peers),
-    ],
-    ids=["session", "driver", "peer"],
-)
-def test_two_moments_of_the_wire_that_differ_in_one_memory_are_told_apart(of, changes):
+@pytest.mark.parametrize("changed", [_changed_sessions, _changed_drivers, _changed_peers])
+def test_two_moments_of_the_wire_that_differ_in_one_memory_are_told_apart(changed):
     system = AttackedSystem(1)
     system_state = system.start(0)
-    for name, value in changes(system_state.line).items():
-        other = system.start(0)
-        assert other.key() == system_state.key()
-        assert hasattr(of(other.line), name)
-        setattr(of(other.line), name, value)
-        assert other.key() != system_state.key(), name
+    assert system.start(0).key() == system_state.key()
+    for change in changed(system_state.line):
+        other = replace(system_state, line=replace(system_state.line, **change))
+        assert other.key() != system_state.key(), change
 
 
 def test_two_moments_of_the_wire_that_differ_in_the_correction_of_an_earlier_session_are_told_apart():
-    system = AttackedSystem(1)
-    one, other = system.start(0), system.start(0)
-    origin, sent = one.line.driver._origin, one.line.driver._sent
-    one.line.driver._earlier.append((origin, sent))
-    other.line.driver._earlier.append((origin, sent + STEP))
-    assert one.key() != other.key()
+    system_state = AttackedSystem(1).start(0)
+    line, driver = system_state.line, system_state.line.driver
+    keys = {
+        replace(
+            system_state,
+            line=replace(line, driver=replace(driver, earlier=((driver.origin, driver.sent + more),))),
+        ).key()
+        for more in (0.0, STEP)
+    }
+    assert len(keys) == 2
 
 
 def test_a_counterexample_is_a_shortest_way():
@@ -178,21 +175,16 @@ def test_every_phase_is_reached():
 def test_what_tells_one_moment_from_another_leaves_out_no_memory_of_the_robot_server():
     told = {
         "state": {
-            "process", "_q_cmd", "_dq", "_plan", "_plan_dq", "_epoch", "_sequence", "_phase", "_reason", "_cycle",
-            "_q_reset", "_told",
+            "process", "q_cmd", "dq", "plan", "epoch", "sequence", "phase", "reason", "cycle", "q_reset", "told",
         },
         "key": {
-            "_cycles_without_gate", "_cycles_missed", "_settling", "_resets", "_state", "motion_stop",
+            "cycles_without_gate", "cycles_missed", "cycles_at_rest", "q_settled", "resets", "state", "motion_stop",
         },
-        "fixed or only counted": {
-            "robot", "outputs", "counters", "_bounds", "_gate_timeout_cycles", "_krc_timeout_cycles", "_identity",
-        },
-        "fixed since the robot is kinematic": {"_mode", "_new_mode"},
+        "nobody sets one": {"outputs"},
+        "none since the robot is kinematic": {"mode"},
+        "handed to each cycle": {"admission", "supervision"},
     }  # fmt: skip
-    server = System().start(0).server
-    assert set(vars(server)) == set.union(*told.values())
-    settling = {"key": {"cycles_at_rest", "q_settled"}, "fixed": {"tolerance", "lag_cycles"}}
-    assert {field.name for field in fields(server._settling)} == set.union(*settling.values())
+    assert names(ServerMemory) == set.union(*told.values())
 
 
 @pytest.mark.parametrize("system", [System, AttackedSystem])
@@ -200,8 +192,7 @@ def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
     system_state = system().start(0)
     while system_state.server.state is None:
         system_state = next(system().moves(system_state)).system_state
-    assert type(system_state.server._mode) is KinematicMode
-    assert not vars(system_state.server._mode)
+    assert system_state.server.mode is None
 
 
 def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():

@@ -18,10 +18,10 @@ from deltaq_experiments.replay_plot import panels_of
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.recorder.reader import Recording
-from deltaq_verification.lockstep import Lockstep
 from deltaq_verification.oracle import ClearanceOracle
-from deltaq_verification.recorded import lockstep
+from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import replay
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 CYCLES = 120
 BETWEEN = np.linspace(0.0, 1.0, 5)[1:]
@@ -38,7 +38,7 @@ def circle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Attackers:
     """Send every robot, fast, towards the middle of the circle, where all three reach, and now and then away."""
 
-    def __init__(self, stack: Lockstep, seed: int) -> None:
+    def __init__(self, stack: VirtualCell, seed: int) -> None:
         self._stack, self._random = stack, np.random.default_rng(seed)
         self._aims: dict[str, np.ndarray] = {}
 
@@ -61,7 +61,7 @@ class Attackers:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int) -> None:
     leaning_in = np.array([0.0, 0.5, 0.2])
-    stack = Lockstep(circle, {f"arm_{number}": leaning_in for number in range(3)})
+    stack = VirtualCell(circle, {f"arm_{number}": leaning_in for number in range(3)})
     attackers = Attackers(stack, seed)
     stop_m = stack.cell.description.gate.stop_distance_m
     oracles = {
@@ -96,7 +96,7 @@ def test_the_nearest_pair_is_found_whichever_robots_it_belongs_to(circle: Path) 
         cell = CellModel.load(circle)
         start = {name: towards for name in cell.robots if name != apart}
         start[apart] = np.array([np.pi / 2, -1.2, 0.0])
-        stack = Lockstep(circle, start)
+        stack = VirtualCell(circle, start)
         stack.run_until_ready()
         near = stack.sim.nearest()
         assert near is not None
@@ -104,19 +104,19 @@ def test_the_nearest_pair_is_found_whichever_robots_it_belongs_to(circle: Path) 
 
 
 def test_a_stop_and_a_reset_reach_all_three(circle: Path) -> None:
-    stack = Lockstep(circle)
+    stack = VirtualCell(circle)
     stack.run_until_ready()
     stack.stop()
     stack.cycle()
     stack.cycle()
-    assert {arm.state.phase for arm in stack.arms.values() if arm.state} == {Phase.HELD}
+    assert {state.phase for state in stack.states.values()} == {Phase.HELD}
     for name in stack.arms:
         stack.reset(name)
     stack.run_until_ready()
 
 
 def drive(file: Path, cell: Path) -> None:
-    with lockstep(cell, record=file) as stack:
+    with virtual_cell(cell, record=file) as stack:
         stack.run_until_ready()
         attackers = Attackers(stack, 7)
         for name in stack.arms:
@@ -156,7 +156,7 @@ def test_a_recording_without_hulls_is_refused_by_the_mesh_that_is_not_found(tmp_
 
 @pytest.mark.long
 def test_a_recording_of_shipped_robots_without_hulls_replays_to_the_bit(tmp_path: Path) -> None:
-    with lockstep("lab", record=tmp_path / "run.mcap") as stack:
+    with virtual_cell("lab", record=tmp_path / "run.mcap") as stack:
         stack.run_until_ready()
         stack.acquire("fr", "test")
         for _ in range(20):

@@ -7,15 +7,15 @@ from deltaq_emulator.settings import KrcSettings, OperatingMode
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_verification import lockstep
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 FASTEST = np.full(6, 1e-3)
 
 
-def lockstep_with(monkeypatch, cell="lab", **settings):
+def cell_with(monkeypatch, cell="lab", **settings):
     changed = KrcSettings.load().model_copy(update=settings)
-    monkeypatch.setattr(lockstep.KrcSettings, "load", lambda: changed)
-    return lockstep.Lockstep(cell)
+    monkeypatch.setattr(KrcSettings, "load", lambda: changed)
+    return VirtualCell(cell)
 
 
 def furthest(stack, robot, cycles):
@@ -30,7 +30,7 @@ def furthest(stack, robot, cycles):
 
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
 def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, cell):
-    stack = lockstep_with(monkeypatch, cell, correction="relative")
+    stack = cell_with(monkeypatch, cell, correction="relative")
     half_a_second = round(0.5 / stack.cell.description.cycle_s)
     starts = {name: arm.krc.sample.q for name, arm in stack.arms.items()}
     off = furthest(stack, "gr", half_a_second)
@@ -48,7 +48,7 @@ def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, c
 
 
 def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch):
-    stack = lockstep_with(monkeypatch, correction="relative")
+    stack = cell_with(monkeypatch, correction="relative")
     arm = stack.arms["fr"]
     for _ in range(50):
         stack.cycle()
@@ -70,15 +70,15 @@ def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch)
 
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
 def test_an_absolute_krc_is_ready_well_within_half_a_second_and_nowhere_else(monkeypatch, cell):
-    stack = lockstep_with(monkeypatch, cell)
+    stack = cell_with(monkeypatch, cell)
     start = stack.arms["gr"].krc.sample.q
     stack.run_until_ready()
-    assert stack.time_s < 0.45
+    assert stack.now_s < 0.45
     np.testing.assert_allclose(stack.arms["gr"].krc.sample.q, start, atol=1e-6)
 
 
 def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
-    stack = lockstep_with(monkeypatch, mode=OperatingMode.T1)
+    stack = cell_with(monkeypatch, mode=OperatingMode.T1)
     arm = stack.arms["fr"]
     assert furthest(stack, "fr", 100).max() == 0.0
     assert arm.server.state.phase is Phase.OFFLINE
@@ -90,7 +90,7 @@ def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
 
 
 def test_a_krc_that_sends_one_decimal_is_not_driven(monkeypatch):
-    stack = lockstep_with(monkeypatch, precision=1)
+    stack = cell_with(monkeypatch, precision=1)
     for _ in range(200):
         stack.cycle()
     assert stack.arms["fr"].server.state.phase is Phase.OFFLINE
@@ -98,7 +98,7 @@ def test_a_krc_that_sends_one_decimal_is_not_driven(monkeypatch):
 
 
 def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_to_end_it(monkeypatch):
-    stack = lockstep_with(monkeypatch)
+    stack = cell_with(monkeypatch)
     stack.run_until_ready()
     stack.acquire("fr", "test")
     arm, dq = stack.arms["fr"], np.zeros(6)
@@ -121,7 +121,7 @@ def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_t
 
 
 def test_after_motion_was_ended_a_program_that_is_put_right_may_be_reset(monkeypatch):
-    stack = lockstep_with(monkeypatch)
+    stack = cell_with(monkeypatch)
     stack.run_until_ready()
     stack.acquire("fr", "test")
     arm, dq = stack.arms["fr"], np.zeros(6)

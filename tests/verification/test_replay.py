@@ -21,7 +21,7 @@ from deltaq_protocol.topic import Messages
 from deltaq_services.recorder.protobuf import recorded_schema, to_message
 from deltaq_services.recorder.reader import Recording
 from deltaq_services.sim.core import Sim
-from deltaq_verification.recorded import lockstep
+from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import Replay, differing_fields, replay
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
@@ -34,7 +34,7 @@ PERIOD = 100
 def drive(file: Path, cycles: int = CYCLES, seed: int = 3) -> Path:
     """Both robots driven at random, with a stop, a refused reset and a granted one in between."""
     random = np.random.default_rng(seed)
-    with lockstep("lab", record=file) as stack:
+    with virtual_cell("lab", record=file) as stack:
         stack.run_until_ready()
         wish = {name: np.zeros(arm.q.size) for name, arm in stack.arms.items()}
         for name in stack.arms:

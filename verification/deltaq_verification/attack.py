@@ -9,18 +9,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import Phase, RobotState
+from deltaq_protocol.guarded import Admission, ServerState, Supervision
+from deltaq_protocol.messages import Phase
 from deltaq_verification.adversary import Adversary
 from deltaq_verification.counts import GateCounts, LimitCounts
-from deltaq_verification.lockstep import Arm, Lockstep
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
-from deltaq_verification.wire import FaultyWire, Impairment
+from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_verification.virtual_cell.parts import Link, Process
+from deltaq_verification.virtual_cell.wires import MessageWire
 
 CLEARANCE_TOLERANCE_M = 1e-4
 """Tolerance of the stop distance: the telegram's decimals and the drives' older setpoints."""
@@ -28,9 +32,26 @@ CLEARANCE_TOLERANCE_M = 1e-4
 _DRIFT = 0.01
 """Probability that a robot skips a cycle."""
 
-_MILD = Impairment(loss=0.02, delay=0.03, duplicate=0.02)
-_SEVERE = Impairment(loss=0.3, delay=0.4, duplicate=0.2)
-_CUT = Impairment(loss=1.0)
+_MOST_CYCLES_LATE = 8
+
+
+@dataclass(frozen=True)
+class _Impairment:
+    """Probabilities that a wire loses or doubles a message, and that it is slow in a cycle."""
+
+    loss: float = 0.0
+    duplicate: float = 0.0
+    slow: float = 0.0
+
+    def drawn(self, random: np.random.Generator, cycle_s: float) -> LinkFaults:
+        """The faults of one cycle; messages that are late overtake one another."""
+        jitter_s = _MOST_CYCLES_LATE * cycle_s * float(random.random() < self.slow)
+        return LinkFaults(drop=self.loss, duplicate=self.duplicate, jitter_s=jitter_s)
+
+
+_MILD = _Impairment(loss=0.02, duplicate=0.02, slow=0.03)
+_SEVERE = _Impairment(loss=0.3, duplicate=0.2, slow=0.4)
+_CUT = _Impairment(loss=1.0)
 
 
 class AttackViolation(BaseModel):
@@ -91,7 +112,7 @@ def run(
         on_cycle: called with the number of cycles done and the number of all.
     """
     random = np.random.default_rng(seed)
-    stack = Lockstep(cell_name)
+    stack = VirtualCell(cell_name)
     cycle_s = stack.cell.description.cycle_s
     oracle = ClearanceOracle(stack.cell)
     adversaries = {name: Adversary(robot, cycle_s, random) for name, robot in stack.cell.robots.items()}
@@ -99,10 +120,13 @@ def run(
     for name in stack.arms:
         stack.acquire(name, f"adversary-{name}")
     record = _Record({name: [] for name in stack.arms})
+    wires = _plugged(stack, random)
     cycles = round(duration_s / cycle_s)
     for cycle in range(cycles):
         if cycle % 200 == 0:
-            _rewire(stack.arms, random)
+            impairments = [_impairments(random) for _ in stack.arms]
+        for wire, impairment in zip(wires, chain(*impairments), strict=True):
+            wire.link.faults = impairment.drawn(random, cycle_s)
         # clocks drift: now one robot waits for the other, now the other
         cycled = [name for name in stack.arms if random.random() >= _DRIFT]
         stack.cycle(cycled)
@@ -113,49 +137,55 @@ def run(
     return _report(stack, record, seed, cycles)
 
 
-def _rewire(arms: dict[str, Arm], random: np.random.Generator) -> None:
-    """Mostly mild links, sometimes severe ones, and now and then one that is cut, so that a robot is dead."""
-    for arm in arms.values():
-        kinds = random.choice(3, size=3, p=[0.7, 0.2, 0.1])
-        impairments = [(_MILD, _SEVERE, _CUT)[kind] for kind in kinds]
-        arm.admissions = FaultyWire(impairments[0], random)
-        arm.supervisions = FaultyWire(impairments[1] if kinds[1] < 2 else _SEVERE, random)
-        arm.states = FaultyWire(impairments[2] if kinds[2] < 2 else _SEVERE, random)
+def _plugged(stack: VirtualCell, random: np.random.Generator) -> list[MessageWire]:
+    """Of each robot the wires of its admissions, of the gate's heartbeats and of its states to the gate."""
+    wires = []
+    for name in stack.arms:
+        for kind, to in (
+            (Admission, Process.ROBOT_SERVER),
+            (Supervision, Process.ROBOT_SERVER),
+            (ServerState, Process.SIM),
+        ):
+            wires.append(MessageWire(int(random.integers(2**32))))
+            stack.plug(Link.SIM_SERVER, to, wires[-1], [name], kind)
+    return wires
+
+
+def _impairments(random: np.random.Generator) -> tuple[_Impairment, ...]:
+    """Mostly mild wires, sometimes severe ones, and now and then one that is cut, so that a robot is dead."""
+    kinds = random.choice(3, size=3, p=[0.7, 0.2, 0.1])
+    of_admissions, *others = ((_MILD, _SEVERE, _CUT)[kind] for kind in kinds)
+    return of_admissions, *(_SEVERE if one is _CUT else one for one in others)
 
 
 def _ask(
-    stack: Lockstep, adversaries: dict[str, Adversary], record: _Record, random: np.random.Generator
+    stack: VirtualCell, adversaries: dict[str, Adversary], record: _Record, random: np.random.Generator
 ) -> None:
     tools = {
-        name: robot.forward(np.array(_state(stack, name).q_cmd))[:3, 3]
+        name: robot.forward(np.array(stack.states[name].q_cmd))[:3, 3]
         for name, robot in stack.cell.robots.items()
     }
-    leases = stack.hli.status(stack.time_s, Counter()).robots
+    leases = stack.status().robots
     for name, adversary in adversaries.items():
         others = [tool for other, tool in tools.items() if other != name]
         target = others[0] if others else np.zeros(3)
-        if _state(stack, name).phase is Phase.HELD:
+        if stack.states[name].phase is Phase.HELD:
             stack.reset(name)
             record.resets += 1
         if leases[name].lease.holder is None:
             stack.acquire(name, f"adversary-{name}")
-        dq = adversary.increment(np.array(_state(stack, name).q_cmd), target)
+        dq = adversary.increment(np.array(stack.states[name].q_cmd), target)
         record.tactics[adversary.tactic_name] += 1
         for _ in range(1 + int(random.random() < 0.05)):
             stack.ask(name, dq)
 
 
-def _state(stack: Lockstep, name: str) -> RobotState:
-    state = stack.arms[name].state
-    assert state is not None  # the stack is ready
-    return state
-
-
-def _judge(stack: Lockstep, oracle: ClearanceOracle, record: _Record, cycle: int, cycled: list[str]) -> None:
+def _judge(
+    stack: VirtualCell, oracle: ClearanceOracle, record: _Record, cycle: int, cycled: list[str]
+) -> None:
     gate = stack.cell.description.gate
     actual = {}
-    for name, arm in stack.arms.items():
-        assert arm.krc is not None  # the attack is on robots that an emulated controller records
+    for name, arm in stack.krc_arms.items():
         actual[name] = arm.krc.sample.q
         if name in cycled:
             record.setpoints[name].append(arm.krc.sample.q_setpoint)
@@ -173,7 +203,7 @@ def _judge(stack: Lockstep, oracle: ClearanceOracle, record: _Record, cycle: int
             )
 
 
-def _report(stack: Lockstep, record: _Record, seed: int, cycles: int) -> AttackReport:
+def _report(stack: VirtualCell, record: _Record, seed: int, cycles: int) -> AttackReport:
     cycle_s = stack.cell.description.cycle_s
     limits = LimitCounts.sum(
         limit_violations(stack.cell.robots[name], np.array(rows), cycle_s)

@@ -23,8 +23,8 @@ from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Windows
 from deltaq_verification.adversary import Adversary
-from deltaq_verification.lockstep import Lockstep
 from deltaq_verification.oracle import ClearanceOracle
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def run(
 ) -> ConservatismFigures:
     """Measure; arguments as for `Auditor`, `cycles` of both robots."""
     random = np.random.default_rng(seed)
-    stack = Lockstep(cell_name)
+    stack = VirtualCell(cell_name)
     auditor = Auditor(stack.sim.gate, stack.cell, every, samples)
     stack.sim.gate = auditor
     cycle_s = stack.cell.description.cycle_s
@@ -117,7 +117,7 @@ def run(
         stack.acquire(name, "adversary")
     for _ in range(cycles):
         stack.cycle()
-        q_cmd = {name: np.array(arm.state.q_cmd) for name, arm in stack.arms.items() if arm.state is not None}
+        q_cmd = {name: np.array(state.q_cmd) for name, state in stack.states.items()}
         tools = {name: robot.forward(q_cmd[name])[:3, 3] for name, robot in stack.cell.robots.items()}
         for name, adversary in adversaries.items():
             target = next(tool for other, tool in tools.items() if other != name)

@@ -20,8 +20,8 @@ from deltaq_protocol.guarded import Admission, GateMemory
 from deltaq_protocol.messages import Message, Verdict
 from deltaq_protocol.receipts import receipt_of
 from deltaq_protocol.topic import Topic
+from deltaq_services.outputs import ToTopic
 from deltaq_services.recorder.reader import Recorded, Recording
-from deltaq_services.sim.answers import Output
 from deltaq_services.sim.core import Sim
 
 TAKEN_IN = (topics.SERVER_STATE, topics.REQUEST, topics.COMMAND)
@@ -217,7 +217,7 @@ class _Run:
         self._in_step = True
         self._receipt = memory.receipt
 
-    def _compare(self, taken: Recorded, given: list[Recorded], outputs: list[Output]) -> None:
+    def _compare(self, taken: Recorded, given: list[Recorded], outputs: list[ToTopic]) -> None:
         result, number = self._result, self._sim.taken
         recorded = [(item.topic, item.message) for item in given]
         replayed = [(item.topic, item.message) for item in outputs]

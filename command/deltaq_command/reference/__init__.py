@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_command.reference import installation, robots, rooms, wire
+from deltaq_command.reference import installation, robots, rooms, sequences, wire
 
 FOLDER = Path(__file__).parents[3] / "docs" / "reference"
 WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
@@ -28,5 +28,6 @@ def pages() -> dict[str, str]:
         "services.md": installation.services(),
         "cli.md": installation.cli(),
         "rooms.md": rooms.rooms(),
+        "sequences.md": sequences.sequences(),
     }
     return {name: WRITTEN + text.rstrip() + "\n" for name, text in texts.items()}

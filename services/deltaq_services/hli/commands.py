@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
@@ -57,6 +58,18 @@ class _Awaited:
     deadline_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class CommandsMemory:
+    """Snapshot of the commands: the newest id, the gate's epoch, ids that are told apart, and what is awaited."""
+
+    id: int
+    epoch: int
+    outdated_id: int
+    stop_id: int
+    awaited: Mapping[int, _Awaited]
+    stops: Mapping[str | None, _Stop]
+
+
 class Commands:
     """The commands that are in flight.
 
@@ -74,6 +87,17 @@ class Commands:
         self._stop_id = 0
         self._awaited: dict[int, _Awaited] = {}
         self._stops: dict[str | None, _Stop] = {}  # the newest of each robot, and of all robots
+
+    def snapshot(self) -> CommandsMemory:
+        """Snapshot of the commands, for `restore`."""
+        ids = (self._id, self._epoch, self._outdated_id, self._stop_id)
+        return CommandsMemory(*ids, dict(self._awaited), dict(self._stops))
+
+    def restore(self, memory: CommandsMemory) -> None:
+        """Go on from where others were."""
+        self._id, self._epoch = memory.id, memory.epoch
+        self._outdated_id, self._stop_id = memory.outdated_id, memory.stop_id
+        self._awaited, self._stops = dict(memory.awaited), dict(memory.stops)
 
     def numbered(self, command: Command) -> Command:
         """A command for the known gate, with an unused id."""
@@ -93,7 +117,7 @@ class Commands:
         again = [stop for stop in self._stops.values() if time_s >= stop.again_s]
         for stop in again:
             self._stops[stop.command.robot] = replace(stop, again_s=time_s + STOP_PERIOD_S)
-        return [ToGuarded(topics.COMMAND, "", stop.command) for stop in again]
+        return [ToTopic(topics.COMMAND, "", stop.command) for stop in again]
 
     def answered(self, reply: CommandReply) -> list[Output]:
         """Answer the sender of the command, or send the command again as the gate requires."""
@@ -137,7 +161,7 @@ class Commands:
     def _sent_again(self, awaited: _Awaited) -> list[Output]:
         command = self.numbered(awaited.command)
         self._awaited[command.id] = replace(awaited, command=command)
-        return [ToGuarded(topics.COMMAND, "", command)]
+        return [ToTopic(topics.COMMAND, "", command)]
 
     def overdue(self, time_s: float) -> tuple[int, list[ToSender]]:
         """How many commands the gate has just left unanswered, and the errors for their senders."""

@@ -12,29 +12,39 @@ from collections.abc import Callable
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
 from deltaq_protocol.identity import CellIdentity
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
+    ContactRequest,
     Description,
+    DryRunRequest,
     Error,
     Hello,
+    Increment,
+    IoRequest,
+    LeaseRequest,
     LeaseStatus,
+    Message,
     Proximity,
+    ResetRequest,
     RobotState,
     RobotStatus,
     Status,
+    StopRequest,
     ToolPose,
     Verdict,
     Welcome,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.increments import Increments
-from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
+from deltaq_services.hli.memory import HliMemory
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 from deltaq_services.pace import Pace
 
 
@@ -78,6 +88,79 @@ class HliCore:
         self.increments = Increments(self._state)
         self.requests = Requests(self._state, operator_token)
 
+    def take(
+        self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None
+    ) -> list[Output]:
+        """Take what has come, from a service or from a client.
+
+        Args:
+            message: a message, or why an increment is none.
+            time_s: when it came.
+            sender: whom to answer; only an increment may have none, whose verdict every watcher gets.
+
+        Raises:
+            TypeError: for a message that nobody sends here.
+        """
+        match message:
+            case ServerState():
+                return self.on_server_state(message, time_s)
+            case Verdict():
+                return self.on_gate_verdict(message)
+            case CommandReply():
+                return self.on_command_reply(message)
+            case Health():
+                return self.on_health(message, time_s)
+            case Increment():
+                return self.increments.on_increment(message, sender, time_s)
+            case InvalidMessageError():
+                return self.increments.on_bad_increment(message, sender, time_s)
+        if sender is None:
+            raise TypeError(f"a {type(message).__name__} has to be answered, and comes from nobody")
+        match message:
+            case Hello():
+                return self.on_hello(message, sender)
+            case StopRequest():
+                return self.requests.on_stop(sender, time_s)
+            case ResetRequest():
+                return self.requests.on_reset(message, sender, time_s)
+            case LeaseRequest():
+                return self.requests.on_lease(message, sender, time_s)
+            case IoRequest():
+                return self.requests.on_io(message, sender, time_s)
+            case DryRunRequest():
+                return self.requests.on_dry_run(message, sender, time_s)
+            case ContactRequest():
+                return self.requests.on_contact(message, sender, time_s)
+        raise TypeError(
+            f"the HLI takes states, verdicts, replies and requests, got a {type(message).__name__}"
+        )
+
+    def snapshot(self) -> HliMemory:
+        """Snapshot of all that answers depend on, for `restore`."""
+        state = self._state
+        return HliMemory(
+            leases=state.leases.snapshot(),
+            commands=state.commands.snapshot(),
+            links={name: link.snapshot() for name, link in state.links.items()},
+            mismatches=dict(state.mismatches),
+            gate=(self._gate, self._gate_heard_s),
+            heard_s=tuple(stream.snapshot() for stream in self._streams()),
+            proximity_s=self._proximity.snapshot(),
+        )
+
+    def restore(self, memory: HliMemory) -> None:
+        """Go on from where another HLI of this cell was, counters excepted."""
+        state = self._state
+        state.leases.restore(memory.leases)
+        state.commands.restore(memory.commands)
+        for name, link in memory.links.items():
+            state.links[name].restore(link)
+        state.mismatches = dict(memory.mismatches)
+        self._gate, self._gate_heard_s = memory.gate
+        for stream, times_s in zip(self._streams(), memory.heard_s, strict=True):
+            stream.restore(times_s)
+        self._proximity.restore(memory.proximity_s)
+
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate for what has waited, and tell the controllers.
 
@@ -106,7 +189,7 @@ class HliCore:
             reason=state.reason,
             gate=self._gate.fingerprint if self._gate else "",
         )
-        told = ToOpen(topics.STATE, state.robot, placed)
+        told = ToTopic(topics.STATE, state.robot, placed)
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]
 
     def on_gate_verdict(self, verdict: Verdict) -> list[Output]:
@@ -120,7 +203,7 @@ class HliCore:
         lease = self._state.leases.of(verdict.robot)
         if not awaited and lease is not None:
             sender = lease.connection
-        outputs: list[Output] = [ToOpen(topics.VERDICT, verdict.robot, verdict)]
+        outputs: list[Output] = [ToTopic(topics.VERDICT, verdict.robot, verdict)]
         if sender is not None:
             outputs.insert(0, ToSender(sender, verdict))
         return outputs + self._state.learn_epoch(verdict)
@@ -141,7 +224,7 @@ class HliCore:
             self._state.commands.learn(health.epoch, health.newest_id or 0)
         if health.nearest is None or not self._proximity.due(time_s):
             return []
-        return [ToOpen(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
+        return [ToTopic(topics.PROXIMITY, "", Proximity(time_s=health.time_s, pairs=(health.nearest,)))]
 
     def on_hello(self, hello: Hello, sender: Sender) -> list[Output]:
         """Welcome a client, or tell it that it speaks another version."""
@@ -192,9 +275,11 @@ class HliCore:
 
     def lagging(self, time_s: float) -> tuple[str, ...]:
         """What is silent, or comes more slowly than the table of topics says; for people."""
-        streams = (*self._states.values(), *self._services.values())
-        faults = (stream.fault(time_s) for stream in streams)
+        faults = (stream.fault(time_s) for stream in self._streams())
         return tuple(fault for fault in faults if fault is not None)
+
+    def _streams(self) -> tuple[Heard, ...]:
+        return *self._states.values(), *self._services.values()
 
     def _robot_status(self, robot: str, link: RobotLink, time_s: float) -> RobotStatus:
         state, lease = link.state, self._state.leases.of(robot)

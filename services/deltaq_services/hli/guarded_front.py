@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable
+from functools import partial
 
 import zenoh
 
@@ -13,13 +13,11 @@ from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import ProtocolError
-from deltaq_protocol.guarded import CommandReply, Health, ServerState
-from deltaq_protocol.messages import Message, Verdict
+from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
-from deltaq_services.hli.outputs import Output
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
 
@@ -44,10 +42,8 @@ class GuardedFront:
         self._session = LoopSession(
             open_session(connect=endpoints, access=rules), cell.cell, port.loop, self._seal
         )
-        self._session.subscribe(topics.SERVER_STATE, self._on_state)
-        self._session.subscribe(topics.GATE_VERDICT, self._on_verdict)
-        self._session.subscribe(topics.COMMAND_REPLY, self._on_command_reply)
-        self._session.subscribe(topics.HEALTH, self._on_health)
+        for topic in (topics.SERVER_STATE, topics.GATE_VERDICT, topics.COMMAND_REPLY, topics.HEALTH):
+            self._session.subscribe(topic, partial(self._take, topic.message))
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the guarded realm."""
@@ -61,23 +57,10 @@ class GuardedFront:
         """Leave the guarded realm."""
         self._session.close()
 
-    def _on_state(self, sample: zenoh.Sample) -> None:
-        self._take(
-            sample, lambda data: self._port.core.on_server_state(unpack(ServerState, data), self._port.now())
-        )
-
-    def _on_verdict(self, sample: zenoh.Sample) -> None:
-        self._take(sample, lambda data: self._port.core.on_gate_verdict(unpack(Verdict, data)))
-
-    def _on_command_reply(self, sample: zenoh.Sample) -> None:
-        self._take(sample, lambda data: self._port.core.on_command_reply(unpack(CommandReply, data)))
-
-    def _on_health(self, sample: zenoh.Sample) -> None:
-        self._take(sample, lambda data: self._port.core.on_health(unpack(Health, data), self._port.now()))
-
-    def _take(self, sample: zenoh.Sample, decide: Callable[[bytes], list[Output]]) -> None:
+    def _take(self, message_type: type[Message], sample: zenoh.Sample) -> None:
         try:
-            outputs = decide(self._seal.open(str(sample.key_expr), sample.payload.to_bytes()))
+            opened = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+            message = unpack(message_type, opened)
         except ForgedMessageError as error:
             self._port.core.counters["forged_guarded"] += 1
             if self._port.core.counters["forged_guarded"] == 1:
@@ -87,4 +70,4 @@ class GuardedFront:
             self._port.core.counters["malformed_guarded"] += 1
             _log.warning("%s: %s", sample.key_expr, error)
             return
-        self._port.carry_out(outputs)
+        self._port.carry_out(self._port.core.take(message, self._port.now()))

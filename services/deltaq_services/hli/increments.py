@@ -10,10 +10,10 @@ from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.leases import Lease
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import Asked, RobotLink
 from deltaq_services.hli.state import HliState
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
 
 class Increments:
@@ -91,12 +91,12 @@ class Increments:
         assert link.state is not None  # it has just come
         lease = self._state.leases.of(robot)
         alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
-        return [ToGuarded(topics.REQUEST, robot, alive), *outputs]
+        return [ToTopic(topics.REQUEST, robot, alive), *outputs]
 
     def _request(self, robot: str, asked: Asked) -> Output:
         self._state.counters["requests"] += 1
         increment = asked.increment
-        return ToGuarded(
+        return ToTopic(
             topics.REQUEST,
             robot,
             Request(

@@ -6,10 +6,10 @@ with the time of day; if that has been set back, the gate still knows the epochs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
-from deltaq_services.hli.outputs import Sender
+from deltaq_services.outputs import Sender
 
 
 @dataclass
@@ -32,6 +32,14 @@ class Lease:
     used: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class LeasesMemory:
+    """Snapshot of the leases: the newest epoch, and each robot's lease."""
+
+    epoch: int
+    leases: tuple[tuple[str, Lease | None], ...]
+
+
 class Leases:
     """The leases of all robots of a cell.
 
@@ -49,6 +57,14 @@ class Leases:
         self._lease_s = lease_s
         self._new_token = new_token
         self._epoch = first_epoch
+
+    def snapshot(self) -> LeasesMemory:
+        """Snapshot of the leases, for `restore`."""
+        return LeasesMemory(self._epoch, tuple(_copied(self._leases.items())))
+
+    def restore(self, memory: LeasesMemory) -> None:
+        """Go on from where others were."""
+        self._epoch, self._leases = memory.epoch, dict(_copied(memory.leases))
 
     def of(self, robot: str) -> Lease | None:
         """The lease of a robot, whoever holds it."""
@@ -85,3 +101,9 @@ class Leases:
     def expired(self, time_s: float) -> list[Lease]:
         """The leases that have run out."""
         return [lease for lease in self._leases.values() if lease is not None and time_s >= lease.expires_s]
+
+
+def _copied(leases: Iterable[tuple[str, Lease | None]]) -> Iterator[tuple[str, Lease | None]]:
+    """With leases that nobody else renews."""
+    for robot, lease in leases:
+        yield robot, None if lease is None else replace(lease)

@@ -25,9 +25,9 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Party, Realm, Topic
-from deltaq_services.hli.outputs import Output, Sender
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
+from deltaq_services.outputs import Output, Sender
 
 RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest)
 

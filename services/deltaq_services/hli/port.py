@@ -7,7 +7,7 @@ from typing import Protocol
 
 from deltaq_protocol.messages import Status
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.outputs import Output
+from deltaq_services.outputs import Output
 
 
 class Port(Protocol):

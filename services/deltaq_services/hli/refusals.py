@@ -10,7 +10,7 @@ from deltaq_cell.description import RobotDescription
 from deltaq_protocol import topics
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.outputs import Output, Sender, ToOpen, ToSender
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
 _LONGEST_NAME = 64
 
@@ -21,7 +21,7 @@ def refusal(robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | N
     A sender over zenoh reads the open verdict: a zenoh sample does not say where it came from.
     """
     verdict = Verdict(robot=robot, cycle=cycle, seq=seq, outcome=Outcome.REFUSED, reasons=(reason,))
-    outputs: list[Output] = [ToOpen(topics.VERDICT, robot, verdict)]
+    outputs: list[Output] = [ToTopic(topics.VERDICT, robot, verdict)]
     if sender is not None:
         outputs.insert(0, ToSender(sender, verdict))
     return outputs

@@ -20,8 +20,8 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.leases import Lease
-from deltaq_services.hli.outputs import Output, Sender, ToSender
 from deltaq_services.hli.state import HliState
+from deltaq_services.outputs import Output, Sender, ToSender
 
 _Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest
 

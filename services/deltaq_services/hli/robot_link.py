@@ -7,12 +7,13 @@ next state; of those that wait only the newest is kept.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Increment, Phase, Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.outputs import Sender
+from deltaq_services.outputs import Sender
 
 _MAX_AWAITED = 64
 """Increments whose verdict may be outstanding; a gate that answers keeps this at one or two."""
@@ -25,6 +26,24 @@ class Asked:
     increment: Increment
     lease_epoch: int
     sender: Sender | None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMemory:
+    """Snapshot of a `RobotLink`.
+
+    Attributes:
+        state, received_s: of the robot, and when it came.
+        asked_cycle: cycle of the state that was answered last.
+        awaited: who awaits which verdict.
+        waiting: the increment that waits.
+    """
+
+    state: ServerState | None
+    received_s: float
+    asked_cycle: int | None
+    awaited: Mapping[int, Sender | None]
+    waiting: Asked | None
 
 
 class RobotLink:
@@ -45,6 +64,17 @@ class RobotLink:
         self._waiting: Asked | None = None
         self.state: ServerState | None = None
         self.received_s = -math.inf
+
+    def snapshot(self) -> LinkMemory:
+        """Snapshot of the robot, for `restore`."""
+        awaited = dict(self._awaited)
+        return LinkMemory(self.state, self.received_s, self._asked_cycle, awaited, self._waiting)
+
+    def restore(self, memory: LinkMemory) -> None:
+        """Go on from where another was."""
+        self.state, self.received_s = memory.state, memory.received_s
+        self._asked_cycle, self._waiting = memory.asked_cycle, memory.waiting
+        self._awaited = dict(memory.awaited)
 
     def phase(self, time_s: float) -> Phase:
         """Phase of the robot; offline while no fresh state comes."""

@@ -12,11 +12,12 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
+from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
-from deltaq_services.hli.outputs import Output, ToGuarded, ToOpen
 from deltaq_services.hli.tcp_front import TcpFront
+from deltaq_services.outputs import Output, ToSender
 from deltaq_services.pace import Pace
 
 _TICK_S = 0.02
@@ -86,14 +87,14 @@ class Hli:
     def carry_out(self, outputs: list[Output]) -> None:
         """Send what the core wants sent, in its order."""
         for output in outputs:
-            if isinstance(output, ToGuarded):
+            if isinstance(output, ToSender):
+                output.sender.deliver(output.message)
+            elif output.topic.realm is Realm.GUARDED:
                 self._guarded.publish(output.topic, output.robot, output.message)
-            elif isinstance(output, ToOpen):
+            else:
                 self._open.publish(output.topic, output.robot, output.message)
                 if isinstance(output.message, RobotState):
                     self._tcp.publish_state(output.message)
-            else:
-                output.sender.deliver(output.message)
 
     def _tick(self) -> None:
         now = self.now()

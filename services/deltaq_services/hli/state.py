@@ -14,9 +14,9 @@ from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdic
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.leases import Lease, Leases
-from deltaq_services.hli.outputs import Output, Sender, ToGuarded, ToSender
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 
 
 class HliState:
@@ -156,4 +156,4 @@ class HliState:
             )
             return [] if sender is None else [ToSender(sender, error)]
         self.commands.sent(command, sender, done, time_s)
-        return [ToGuarded(topics.COMMAND, "", command)]
+        return [ToTopic(topics.COMMAND, "", command)]

@@ -25,9 +25,9 @@ from deltaq_protocol.messages import (
     StopRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.outputs import Output, Sender, ToSender
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.refusals import answered_by_error
+from deltaq_services.outputs import Output, Sender, ToSender
 
 MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100
@@ -208,7 +208,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             return self._greet(_hello(data))
         if message_type is StopRequest:
             # anybody may stop, and a stop is obeyed whatever else the line says
-            return core.requests.on_stop(self, now)
+            return core.take(StopRequest(), now, self)
         client = self._client
         if client is None:
             text = f"a {kind} before the hello"
@@ -218,22 +218,21 @@ class TcpConnection(asyncio.Protocol, Sender):
         if message_type is Increment:
             return self._increment(data, now)
         request = from_map(message_type, data)
-        if isinstance(request, LeaseRequest):
-            fields = {"lease": self.leases.get(request.robot), "client": client.client, "token": client.token}
-            return core.requests.on_lease(request.model_copy(update=fields), self, now)
-        if isinstance(request, IoRequest):
-            fields = {"lease": self.leases.get(request.robot)}
-            return core.requests.on_io(request.model_copy(update=fields), self, now)
-        if isinstance(request, DryRunRequest):
-            return core.requests.on_dry_run(request, self, now)
-        if isinstance(request, ContactRequest):
-            return core.requests.on_contact(request.model_copy(update={"token": client.token}), self, now)
-        if isinstance(request, ResetRequest):
-            return core.requests.on_reset(request.model_copy(update={"token": client.token}), self, now)
-        return self._told(core.description)
+        fields: dict[str, str | None] = {}
+        match request:
+            case LeaseRequest():
+                lease = self.leases.get(request.robot)
+                fields = {"lease": lease, "client": client.client, "token": client.token}
+            case IoRequest():
+                fields = {"lease": self.leases.get(request.robot)}
+            case ContactRequest() | ResetRequest():
+                fields = {"token": client.token}
+            case DescribeRequest():
+                return self._told(core.description)
+        return core.take(request.model_copy(update=fields), now, self)
 
     def _greet(self, hello: Hello) -> list[Output]:
-        outputs = self._port.core.on_hello(hello, self)
+        outputs = self._port.core.take(hello, self._port.now(), self)
         self._port.carry_out(outputs)
         if hello.protocol not in LINE_VERSIONS:
             self.close()
@@ -245,16 +244,14 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     def _increment(self, data: dict[str, Any], now: float) -> list[Output]:
         """The connection is the holder: a lease that the line names is ignored."""
-        increments = self._port.core.increments
         robot = data.get("robot")
         data["lease"] = self.leases.get(robot) if isinstance(robot, str) else None
         try:
-            increment = from_map(Increment, data)
+            return self._port.core.take(from_map(Increment, data), now, self)
         except InvalidMessageError as error:
             if error.code is ReasonCode.MALFORMED:
                 raise
-            return increments.on_bad_increment(error, self, now)
-        return increments.on_increment(increment, self, now)
+            return self._port.core.take(error, now, self)
 
     def _note_lease(self, reply: LeaseReply) -> None:
         if reply.granted and reply.lease is not None:

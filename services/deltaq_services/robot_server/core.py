@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,9 +22,11 @@ from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.memory import ServerMemory
 from deltaq_services.robot_server.mode_probe import KinematicMode, Mode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.settling import Settling
 
@@ -71,6 +74,8 @@ class RobotServer:
         self._cycle = 0
         self._state: ServerState | None = None
         self._told: tuple[Measurement, float] | None = None
+        self._admission: Admission | None = None
+        self._supervision: Supervision | None = None
 
     @property
     def state(self) -> ServerState | None:
@@ -126,6 +131,81 @@ class RobotServer:
         self._settling = self._settling.sent(bool(self._dq.any()))
         self._told, self._state = (measured, time_s), None
         return self._mode.added_to(self._held_at)
+
+    def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
+        """Take what has come: of the gate's messages the newest of each kind counts, and a measurement is a cycle.
+
+        Args:
+            message: of the gate, or of the robot's driver.
+            time_s: when it came, for the published state only.
+
+        Returns:
+            What to send to the robot. The `state` is made when it is asked for, after that.
+
+        Raises:
+            TypeError: for a message that nobody sends here.
+        """
+        if isinstance(message, Admission):
+            self._admission = message
+        elif isinstance(message, Supervision):
+            self._supervision = message
+        elif isinstance(message, Measurement):
+            admission, self._admission = self._admission, None
+            supervision, self._supervision = self._supervision, None
+            q_cmd = self.cycle(message, time_s, admission, supervision)
+            return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
+        else:
+            raise TypeError(
+                f"a Robot Server takes admissions, heartbeats and measurements, got a {type(message).__name__}"
+            )
+        return []
+
+    def snapshot(self) -> ServerMemory:
+        """Snapshot of all that decisions depend on, for `restore`."""
+        settled = self._settling.q_settled
+        return ServerMemory(
+            process=self.process,
+            cycle=self._cycle,
+            phase=self._phase,
+            reason=self._reason,
+            q_cmd=tuple(self._q_cmd.tolist()),
+            q_reset=None if self._q_reset is None else tuple(self._q_reset.tolist()),
+            dq=tuple(self._dq.tolist()),
+            plan=self._plan,
+            epoch=self._epoch,
+            sequence=self._sequence,
+            resets=self._resets,
+            cycles_without_gate=self._cycles_without_gate,
+            cycles_missed=self._cycles_missed,
+            cycles_at_rest=self._settling.cycles_at_rest,
+            q_settled=None if settled is None else tuple(settled.tolist()),
+            motion_stop=self.motion_stop,
+            outputs=tuple(self.outputs.items()),
+            told=self._told,
+            state=self.state,
+            mode=self._mode.snapshot(),
+            admission=self._admission,
+            supervision=self._supervision,
+        )
+
+    def restore(self, memory: ServerMemory) -> None:
+        """Go on from where another Robot Server of this robot was, counters excepted."""
+        self.process, self._cycle = memory.process, memory.cycle
+        self._phase, self._reason = memory.phase, memory.reason
+        self._q_cmd, self._dq = np.array(memory.q_cmd), np.array(memory.dq)
+        self._q_reset = None if memory.q_reset is None else np.array(memory.q_reset)
+        self._plan, self._plan_dq = memory.plan, np.array(memory.plan.dq)
+        self._epoch, self._sequence, self._resets = memory.epoch, memory.sequence, memory.resets
+        self._cycles_without_gate, self._cycles_missed = memory.cycles_without_gate, memory.cycles_missed
+        settled = None if memory.q_settled is None else np.array(memory.q_settled)
+        self._settling = replace(self._settling, cycles_at_rest=memory.cycles_at_rest, q_settled=settled)
+        self.motion_stop, self.outputs = memory.motion_stop, dict(memory.outputs)
+        self._told, self._state = memory.told, memory.state
+        self._mode = KinematicMode()
+        if memory.mode is not None:
+            self._mode = self._new_mode(np.array(memory.mode.q_start))
+            self._mode.restore(memory.mode)
+        self._admission, self._supervision = memory.admission, memory.supervision
 
     def krc_silent(self, time_s: float) -> None:
         """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""

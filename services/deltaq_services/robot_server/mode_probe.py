@@ -18,6 +18,7 @@ sign turned in the second half; such a trial tells nothing, and there is another
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -68,6 +69,28 @@ class Mode(StrEnum):
 _REMEDY = "nothing is driven in this session: let the program call RSI_ON(#ABSOLUTE), and start it again"
 
 
+@dataclass(frozen=True, slots=True)
+class ProbeMemory:
+    """Snapshot of a `ModeProbe`; places [rad or m].
+
+    Attributes:
+        q_start: where its session began.
+        samples: of the trial that is under way.
+    """
+
+    mode: Mode
+    unseen: tuple[str, ...]
+    q_start: tuple[float, ...]
+    offset: tuple[float, ...]
+    adrift_cycles: int
+    ended: bool
+    ipoc: int | None
+    ipoc_step: int
+    cycle: int
+    samples: tuple[tuple[float, ...], ...]
+    void: bool
+
+
 class KinematicMode:
     """The mode of a robot that is no KUKA: it is where it was sent, and nobody needs to find out."""
 
@@ -85,6 +108,12 @@ class KinematicMode:
 
     def end(self) -> None:
         """Nothing is to be undone."""
+
+    def snapshot(self) -> None:
+        """It remembers nothing."""
+
+    def restore(self, memory: ProbeMemory) -> None:
+        """It has nothing to remember."""
 
 
 class ModeProbe:
@@ -188,6 +217,30 @@ class ModeProbe:
     def end(self) -> None:
         """Undo what was added, and add nothing more."""
         self._ended = True
+
+    def snapshot(self) -> ProbeMemory:
+        """Snapshot of the probe, for `restore`."""
+        return ProbeMemory(
+            mode=self.mode,
+            unseen=self.unseen,
+            q_start=tuple(self._q_start.tolist()),
+            offset=tuple(self._offset.tolist()),
+            adrift_cycles=self._adrift_cycles,
+            ended=self._ended,
+            ipoc=self._ipoc,
+            ipoc_step=self._ipoc_step,
+            cycle=self._cycle,
+            samples=tuple(tuple(sample.tolist()) for sample in self._samples),
+            void=self._void,
+        )
+
+    def restore(self, memory: ProbeMemory) -> None:
+        """Go on from where another probe of this robot was."""
+        self.mode, self.unseen = memory.mode, memory.unseen
+        self._q_start, self._offset = np.array(memory.q_start), np.array(memory.offset)
+        self._adrift_cycles, self._ended = memory.adrift_cycles, memory.ended
+        self._ipoc, self._ipoc_step, self._cycle = memory.ipoc, memory.ipoc_step, memory.cycle
+        self._samples, self._void = [np.array(sample) for sample in memory.samples], memory.void
 
     def _is_adrift(self, q: Array) -> bool:
         away = bool((np.abs(q - self._q_start) > ADRIFT * self._size).any())

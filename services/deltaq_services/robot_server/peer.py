@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 Address = tuple[str, int]
@@ -15,6 +16,14 @@ class Sender(StrEnum):
     """From another address than the cell gives to the KRC, or from no port that could be answered."""
     SECOND_KRC = "telegrams_second_krc"
     """From the right address, but another port than that of the KRC that is being answered."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeerMemory:
+    """Snapshot of a `Peer`: the KRC's address, and when it was heard last."""
+
+    address: Address | None
+    heard_s: float
 
 
 class Peer:
@@ -56,6 +65,14 @@ class Peer:
             return Sender.KRC
         self.stranger = f"a second KRC at {host}:{port}"
         return Sender.SECOND_KRC
+
+    def snapshot(self) -> PeerMemory:
+        """Snapshot of all that judgements depend on, for `restore`."""
+        return PeerMemory(self.address, self._heard_s)
+
+    def restore(self, memory: PeerMemory) -> None:
+        """Go on from where another peer was."""
+        self.address, self._heard_s = memory.address, memory.heard_s
 
     def believed(self, sender: Address, now_s: float) -> None:
         """A telegram of this sender was valid."""

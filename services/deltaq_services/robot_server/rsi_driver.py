@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,11 +22,32 @@ from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
-from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session
+from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session, SessionMemory
 
 _EARLIER = 64
 """Sessions that are remembered with the correction that was sent last in them: a KRC that comes back after another was
 believed has its own correction still."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriverMemory:
+    """Snapshot of an `RsiDriver`; its arrays are never written to.
+
+    Attributes:
+        session: beliefs about the telegrams.
+        origin: (n,) programmed position of the session [rad or m].
+        sent: (n,) correction that was sent last [rad or m].
+        earlier: the same two of sessions before, oldest first.
+        opened: RSI restarts.
+        outputs: digital outputs that were sent last.
+    """
+
+    session: SessionMemory
+    origin: Array | None
+    sent: Array | None
+    earlier: tuple[tuple[Array, Array], ...]
+    opened: bool
+    outputs: Mapping[str, bool]
 
 
 class RsiDriver:
@@ -135,6 +157,20 @@ class RsiDriver:
         assert self._sent is not None  # asked only after a reply
         return self._origin + self._sent
 
+    def snapshot(self) -> DriverMemory:
+        """Snapshot of all that answers depend on, for `restore`."""
+        session, earlier = self.session.snapshot(), tuple(self._earlier)
+        return DriverMemory(session, self._origin, self._sent, earlier, self._opened, self._outputs)
+
+    def restore(self, memory: DriverMemory) -> None:
+        """Go on from where another driver of this robot was."""
+        self.session.restore(memory.session)
+        self._sent, self._opened, self._outputs = memory.sent, memory.opened, memory.outputs
+        self._earlier = deque(memory.earlier, maxlen=_EARLIER)
+        self._origin = None
+        if memory.origin is not None:
+            self._begin_at(memory.origin)
+
     def _opens(self, telegram: KrcTelegram) -> None:
         """A KR C2 begins with a telegram that has nothing but its IPOC."""
         self._opened = True
@@ -163,10 +199,14 @@ class RsiDriver:
         if self._origin is not None and self._sent is not None:
             self._earlier.append((self._origin, self._sent))
         self._sent = kept
-        self._origin = telegram.q - kept if telegram.q_programmed is None else telegram.q_programmed
-        self._lower = np.maximum(np.array(self._plausible.lower) - self._origin, -self._widest).tolist()
-        self._upper = np.minimum(np.array(self._plausible.upper) - self._origin, self._widest).tolist()
-        return Measurement(telegram.ipoc, telegram.q, q_start=self._origin + kept, inputs=telegram.inputs)
+        origin = telegram.q - kept if telegram.q_programmed is None else telegram.q_programmed
+        self._begin_at(origin)
+        return Measurement(telegram.ipoc, telegram.q, q_start=origin + kept, inputs=telegram.inputs)
+
+    def _begin_at(self, origin: Array) -> None:
+        self._origin = origin
+        self._lower = np.maximum(np.array(self._plausible.lower) - origin, -self._widest).tolist()
+        self._upper = np.minimum(np.array(self._plausible.upper) - origin, self._widest).tolist()
 
     def _kept(self, telegram: KrcTelegram) -> Array | None:
         """(n,) correction that the KRC has, by where the robot stands; None if that cannot be told."""

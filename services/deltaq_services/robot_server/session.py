@@ -115,13 +115,29 @@ _ROWS = {(row.belief, row.kind): row for row in AUTOMATON}
 
 
 @dataclass(frozen=True, slots=True)
-class _Run:
+class Run:
     """Telegrams in a row that may be those of another session."""
 
     count: int
     first_s: float
     step: int | None
     newest: KrcTelegram
+
+
+@dataclass(frozen=True, slots=True)
+class SessionMemory:
+    """Snapshot of a `Session`.
+
+    Attributes:
+        time_s: when its newest telegram came.
+        run: telegrams in a row that may be those of another session.
+    """
+
+    belief: Belief
+    step: int | None
+    last: KrcTelegram | None
+    time_s: float
+    run: Run | None
 
 
 class Session:
@@ -154,7 +170,7 @@ class Session:
         self._silence_cycles = max(1, round(silence_s / cycle_s))
         self._least_s = PACE * (CONFIRMATIONS - 1) * cycle_s
         self._time_s = 0.0
-        self._run: _Run | None = None
+        self._run: Run | None = None
 
     def judge(self, telegram: KrcTelegram, time_s: float) -> Judgement:
         """Kind of a telegram, and its answer.
@@ -190,6 +206,15 @@ class Session:
         self._run = None
         if self.belief is Belief.BELIEVED:
             self.belief = Belief.DOUBTED
+
+    def snapshot(self) -> SessionMemory:
+        """Snapshot of all that judgements depend on, for `restore`."""
+        return SessionMemory(self.belief, self.step, self.last, self._time_s, self._run)
+
+    def restore(self, memory: SessionMemory) -> None:
+        """Go on from where another session of this robot was."""
+        self.belief, self.step, self.last = memory.belief, memory.step, memory.last
+        self._time_s, self._run = memory.time_s, memory.run
 
     def _goes_on(self, telegram: KrcTelegram, time_s: float) -> None:
         self.last, self._time_s = telegram, time_s
@@ -236,9 +261,9 @@ class Session:
                 and _same(telegram.q_programmed, run.newest.q_programmed)
                 and _same(telegram.q, run.newest.q)
             ):
-                self._run = _Run(run.count + 1, run.first_s, step, telegram)
+                self._run = Run(run.count + 1, run.first_s, step, telegram)
                 return True
-        self._run = _Run(1, time_s, None, telegram)
+        self._run = Run(1, time_s, None, telegram)
         return False
 
     def _confirmed(self, time_s: float) -> bool:

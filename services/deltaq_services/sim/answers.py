@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from deltaq_cell.group import Nearest
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import CommandReply
-from deltaq_protocol.messages import Message, NearestPair, Verdict
+from deltaq_protocol.messages import NearestPair, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.topic import Topic
+from deltaq_services.outputs import ToTopic
 from deltaq_services.sim.gate import Decision
 
 
-@dataclass(frozen=True)
-class Output:
-    """A message to publish, and the robot whose key it goes to ("" for keys without one)."""
-
-    topic: Topic
-    robot: str
-    message: Message
-
-
-def reply(id_: int, code: ReasonCode | None = None, message: str = "") -> Output:
+def reply(id_: int, code: ReasonCode | None = None, message: str = "") -> ToTopic:
     """The reply to a command: taken or, with a code, why not."""
     answer = CommandReply(id=id_, accepted=code is None, code=code, message=message)
-    return Output(topics.COMMAND_REPLY, "", answer)
+    return ToTopic(topics.COMMAND_REPLY, "", answer)
 
 
 def verdict_of(robot: str, cycle: int, seq: int, decision: Decision, cycle_s: float) -> Verdict:

@@ -31,8 +31,9 @@ from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Message, NearestPair, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.receipts import first_receipt, with_receipt
+from deltaq_services.outputs import ToTopic
 from deltaq_services.phases import MAY_MOVE
-from deltaq_services.sim.answers import Output, nearest_pair, reply, verdict_of
+from deltaq_services.sim.answers import nearest_pair, reply, verdict_of
 from deltaq_services.sim.command_order import CommandOrder
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.fingerprint import fingerprint
@@ -91,7 +92,7 @@ class Sim:
         self._sequence = 0
         self._command_order = CommandOrder()
 
-    def take(self, message: Message) -> list[Output]:
+    def take(self, message: Message) -> list[ToTopic]:
         """Take a state, a request or a command; their order determines every decision."""
         if isinstance(message, ServerState):
             return self.on_state(message)
@@ -101,7 +102,7 @@ class Sim:
             return self.on_command(message)
         raise TypeError(f"the gate takes states, requests and commands, got a {type(message).__name__}")
 
-    def on_state(self, state: ServerState) -> list[Output]:
+    def on_state(self, state: ServerState) -> list[ToTopic]:
         """A Robot Server published its state."""
         self.taken += 1
         robot = self.robots.get(state.robot)
@@ -120,7 +121,7 @@ class Sim:
             self.violations.only(robot.name, ())  # they were measured where it stood before
         return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
 
-    def on_request(self, request: Request) -> list[Output]:
+    def on_request(self, request: Request) -> list[ToTopic]:
         """The HLI sent an increment, or a heartbeat."""
         self.taken += 1
         robot = self.robots.get(request.robot)
@@ -137,7 +138,7 @@ class Sim:
         outputs = [] if replaced is None else [self._refuse(replaced, Reason(code=ReasonCode.SUPERSEDED))]
         return outputs + self._decide(robot)
 
-    def on_command(self, command: Command) -> list[Output]:
+    def on_command(self, command: Command) -> list[ToTopic]:
         """The HLI passed on a stop, a reset, digital outputs, a dry run or a change of contacts."""
         self.taken += 1
         robots = [robot for name, robot in self.robots.items() if command.robot in (None, name)]
@@ -147,7 +148,7 @@ class Sim:
             refusal = self._command_order.refusal(command, self.epoch, robots)
             if refusal is not None:
                 self.counters[f"command_{refusal.code}"] += 1
-                return [Output(topics.COMMAND_REPLY, "", refusal)]
+                return [ToTopic(topics.COMMAND_REPLY, "", refusal)]
         self._command_order.passed(command)
         self.counters[f"command_{command.kind}"] += 1
         if command.kind == "dry_run":
@@ -163,7 +164,7 @@ class Sim:
             robot.orders.outputs.update(command.outputs)
         return [reply(command.id)]
 
-    def _stop(self, command: Command, robots: Sequence[GatedRobot]) -> list[Output]:
+    def _stop(self, command: Command, robots: Sequence[GatedRobot]) -> list[ToTopic]:
         """Order a stop at once, and answer when the last robot shows it."""
         outputs = []
         for robot in robots:
@@ -176,13 +177,13 @@ class Sim:
             outputs.insert(0, reply(command.id))
         return outputs
 
-    def _switch_contact(self, command: Command) -> Output:
+    def _switch_contact(self, command: Command) -> ToTopic:
         if command.contact not in self.contacts:
             return reply(command.id, ReasonCode.MALFORMED, f"no contact {command.contact!r} here")
         self.contacts.switch(command.contact or "", command.allowed)
         return reply(command.id)
 
-    def _dry_run(self, command: Command) -> Output:
+    def _dry_run(self, command: Command) -> ToTopic:
         """Judge an increment as it would be now; at most one for each state, so that nobody keeps the gate busy."""
         robot = self.robots.get(command.robot or "")
         state = None if robot is None else robot.tracker.state
@@ -202,7 +203,7 @@ class Sim:
         decision = self._judge(robot, dq)
         verdict = verdict_of(robot.name, state.cycle, 0, decision, self._cycle_s)
         answer = CommandReply(id=command.id, accepted=True, verdict=verdict)
-        return Output(topics.COMMAND_REPLY, "", answer)
+        return ToTopic(topics.COMMAND_REPLY, "", answer)
 
     @property
     def newest_id(self) -> int:
@@ -245,7 +246,7 @@ class Sim:
         found = [near for near in looks if near is not None]
         return nearest_pair(min(found, key=lambda near: near.distance_m)) if found else None
 
-    def _supervise(self, robot: GatedRobot) -> list[Output]:
+    def _supervise(self, robot: GatedRobot) -> list[ToTopic]:
         robot.orders.judge()
         state = robot.tracker.state
         assert state is not None  # called with a state just observed
@@ -261,9 +262,9 @@ class Sim:
             outputs=robot.orders.outputs,
             cell=self._cell,
         )
-        return [Output(topics.SUPERVISION, robot.name, message)]
+        return [ToTopic(topics.SUPERVISION, robot.name, message)]
 
-    def _answered(self, robot: GatedRobot) -> list[Output]:
+    def _answered(self, robot: GatedRobot) -> list[ToTopic]:
         stops = [
             id_
             for id_ in robot.orders.latched()
@@ -271,7 +272,7 @@ class Sim:
         ]
         return [reply(id_) for id_ in (*robot.orders.fulfilled(), *stops)]
 
-    def _decide(self, robot: GatedRobot) -> list[Output]:
+    def _decide(self, robot: GatedRobot) -> list[ToTopic]:
         inbox, state = robot.inbox, robot.tracker.state
         if state is None or not inbox.due(state):
             return []
@@ -313,7 +314,7 @@ class Sim:
         theirs, ours = CellIdentity.parse(state.cell), CellIdentity.parse(self._cell)
         return ReasonCode.CELL_MISMATCH, mismatch(f"the Robot Server of {robot.name}", theirs, ours)
 
-    def _admit(self, robot: GatedRobot, state: ServerState, decision: Decision) -> Output:
+    def _admit(self, robot: GatedRobot, state: ServerState, decision: Decision) -> ToTopic:
         self._sequence += 1
         admission = Admission(
             robot=robot.name,
@@ -327,18 +328,18 @@ class Sim:
             brake_cycles=decision.brake_cycles,
         )
         robot.tracker.in_flight = admission
-        return Output(topics.ADMISSION, robot.name, admission)
+        return ToTopic(topics.ADMISSION, robot.name, admission)
 
-    def _verdict(self, request: Request, cycle: int, decision: Decision) -> Output:
+    def _verdict(self, request: Request, cycle: int, decision: Decision) -> ToTopic:
         self.counters[decision.outcome] += 1
         for reason in decision.reasons[:1]:
             self.counters[f"reason_{reason.code}"] += 1
         verdict = verdict_of(request.robot, cycle, request.seq, decision, self._cycle_s)
         if decision.outcome is Outcome.HELD:
             verdict = self._with_receipt(verdict)
-        return Output(topics.GATE_VERDICT, request.robot, verdict)
+        return ToTopic(topics.GATE_VERDICT, request.robot, verdict)
 
-    def _refuse(self, request: Request, reason: Reason) -> Output:
+    def _refuse(self, request: Request, reason: Reason) -> ToTopic:
         self.counters[Outcome.REFUSED] += 1
         self.counters[f"reason_{reason.code}"] += 1
         verdict = Verdict(
@@ -348,7 +349,7 @@ class Sim:
             outcome=Outcome.REFUSED,
             reasons=(reason,),
         )
-        return Output(topics.GATE_VERDICT, request.robot, self._with_receipt(verdict))
+        return ToTopic(topics.GATE_VERDICT, request.robot, self._with_receipt(verdict))
 
     def _with_receipt(self, verdict: Verdict) -> Verdict:
         signed = with_receipt(self._receipt, verdict)

@@ -9,26 +9,7 @@ from typing import Any
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_verification.impairment.stream import StreamFaults
-
-
-class Process(StrEnum):
-    """What can die, freeze or be slow."""
-
-    CONTROLLER = "controller"
-    HLI = "hli"
-    SIM = "sim"
-    ROBOT_SERVER = "robot-server"
-    RECORDER = "recorder"
-
-
-class Link(StrEnum):
-    """A wire between two processes; both directions share its fate."""
-
-    CONTROLLER_HLI = "controller-hli"
-    HLI_SIM = "hli-sim"
-    HLI_SERVER = "hli-server"
-    SIM_SERVER = "sim-server"
-    KRC_SERVER = "krc-server"
+from deltaq_verification.virtual_cell.parts import Link, Process
 
 
 class Misbehaviour(StrEnum):

@@ -12,7 +12,10 @@ from typing import Self
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.robot_server.peer import Address
 from deltaq_verification.faults.actions import Bombard
-from deltaq_verification.faults.arm import HERE, OVERSIZE
+from deltaq_verification.virtual_cell.arm import HERE
+
+OVERSIZE = 5000
+"""Bytes behind a telegram that make it longer than any."""
 
 _PERIOD_S = 0.002
 _TELEGRAM = b'<Rob TYPE="KUKA"><IPOC>1</IPOC></Rob>'

@@ -23,17 +23,16 @@ from deltaq_verification.faults.actions import (
     Impair,
     ImpairStream,
     Kill,
-    Link,
     Misbehave,
     Misbehaviour,
     PressStop,
-    Process,
     ReadNothing,
     SetWallClock,
     Slow,
     StepClock,
 )
 from deltaq_verification.impairment.stream import StreamFaults
+from deltaq_verification.virtual_cell.parts import Link, Process
 
 
 class UnknownFaultError(DeltaqError):

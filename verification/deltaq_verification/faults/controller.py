@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from deltaq_protocol.codec import InvalidMessageError, from_map
@@ -19,6 +17,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_verification.faults.actions import Misbehaviour
 from deltaq_verification.faults.mover import Mover
+from deltaq_verification.virtual_cell.clients import Say
 
 _FLOOD = 20
 _LEAP_RAD = 1.0
@@ -33,10 +32,10 @@ class VirtualController:
         joints: number of its joints.
         cycle_s: its sample time.
         home: position of its first joint at home [rad].
-        send: puts a message on the wire to the HLI.
-        send_bad: the same for what is no valid message.
+        send: puts what it says on the wire to the HLI.
 
     Attributes:
+        robot: its name.
         token: of the lease; None without one.
         misbehaviour: None while it behaves.
     """
@@ -47,14 +46,13 @@ class VirtualController:
         joints: int,
         cycle_s: float,
         home: float,
-        send: Callable[[Message], None],
-        send_bad: Callable[[InvalidMessageError], None],
+        send: Say,
     ) -> None:
+        self.robot = robot
         self.token: str | None = None
         self.misbehaviour: Misbehaviour | None = None
-        self._robot = robot
         self._mover = Mover(joints, cycle_s, home)
-        self._send, self._send_bad = send, send_bad
+        self._send = send
         self._seq = 0
         self._asked_cycle = -_RETRY_CYCLES
 
@@ -62,10 +60,10 @@ class VirtualController:
         """A message of the HLI has come."""
         if isinstance(message, LeaseReply):
             self.token = message.lease if message.granted else None
-        elif isinstance(message, Verdict) and message.robot == self._robot:
+        elif isinstance(message, Verdict) and message.robot == self.robot:
             if any(reason.code is ReasonCode.LEASE_NOT_HELD for reason in message.reasons):
                 self.token = None
-        elif isinstance(message, RobotState) and message.robot == self._robot:
+        elif isinstance(message, RobotState) and message.robot == self.robot:
             self._on_state(message)
 
     def _on_state(self, state: RobotState) -> None:
@@ -73,7 +71,7 @@ class VirtualController:
             # a Robot Server that restarts counts its cycles from one
             if abs(state.cycle - self._asked_cycle) >= _RETRY_CYCLES:
                 self._asked_cycle = state.cycle
-                self._send(LeaseRequest(robot=self._robot, action=LeaseAction.ACQUIRE, client="mover"))
+                self._send(LeaseRequest(robot=self.robot, action=LeaseAction.ACQUIRE, client="mover"))
             return
         dq = self._mover.increment(state.q_cmd)
         match self.misbehaviour:
@@ -88,7 +86,7 @@ class VirtualController:
         self._seq += 1
         self._send(
             Increment(
-                robot=self._robot, seq=self._seq, cycle=state.cycle, dq=tuple(dq.tolist()), lease=self.token
+                robot=self.robot, seq=self._seq, cycle=state.cycle, dq=tuple(dq.tolist()), lease=self.token
             )
         )
 
@@ -96,7 +94,7 @@ class VirtualController:
         self._seq += 1
         data = {
             "type": "increment",
-            "robot": self._robot,
+            "robot": self.robot,
             "seq": self._seq,
             "cycle": state.cycle,
             "dq": [float("nan")] * joints,
@@ -105,4 +103,4 @@ class VirtualController:
         try:
             self._send(from_map(Increment, data))
         except InvalidMessageError as error:
-            self._send_bad(error)
+            self._send(error)

@@ -15,16 +15,22 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_verification.faults.actions import BeginInThePast, Freeze, Kill, PressStop, Process
+from deltaq_verification.faults.actions import (
+    BeginInThePast,
+    Freeze,
+    Kill,
+    PressStop,
+)
 from deltaq_verification.faults.catalogue import Fault
-from deltaq_verification.faults.cell_factory import CellFactory
 from deltaq_verification.faults.live_cell import MovingCell, Needs, moving_cell, rows_of
 from deltaq_verification.faults.live_inject import Injector
-from deltaq_verification.faults.lockstep import ATTEMPTS, FaultRunError
 from deltaq_verification.faults.mover import CRUISE_RAD_S, SWING_RAD
 from deltaq_verification.faults.panel import PanelError, describe, pendant_message, recovery
 from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_verification.faults.virtual import ATTEMPTS, FaultRunError
 from deltaq_verification.oracle import ClearanceOracle
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Process
 
 CRUISE_S = 0.4
 """From the first full increments to the fault."""
@@ -45,7 +51,7 @@ _CYCLES_MOVED = 25
 
 
 def run_live_faults(
-    faults: Sequence[Fault], loaded: CellFactory, robot: str, on_row: Callable[[Row], None], seed: int = 0
+    faults: Sequence[Fault], loaded: LoadedCell, robot: str, on_row: Callable[[Row], None], seed: int = 0
 ) -> None:
     """Start the cell's services, let a moving robot suffer fault after fault, and take everything down.
 
@@ -91,7 +97,7 @@ def _flipped(status: dict[str, Any]) -> int:
 class _Run:
     """One fault in a cell of real processes."""
 
-    def __init__(self, running: MovingCell, loaded: CellFactory, robot: str) -> None:
+    def __init__(self, running: MovingCell, loaded: LoadedCell, robot: str) -> None:
         self._launcher, self._panel, self._records = running.launcher, running.panel, running.records
         self._injector = Injector(running, loaded, robot)
         self._cell, self._robot = loaded.model, robot

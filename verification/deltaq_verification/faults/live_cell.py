@@ -20,15 +20,15 @@ from deltaq_verification.faults.actions import (
     FillDisk,
     Freeze,
     Kill,
-    Process,
     SetWallClock,
     StepClock,
 )
 from deltaq_verification.faults.catalogue import Fault
-from deltaq_verification.faults.cell_factory import CellFactory
 from deltaq_verification.faults.clocks import SettableClocks
 from deltaq_verification.faults.panel import PanelClient
 from deltaq_verification.faults.relay_placement import PlacedRelay, RelayPlacement, placed
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Process
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Needs:
 
 
 @contextmanager
-def moving_cell(loaded: CellFactory, robot: str, needs: Needs, seed: int = 0) -> Iterator[MovingCell]:
+def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> Iterator[MovingCell]:
     """Start the cell's services and a controller that moves the robot.
 
     Args:

@@ -21,17 +21,17 @@ from deltaq_verification.faults.actions import (
     Impair,
     ImpairStream,
     Kill,
-    Process,
     ReadNothing,
     SetWallClock,
     StepClock,
 )
 from deltaq_verification.faults.bombard import Bomber
 from deltaq_verification.faults.catalogue import CHANGE_S, Fault
-from deltaq_verification.faults.cell_factory import CellFactory
 from deltaq_verification.faults.clocks import Clocks, SettableClocks
 from deltaq_verification.faults.live_cell import MovingCell
-from deltaq_verification.faults.lockstep import FaultRunError
+from deltaq_verification.faults.virtual import FaultRunError
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Process
 
 _FULL_BYTES = 4096
 """No file of the recorder may be longer than this once its disk is full."""
@@ -48,7 +48,7 @@ class Injector:
         robot: the one that moves.
     """
 
-    def __init__(self, running: MovingCell, loaded: CellFactory, robot: str) -> None:
+    def __init__(self, running: MovingCell, loaded: LoadedCell, robot: str) -> None:
         self._running, self._loaded, self._robot = running, loaded, robot
         self._reader: subprocess.Popen[str] | None = None
         self._bomber: Bomber | None = None
@@ -86,7 +86,7 @@ class Injector:
                 self._running.relay.impair(faults)
             case Bombard():
                 driver = self._loaded.model.description.robots[self._robot].driver
-                assert isinstance(driver, RsiDescription)  # `CellFactory.load` has seen to that
+                assert isinstance(driver, RsiDescription)  # `load_rsi_cell` has seen to that
                 self._bomber = Bomber(fault.action, (driver.address, driver.port))
                 self._bomber.__enter__()
             case FillDisk():

@@ -13,12 +13,13 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_emulator.faults import LinkFaults
 from deltaq_launch.services import Service
 from deltaq_protocol.endpoint import Endpoint
-from deltaq_verification.faults.actions import Impair, ImpairStream, Link
+from deltaq_verification.faults.actions import Impair, ImpairStream
 from deltaq_verification.faults.catalogue import Fault
-from deltaq_verification.faults.cell_factory import CellFactory
 from deltaq_verification.impairment.process import RelayProcess
 from deltaq_verification.impairment.relay import Unit
 from deltaq_verification.impairment.stream import StreamFaults
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Link
 
 HERE = "127.0.0.1"
 
@@ -67,7 +68,7 @@ class PlacedRelay:
         self.process.impair(self.place.unit.faults())
 
     def with_relays(
-        self, services: Sequence[Service], loaded: CellFactory, robot: str, folder: Path
+        self, services: Sequence[Service], loaded: LoadedCell, robot: str, folder: Path
     ) -> list[Service]:
         """The services, of which the one that connects over the wire finds the relay there."""
         link, here = self.place.link, str(self.listen)

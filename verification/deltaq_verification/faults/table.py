@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deltaq_verification.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
-from deltaq_verification.faults.cell_factory import CellFactory
-from deltaq_verification.faults.lockstep import run_fault
 from deltaq_verification.faults.mover import CRUISE_RAD_S
 from deltaq_verification.faults.report import Row, Table
+from deltaq_verification.faults.rsi_cell import load_rsi_cell
+from deltaq_verification.faults.virtual import run_fault
 
 COLUMNS = (
     "fault",
@@ -52,9 +52,8 @@ def run_table(
     Raises:
         UnknownFaultError: if the robot is not the cell's, or no fault is left to be run.
     """
-    loaded = CellFactory.load(cell_name)
+    loaded = load_rsi_cell(cell_name, robot)
     name = robot or next(iter(loaded.model.robots))
-    loaded.check_robot(name)
     chosen = [fault for fault in faults if (fault.live if live else fault.virtual)]
     if not chosen:
         way, other = ("live", "leave out") if live else ("in virtual time", "add")

@@ -12,8 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Peer, Sender
-from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.peer import Address, Sender
 from deltaq_verification.model_checker import soundness
 from deltaq_verification.model_checker.gate_side import Act
 from deltaq_verification.model_checker.one_joint import FASTEST, IPOC_STEP, ROBOT, STEP, one_joint_cell
@@ -22,12 +21,13 @@ from deltaq_verification.model_checker.rsi_line import (
     SECOND_AT,
     STRANGER_AT,
     Own,
+    Program,
     RsiLine,
     new_line,
     new_program,
 )
 from deltaq_verification.model_checker.safety_monitor import Property, Telegram, Violation
-from deltaq_verification.model_checker.system import System, copied
+from deltaq_verification.model_checker.system import System
 from deltaq_verification.model_checker.system_state import KEPT, SentState, SystemState, Turn
 
 _ELSEWHERE = 3 * STEP
@@ -50,10 +50,14 @@ class AttackedSystem(System):
         super().__init__()
         self._attacks = attacks
         self._line_description = one_joint_cell(rsi=True)
+        self._program = self._new_program()
+        driver, peer = self._program
+        self._blank_driver, self._blank_peer = driver.snapshot(), peer.snapshot()
 
     def start(self, faults: int) -> SystemState:
         """A robot that moves, away from where its session began; nobody was attacked before."""
-        system_state = replace(super().start(faults), line=new_line(*self._new_program(), self._attacks))
+        line = new_line(self._blank_driver, self._blank_peer, self._attacks)
+        system_state = replace(super().start(faults), line=line)
         while system_state.server.state is None or system_state.server.state.q_cmd[0] < _AWAY:
             admission = len(system_state.admissions) - 1 if system_state.new_admission else None
             supervision = len(system_state.supervisions) - 1 if system_state.new_supervision else None
@@ -67,7 +71,7 @@ class AttackedSystem(System):
             system_state = replace(system_state, turn=Turn.TELEGRAM)
         return system_state
 
-    def _new_program(self) -> tuple[RsiDriver, Peer]:
+    def _new_program(self) -> Program:
         return new_program(self._line_description)
 
     def hli(self, system_state: SystemState) -> Iterator[tuple[str, int, Act]]:
@@ -186,7 +190,9 @@ class AttackedSystem(System):
         takes: bool = True,
     ) -> SystemState:
         """A datagram arrives, and is answered at once."""
-        line, who, measured, answer = _line(system_state).read(datagram, sender, system_state.ticks)
+        line, who, measured, answer = _line(system_state).read(
+            self._program, datagram, sender, system_state.ticks
+        )
         heard = not _line(system_state).is_silent(system_state.ticks)
         kept_out = sender == STRANGER_AT or (
             sender == SECOND_AT and heard and _line(system_state).peer.address == KRC_AT
@@ -208,13 +214,15 @@ class AttackedSystem(System):
         line, before = _line(system_state), system_state.server.state
         admission = system_state.admissions[a] if a is not None else None
         sent = system_state.supervisions[s] if s is not None else None
-        server = copied(system_state.server)
+        server = self._server
+        server.restore(system_state.server)
         q_cmd = server.cycle(
             measured, float(system_state.ticks), admission, sent.message if sent is not None else None
         )
-        answer = line.reply(q_cmd)
-        if line.driver.fault is not None:
-            raise Violation(Property.CERTIFIED, f"the guard refused a reply: {line.driver.fault}")
+        line, answer = line.replied(self._program, q_cmd)
+        driver, _ = self._program
+        if driver.fault is not None:
+            raise Violation(Property.CERTIFIED, f"the guard refused a reply: {driver.fault}")
         assert server.state is not None  # every cycle publishes one
         after, begins = server.state, measured.q_start is not None
         telegram = Telegram(
@@ -241,7 +249,7 @@ class AttackedSystem(System):
             pending = (*pending, so_far + after.q_cmd[0] - before.q_cmd[0])
         system_state = replace(
             system_state,
-            server=server,
+            server=server.snapshot(),
             q=float(measured.q[0]),
             states=(*system_state.states, SentState(after, silent=False))[-KEPT:],
             new_admission=system_state.new_admission and a is None,
@@ -253,9 +261,9 @@ class AttackedSystem(System):
 
     def _server_crash(self, system_state: SystemState) -> SystemState:
         line = _line(system_state)
-        driver, peer = self._new_program()
         crashed = super()._server_crash(system_state)
-        return replace(crashed, line=replace(line, driver=driver, peer=peer, heard=system_state.ticks))
+        anew = replace(line, driver=self._blank_driver, peer=self._blank_peer, heard=system_state.ticks)
+        return replace(crashed, line=anew)
 
 
 def _line(system_state: SystemState) -> RsiLine:

@@ -13,7 +13,7 @@ from typing import Literal
 
 from deltaq_protocol.guarded import Admission, Command, CommandReply, GateMemory, Request, Supervision
 from deltaq_protocol.messages import Message, Phase
-from deltaq_services.sim.answers import Output
+from deltaq_services.outputs import ToTopic
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
@@ -174,7 +174,7 @@ class GateSide:
 
 
 def _commanded(
-    monitor: SafetyMonitor, command: Command, outputs: list[Output], gate: GateMemory
+    monitor: SafetyMonitor, command: Command, outputs: list[ToTopic], gate: GateMemory
 ) -> SafetyMonitor:
     if command.kind == "stop":
         return monitor.stop_taken()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP
 from deltaq_verification.model_checker.ranks import ranks
@@ -20,10 +21,9 @@ _DELAYS_APART = 1
 
 def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[Any, ...]:
     """IPOCs by their order and distance, times by their age, places in steps from the setpoint, as `place` tells."""
-    inner, session, krc = vars(line.driver), vars(line.driver.session), line.krc
-    peer, run = vars(line.peer), session["_run"]
-    last: KrcTelegram | None = session["last"]
-    newest: KrcTelegram | None = None if run is None else run.newest
+    driver, session, krc = line.driver, line.driver.session, line.krc
+    last, run = session.last, session.run
+    newest = None if run is None else run.newest
     own = [one for one in (line.sent, line.overtaken) if one is not None]
     read = [one for one in (last, newest) if one is not None]
     ipocs = [krc.ipoc, *(one.ipoc for one in own), *(one.ipoc for one in read)]
@@ -47,11 +47,11 @@ def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[A
             return None
         return (ipoc[one.ipoc], place(one.q[0]), place(one.q_programmed[0]), delay[one.delay or 0])
 
-    def of_array(value: Any) -> int | None:
+    def of_array(value: Array | None) -> int | None:
         return None if value is None else place(float(value[0]))
 
     zero = place(0.0)
-    sent, origin = inner["_sent"], inner["_origin"]
+    sent, origin = driver.sent, driver.origin
     return (
         line.attacks_left,
         (ipoc[krc.ipoc], place(krc.programmed), place(krc.stands), krc.answered, delay[krc.delay]),
@@ -61,9 +61,13 @@ def line_key(line: RsiLine, tick: int, place: Callable[[float], int]) -> tuple[A
         of_own(line.overtaken),
         line.silent,
         None if line.clock is None else (ipoc[line.clock], line.poses_at, line.posed),
-        (session["belief"], session["step"], of_read(last), age(session["_time_s"])),
+        (session.belief, session.step, of_read(last), age(session.time_s)),
         None if run is None else (run.count, run.step, age(run.first_s), of_read(newest)),
-        tuple((of_array(earlier), of_array(earlier + there)) for earlier, there in inner["_earlier"]),
-        (of_array(origin), None if sent is None else of_array(origin + sent), inner["_opened"]),
-        (peer["address"], age(peer["_heard_s"])),
+        tuple((of_array(earlier), of_array(earlier + there)) for earlier, there in driver.earlier),
+        (
+            of_array(origin),
+            None if origin is None or sent is None else of_array(origin + sent),
+            driver.opened,
+        ),
+        (line.peer.address, age(line.peer.heard_s)),
     )

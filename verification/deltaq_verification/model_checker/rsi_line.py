@@ -6,7 +6,6 @@ packed into bytes: what cannot be read is dropped before anything is decided, an
 
 from __future__ import annotations
 
-import copy
 import struct
 from collections import Counter
 from collections.abc import Mapping
@@ -19,13 +18,16 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Peer, Sender
-from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.peer import Address, Peer, PeerMemory, Sender
+from deltaq_services.robot_server.rsi_driver import DriverMemory, RsiDriver
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, KRC_TIMEOUT_CYCLES, ROBOT
 
 KRC_AT: Address = ("127.0.0.1", 1)
 SECOND_AT: Address = ("127.0.0.1", 2)
 STRANGER_AT: Address = ("127.0.0.9", 3)
+
+Program = tuple[RsiDriver, Peer]
+"""What the Robot Server has at its end of the wire."""
 
 _TELEGRAM = struct.Struct("=IddI")
 _REPLY = struct.Struct("=Id")
@@ -110,7 +112,7 @@ class RsiLine:
     """What RSI's wire adds to a moment.
 
     Attributes:
-        driver, peer: of the Robot Server; never changed, but copied.
+        driver, peer: the memory of these two of the Robot Server.
         krc: at the other end.
         heard: tick of the last telegram that the core was handed.
         pending: how far the certified increments lead that the KRC was not seen to take, each the sum so far [m].
@@ -123,8 +125,8 @@ class RsiLine:
         posed: it has sent in this cycle.
     """
 
-    driver: RsiDriver
-    peer: Peer
+    driver: DriverMemory
+    peer: PeerMemory
     krc: Krc
     heard: int
     attacks_left: int
@@ -137,40 +139,44 @@ class RsiLine:
     posed: bool = False
 
     def read(
-        self, datagram: Own, sender: Address, tick: int
+        self, program: Program, datagram: Own, sender: Address, tick: int
     ) -> tuple[RsiLine, Sender, Measurement | None, Own | None]:
-        """Hand a datagram to the Robot Server as its socket does.
+        """Hand a datagram to the Robot Server's program as its socket does.
 
         Returns:
             The line after it, whom it was taken for, what is measured, and an answer without a setpoint: its IPOC and
             correction.
         """
         now_s = tick * CYCLE_S
-        driver, peer = _copied(self.driver), copy.copy(self.peer)
-        line = replace(self, driver=driver, peer=peer)
+        driver, peer = program
+        driver.restore(self.driver)
+        peer.restore(self.peer)
         who = peer.judge(sender, now_s)
         if who is not Sender.KRC:
             return self, who, None, None
         measured = driver.read(datagram.packed(), now_s)
         peer.believed(sender, now_s)
         answer = None if driver.unmoved is None else _unpacked(driver.unmoved)
+        line = replace(self, driver=driver.snapshot(), peer=peer.snapshot())
         return line, who, measured, answer
 
-    def reply(self, q_cmd: Array) -> Own:
-        """The answer with a setpoint; asked of a line whose driver was just copied."""
-        return _unpacked(self.driver.reply(q_cmd, {}))
+    def replied(self, program: Program, q_cmd: Array) -> tuple[RsiLine, Own]:
+        """The answer with a setpoint, and the line after it; asked right after the datagram was read."""
+        driver, _ = program
+        answer = _unpacked(driver.reply(q_cmd, {}))
+        return replace(self, driver=driver.snapshot()), answer
 
     def is_silent(self, tick: int) -> bool:
         """The Robot Server has heard nothing for as long as it may."""
         return tick - self.heard >= KRC_TIMEOUT_CYCLES
 
 
-def new_line(driver: RsiDriver, peer: Peer, attacks: int) -> RsiLine:
+def new_line(driver: DriverMemory, peer: PeerMemory, attacks: int) -> RsiLine:
     """The line as a KRC and a Robot Server find it that have just started."""
     return RsiLine(driver, peer, Krc(ipoc=1000), heard=0, attacks_left=attacks)
 
 
-def new_program(description: CellDescription) -> tuple[RsiDriver, Peer]:
+def new_program(description: CellDescription) -> Program:
     """Driver and peer of a Robot Server's process."""
     driver = RsiDriver(Packed(), description, ROBOT, Counter())
     return driver, Peer(KRC_AT[0], description.gate.krc_timeout_s)
@@ -179,11 +185,3 @@ def new_program(description: CellDescription) -> tuple[RsiDriver, Peer]:
 def _unpacked(reply: bytes) -> Own:
     ipoc, correction = _REPLY.unpack(reply)
     return Own(ipoc, correction, 0.0)
-
-
-def _copied(driver: RsiDriver) -> RsiDriver:
-    """A driver that goes its own way; what it holds is replaced, never written to."""
-    copied = copy.copy(driver)
-    copied.session = copy.copy(driver.session)
-    copied._earlier = copy.copy(driver._earlier)
-    return copied

@@ -12,14 +12,13 @@ from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import Address, Peer, Sender
-from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.session import Belief, Judgement, Kind, Session
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 from deltaq_verification.model_checker.attacked import AttackedSystem
 from deltaq_verification.model_checker.one_joint import IPOC_STEP, ROBOT, STEP
-from deltaq_verification.model_checker.rsi_line import KRC_AT
+from deltaq_verification.model_checker.rsi_line import KRC_AT, Program
 from deltaq_verification.model_checker.safety_monitor import Property
 from deltaq_verification.model_checker.system import System
 
@@ -141,7 +140,7 @@ class _LooksAtNoSender(Peer):
 class SenderIsNotLookedAt(AttackedSystem):
     """Datagrams of anybody are read."""
 
-    def _new_program(self) -> tuple[RsiDriver, Peer]:
+    def _new_program(self) -> Program:
         driver, _ = super()._new_program()
         return driver, _LooksAtNoSender(KRC_AT[0], self._description.gate.krc_timeout_s)
 
@@ -167,7 +166,7 @@ class OneTelegramIsBelieved(AttackedSystem):
     at once again. One that has just started remembers none, and takes a forged one for the first.
     """
 
-    def _new_program(self) -> tuple[RsiDriver, Peer]:
+    def _new_program(self) -> Program:
         driver, peer = super()._new_program()
         believing = copy.copy(driver.session)
         believing.__class__ = _BelievesAtOnce

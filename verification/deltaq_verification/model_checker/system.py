@@ -6,8 +6,6 @@ pushed off its path, and its wire is benign; `attacked` has one that is not. Bot
 
 from __future__ import annotations
 
-import copy
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,13 +38,18 @@ class Move:
 class System(GateSide):
     """Robot Server and SIM, and all that can happen to them."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._server = self._new_server(process=1)
+        self._blank_server = self._server.snapshot()
+
     def _new_server(self, process: int) -> RobotServer:
         return RobotServer(self._description, ROBOT, process)
 
     def start(self, faults: int) -> SystemState:
         """The first moment, with at most so many faults to come."""
         return SystemState(
-            server=self._new_server(process=1),
+            server=self._blank_server,
             gate=self._blank,
             turn=Turn.TELEGRAM,
             faults_left=faults,
@@ -115,7 +118,8 @@ class System(GateSide):
         sent = system_state.supervisions[s] if s is not None else None
         q = system_state.q if missed or before is None else _sent(before)
         measured = np.array([q + (_PUSHED if system_state.displaced and not begins else 0.0)])
-        server = copied(system_state.server)
+        server = self._server
+        server.restore(system_state.server)
         server.cycle(
             Measurement(system_state.ticks, measured, measured if begins else None, missed),
             float(system_state.ticks),
@@ -137,7 +141,7 @@ class System(GateSide):
             soundness.judge(system_state.gate.robots[ROBOT].tracker, _sent(server.state), monitor.course)
         return replace(
             system_state,
-            server=server,
+            server=server.snapshot(),
             turn=Turn.STATE,
             ticks=system_state.ticks + 1,
             q=q if not begins else float(measured[0]),
@@ -149,7 +153,8 @@ class System(GateSide):
         )
 
     def _silence(self, system_state: SystemState) -> SystemState:
-        server = copied(system_state.server)
+        server = self._server
+        server.restore(system_state.server)
         server.krc_silent(float(system_state.ticks))
         assert server.state is not None  # silence is not offered before the first state
         if server.state.phase not in (Phase.HELD, Phase.OFFLINE):
@@ -157,7 +162,7 @@ class System(GateSide):
         states = (*system_state.states, SentState(server.state, silent=True))[-KEPT:]
         return replace(
             system_state,
-            server=server,
+            server=server.snapshot(),
             turn=Turn.STATE,
             ticks=system_state.ticks + 1,
             states=states,
@@ -168,7 +173,7 @@ class System(GateSide):
         assert system_state.server.state is not None  # a crash is not offered before the first state
         return replace(
             system_state,
-            server=self._new_server(system_state.server.process + 1),
+            server=replace(self._blank_server, process=system_state.server.process + 1),
             q=_sent(system_state.server.state),
             new_admission=False,
             new_supervision=False,
@@ -179,13 +184,6 @@ class System(GateSide):
 def _sent(state: ServerState) -> float:
     """Where the KRC was sent last [m]."""
     return (state.q_cmd if state.q_reset is None else state.q_reset)[0]
-
-
-def copied(server: RobotServer) -> RobotServer:
-    """A server that goes its own way; its arrays are replaced, never written to."""
-    other = copy.copy(server)
-    other.counters, other.outputs = Counter(), dict(server.outputs)
-    return other
 
 
 def _which(index: int | None, what: str, under_way: tuple[object, ...]) -> str:

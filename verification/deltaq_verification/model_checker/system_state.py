@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 from deltaq_protocol.guarded import Admission, GateMemory, ServerState, Supervision
-from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.memory import ServerMemory
 from deltaq_verification.model_checker.line_key import line_key
 from deltaq_verification.model_checker.one_joint import (
     GATE_TIMEOUT_CYCLES,
@@ -62,8 +62,8 @@ class SystemState:
     """A moment. What is in flight stays for others to duplicate, delay or put before what is newer.
 
     Attributes:
-        server: the Robot Server; never changed, but copied.
-        gate: the memory of the SIM.
+        server: the memory of the Robot Server.
+        gate: that of the SIM.
         turn: who acts next.
         faults_left: how many more faults may happen.
         ticks: rises with every telegram or silence.
@@ -75,7 +75,7 @@ class SystemState:
         line: RSI's wire, where it is one that may be attacked.
     """
 
-    server: RobotServer
+    server: ServerMemory
     gate: GateMemory
     turn: Turn
     faults_left: int
@@ -112,7 +112,6 @@ class _Key:
     def __init__(self, system_state: SystemState) -> None:
         self._system_state = system_state
         gate = system_state.gate.robots[ROBOT]
-        self._inner = vars(system_state.server)
         state = gate.tracker.state
         states = [sent.message for sent in system_state.states]
         states += [one for one in (state, system_state.server.state) if one is not None]
@@ -127,7 +126,7 @@ class _Key:
         for admission in admissions:
             sequences += [admission.sequence, admission.follows_sequence]
         self._sequence = ranks(sequences, 1)
-        resets = [0, gate.orders.resets, self._inner["_resets"], *(s.resets for s in states)]
+        resets = [0, gate.orders.resets, system_state.server.resets, *(s.resets for s in states)]
         self._resets = ranks([*resets, *(sent.message.resets for sent in system_state.supervisions)], 2)
         self._process = ranks([s.process for s in states], 1)
         self._time = ranks([round(s.time_s) for s in states], 1)
@@ -136,10 +135,9 @@ class _Key:
         )
 
     def of_world(self) -> tuple[Any, ...]:
-        system_state, inner = self._system_state, self._inner
+        system_state, server = self._system_state, self._system_state.server
         gate = system_state.gate.robots[ROBOT]
         waiting, silent = gate.waiting, gate.orders.cycles_without_hli
-        settling = inner["_settling"]
         return (
             system_state.turn,
             system_state.displaced,
@@ -147,13 +145,13 @@ class _Key:
             system_state.new_admission,
             system_state.new_supervision,
             system_state.monitor,
-            min(inner["_cycles_without_gate"], _PAST_TIMEOUT),
-            min(inner["_cycles_missed"], _PAST_TIMEOUT),
-            settling.cycles_at_rest,
-            None if settling.q_settled is None else self._q(settling.q_settled[0]),
-            inner["motion_stop"],
-            self._resets[inner["_resets"]],
-            self._state(system_state.server.state),
+            min(server.cycles_without_gate, _PAST_TIMEOUT),
+            min(server.cycles_missed, _PAST_TIMEOUT),
+            server.cycles_at_rest,
+            None if server.q_settled is None else self._q(server.q_settled[0]),
+            server.motion_stop,
+            self._resets[server.resets],
+            self._state(server.state),
             (system_state.gate.epoch, self._sequence[system_state.gate.sequence]),
             self._state(gate.tracker.state),
             self._admission(gate.tracker.in_flight),

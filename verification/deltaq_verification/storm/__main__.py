@@ -12,7 +12,7 @@ import json
 import sys
 from dataclasses import asdict
 
-from deltaq_verification.faults.cell_factory import CellFactory
+from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.storm.run import StormReport, run_storm
 
 
@@ -29,8 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the attacker")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     given = parser.parse_args(arguments)
-    loaded = CellFactory.load(given.cell)
-    loaded.check_robot(given.robot)
+    loaded = load_rsi_cell(given.cell, given.robot)
     progress = None if given.json else _tell
     report = run_storm(loaded, given.robot, given.telegrams, given.rate_hz, given.seed, progress)
     print(json.dumps(asdict(report)) if given.json else _text(report))

@@ -17,14 +17,14 @@ from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
 from deltaq_services.robot_server.mode_probe import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
-from deltaq_verification.faults.actions import Process
-from deltaq_verification.faults.cell_factory import CellFactory
 from deltaq_verification.storm.admitted import Admitted
 from deltaq_verification.storm.forger import Forger
 from deltaq_verification.storm.line import Address, AttackedLine
 from deltaq_verification.storm.operator import StormOperator
 from deltaq_verification.storm.overheard import Overheard
 from deltaq_verification.storm.witness import Passed, UnexplainedError, Witness
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Process
 
 _PATIENT = {"late_budget": 1_000_000, "late_percent": 100.0}
 """A KRC that never gives up, which gives the attacker more to attack."""
@@ -63,7 +63,7 @@ class StormReport:
 
 
 def run_storm(
-    loaded: CellFactory,
+    loaded: LoadedCell,
     robot: str,
     telegrams: int,
     rate_hz: float,
@@ -85,7 +85,7 @@ def run_storm(
     """
     description = loaded.model.description
     driver = description.robots[robot].driver
-    assert isinstance(driver, RsiDescription)  # `CellFactory.load` has seen to that
+    assert isinstance(driver, RsiDescription)  # `load_rsi_cell` has seen to that
     passed: list[Passed] = []
     forger = Forger(seed)
     server = (driver.address, driver.port)
@@ -136,7 +136,7 @@ def run_storm(
     )
 
 
-def _services(loaded: CellFactory, robot: str, line: Address, folder: Path) -> list[Service]:
+def _services(loaded: LoadedCell, robot: str, line: Address, folder: Path) -> list[Service]:
     """The cell's; the robot's emulated KRC is patient, and finds the line where its Robot Server would be."""
     settings = folder / "patient.yaml"
     patient = KrcSettings.load().model_copy(update=_PATIENT)
@@ -150,7 +150,7 @@ def _services(loaded: CellFactory, robot: str, line: Address, folder: Path) -> l
     ]
 
 
-def _mover(loaded: CellFactory, robot: str) -> Service:
+def _mover(loaded: LoadedCell, robot: str) -> Service:
     """A controller that moves the robot."""
     port, home = loaded.model.description.tcp_port, loaded.model.robots[robot].home[0]
     arguments = ("-m", "deltaq_verification.faults.mover", str(port), robot, f"{home}")

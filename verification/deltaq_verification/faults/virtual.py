@@ -13,6 +13,7 @@ from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Done, Phase
+from deltaq_services.robot_server.peer import Address
 from deltaq_verification.faults.actions import (
     AskPanel,
     BeginInThePast,
@@ -22,18 +23,22 @@ from deltaq_verification.faults.actions import (
     Kill,
     Misbehave,
     PressStop,
-    Process,
     Slow,
     StepClock,
 )
-from deltaq_verification.faults.arm import Life
+from deltaq_verification.faults.bombard import OVERSIZE
 from deltaq_verification.faults.catalogue import CHANGE_S, Fault
-from deltaq_verification.faults.cell import VirtualCell
-from deltaq_verification.faults.cell_factory import CellFactory
+from deltaq_verification.faults.controller import VirtualController
 from deltaq_verification.faults.mover import CRUISE_RAD_S
 from deltaq_verification.faults.panel import checked, describe, pendant_message, recovery
 from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
 from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle
+from deltaq_verification.virtual_cell.arm import HERE, OTHER_PORT, VirtualArm
+from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_verification.virtual_cell.clients import Say
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Life, Link, Process, VirtualProcess
+from deltaq_verification.virtual_cell.wires import MessageWire
 
 CRUISE_CYCLES = 40
 """From the first full increment to the fault."""
@@ -46,12 +51,19 @@ ANSWER_CYCLES = 10
 ATTEMPTS = 4
 _START_CYCLES = 300
 
+_ENDS = {
+    Link.CONTROLLER_HLI: (Process.CONTROLLER, Process.HLI),
+    Link.HLI_SIM: (Process.HLI, Process.SIM),
+    Link.HLI_SERVER: (Process.ROBOT_SERVER, Process.HLI),
+    Link.SIM_SERVER: (Process.SIM, Process.ROBOT_SERVER),
+}
+
 
 class FaultRunError(DeltaqError):
     """The robot did not move before there was any fault."""
 
 
-def run_fault(fault: Fault, loaded: CellFactory, robot: str, seed: int = 0) -> Row:
+def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Row:
     """Let a moving robot suffer one fault.
 
     Args:
@@ -103,12 +115,23 @@ def run_fault(fault: Fault, loaded: CellFactory, robot: str, seed: int = 0) -> R
 
 
 class _Run:
-    """A cell, the record of its robot, and the oracle that watches."""
+    """A cell, the record of its robot, and the oracle that watches.
 
-    def __init__(self, loaded: CellFactory, robot: str, seed: int) -> None:
-        self.stack = VirtualCell(loaded, robot, seed)
+    Faults befall one robot, its controller, and what they share with the others, whose wires are well.
+    """
+
+    def __init__(self, loaded: LoadedCell, robot: str, seed: int) -> None:
+        self.stack = VirtualCell(loaded, seed=seed + 100)
+        self.robot = robot
         self.model = self.stack.cell.robots[robot]
-        self.arm = self.stack.arms[robot]
+        self.arm = self.stack.krc_arms[robot]
+        ends = [(link, to) for link, both in _ENDS.items() for to in both]
+        self.wires = {end: MessageWire(seed + 10 * number) for number, end in enumerate(ends)}
+        for (link, to), wire in self.wires.items():
+            if link is not Link.CONTROLLER_HLI:
+                self.stack.plug(link, to, wire, (robot, None))
+        down, up = (self.wires[Link.CONTROLLER_HLI, to] for to in _ENDS[Link.CONTROLLER_HLI])
+        self.connection = self.stack.connect(self._new_mover, up, down)
         self.cycle_s = self.stack.cell.description.cycle_s
         self.cruise = float(CRUISE_RAD_S * self.cycle_s)
         self.setpoints: list[Array] = [self.arm.krc.sample.q_setpoint]
@@ -124,7 +147,7 @@ class _Run:
         self.setpoints.append(sample.q_setpoint)
         self.running += sample.state is KrcState.RSI_RUNNING
         self.protest = self.protest or pendant_message(sample.message)
-        actual = {name: arm.krc.sample.q for name, arm in self.stack.arms.items()}
+        actual = {name: arm.q for name, arm in self.stack.arms.items()}
         self.least_m = min(self.least_m, self._oracle.between_robots_and_structure(actual).distance_m)
         self.least_own_m = min(self.least_own_m, self._oracle.of_one_robot(actual).distance_m)
 
@@ -139,7 +162,7 @@ class _Run:
             if self._step() > self.cruise - TELEGRAM_STEP:
                 break
         else:
-            raise FaultRunError(f"{self.stack.robot} did not reach its speed in {_START_CYCLES} cycles")
+            raise FaultRunError(f"{self.robot} did not reach its speed in {_START_CYCLES} cycles")
         for _ in range(CRUISE_CYCLES):
             self.cycle()
 
@@ -147,26 +170,32 @@ class _Run:
         """Let the fault begin."""
         stack = self.stack
         match fault.action:
+            case Kill(Process.CONTROLLER):
+                stack.kill_client(self.connection)
             case Kill(process) | BeginInThePast(process, _):
-                stack.kill(process)
+                self._process(process).kill()
             case Freeze(process):
-                stack.freeze(process)
+                self._process(process).freeze()
             case Slow(process, delay_s):
-                for wire in stack.links_from(process):
-                    wire.link.faults = LinkFaults(delay_s=delay_s)
-            case Impair(link, faults):
-                for wire in stack.links_of(link):
-                    wire.link.faults = faults
+                for (link, to), wire in self.wires.items():
+                    if process in _ENDS[link] and to is not process:
+                        wire.link.faults = LinkFaults(delay_s=delay_s)
+            case Impair(impaired, faults):
+                for (link, _), wire in self.wires.items():
+                    if link is impaired:
+                        wire.link.faults = faults
             case Misbehave(how):
-                stack.controller.misbehaviour = how
+                self.mover.misbehaviour = how
             case StepClock(Process.HLI, by_s):
-                stack.clock_s = by_s
+                stack.hli_clock_s = by_s
             case StepClock(_, by_s):
                 self.arm.clock_s = by_s
             case AskPanel(request):
                 self._ask_panel(request)
-            case Bombard():
-                self.arm.bombard = fault.action
+            case Bombard.OVERSIZED:
+                self.arm.bombard = _oversized
+            case Bombard.PORT_ZERO:
+                self.arm.bombard = _from_port_zero
             case PressStop():
                 stack.stop()
 
@@ -188,10 +217,10 @@ class _Run:
 
     def _lift(self, fault: Fault) -> list[str]:
         stack = self.stack
-        for wire in stack.wires.values():
+        for wire in self.wires.values():
             wire.link.faults = LinkFaults()
-        stack.controller.misbehaviour = self.arm.bombard = None
-        stack.clock_s = self.arm.clock_s = 0.0
+        self.mover.misbehaviour = self.arm.bombard = None
+        stack.hli_clock_s = self.arm.clock_s = 0.0
         if fault.changes_program:
             self._ask_panel({"op": "stop"})
             self._wait(CHANGE_S)
@@ -199,21 +228,21 @@ class _Run:
             self._ask_panel(fault.lift)
         match fault.action:
             case Kill(process):
-                stack.restart(process)
+                self._process(process).start()
                 return [f"restart of the {process}"]
             case BeginInThePast(process, by_s):
                 stack.wall_clock_s = by_s
-                stack.restart(process)
+                self._process(process).start()
                 return [f"restart of the {process}"]
             case Freeze(process):
-                stack.thaw(process)
+                self._process(process).thaw()
         return []
 
     def _reset(self) -> bool:
-        answers = self.stack.reset()
+        answers = self.stack.reset(self.robot)
         for _ in range(ANSWER_CYCLES):
             self.cycle()
-        return any(isinstance(message, Done) for message in answers.received)
+        return any(isinstance(message, Done) for message in answers)
 
     def _moves(self) -> bool:
         for _ in range(round(BACK_S / self.cycle_s)):
@@ -230,7 +259,23 @@ class _Run:
         for _ in range(round(duration_s / self.cycle_s)):
             self.cycle()
 
+    def _new_mover(self, say: Say) -> VirtualController:
+        cycle_s, home = self.stack.cell.description.cycle_s, float(self.model.home[0])
+        self.mover = VirtualController(self.robot, self.model.n, cycle_s, home, say)
+        return self.mover
+
+    def _process(self, process: Process) -> VirtualProcess[Any] | VirtualArm:
+        return self.connection if process is Process.CONTROLLER else self.stack.process(process, self.robot)
+
     def _ask_panel(self, request: Mapping[str, Any]) -> None:
         answers: list[bytes] = []
         self.arm.panel.take(json.dumps(request).encode(), answers.append)
         checked(answers[0])
+
+
+def _oversized(telegram: bytes) -> tuple[bytes, Address]:
+    return telegram + b" " * OVERSIZE, (HERE, OTHER_PORT)
+
+
+def _from_port_zero(telegram: bytes) -> tuple[bytes, Address]:
+    return telegram, (HERE, 0)

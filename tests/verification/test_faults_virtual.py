@@ -7,14 +7,15 @@ import pytest
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_services.phases import MAY_MOVE
-from deltaq_verification.faults.actions import Link, Process
 from deltaq_verification.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
-from deltaq_verification.faults.cell import VirtualCell
-from deltaq_verification.faults.cell_factory import CellFactory
-from deltaq_verification.faults.lockstep import run_fault
 from deltaq_verification.faults.mover import CRUISE_RAD_S
 from deltaq_verification.faults.report import BY_ITSELF
+from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.faults.table import markdown, run_table
+from deltaq_verification.faults.virtual import run_fault
+from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_verification.virtual_cell.parts import Link, Process
+from deltaq_verification.virtual_cell.wires import MessageWire
 
 BRAKE_S = CRUISE_RAD_S / 10.9
 """A1 of the floor robot brakes at 10.9 rad/s^2."""
@@ -24,7 +25,7 @@ ROUND_TRIP_CYCLES = 3
 
 @pytest.fixture(scope="module")
 def lab():
-    return CellFactory.load("lab")
+    return load_rsi_cell("lab")
 
 
 def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
@@ -98,7 +99,7 @@ def test_telegrams_that_come_twice_change_nothing(lab):
 
 
 def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
-    stack = VirtualCell(lab, "fr")
+    stack = VirtualCell(lab)
     arm = stack.arms["fr"]
 
     def cycle(count):
@@ -108,12 +109,12 @@ def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
     cycle(60)
     stack.stop()
     cycle(60)
-    stack.reset()
+    stack.reset("fr")
     cycle(60)
     assert arm.state.phase in MAY_MOVE
-    stack.kill(Process.ROBOT_SERVER)
+    arm.kill()
     cycle(10)
-    stack.restart(Process.ROBOT_SERVER)
+    arm.start()
     cycle(20)
     stack.stop()
     cycle(60)
@@ -121,7 +122,8 @@ def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
 
 
 def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
-    stack = VirtualCell(lab, "fr")
+    stack, to_sim = VirtualCell(lab), MessageWire()
+    stack.plug(Link.HLI_SIM, Process.SIM, to_sim, ("fr", None))
 
     def cycle(duration_s):
         for _ in range(round(duration_s / 0.012)):
@@ -130,17 +132,16 @@ def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
     cycle(0.6)
     stack.stop()
     cycle(0.6)
-    stack.reset()  # the first command tells the HLI which gate this is
+    stack.reset("fr")  # the first command tells the HLI which gate this is
     cycle(0.6)
     assert stack.arms["fr"].state.phase in MAY_MOVE
     stack.stop()
     cycle(0.6)
     assert stack.arms["fr"].state.phase == "held"
-    to_sim = stack.wires[Link.HLI_SIM, Process.SIM].link
-    to_sim.faults = LinkFaults(delay_s=0.3)  # the HLI is still heard, 0.3 s late
-    asked = stack.reset()
+    to_sim.link.faults = LinkFaults(delay_s=0.3)  # the HLI is still heard, 0.3 s late
+    asked = stack.reset("fr")
     cycle(0.6)
-    assert [answer.code for answer in asked.received] == ["stale_cycle"]
+    assert [answer.code for answer in asked] == ["stale_cycle"]
     assert stack.arms["fr"].state.phase == "held"
 
 
@@ -173,7 +174,7 @@ def test_a_fault_that_is_not_there_is_answered_with_those_that_are():
 
 def test_a_cell_without_krcs_is_refused_with_what_to_do():
     with pytest.raises(UnknownFaultError, match=r"driver is 'kinematic'.*--cell lab"):
-        CellFactory.load("dawm")
+        load_rsi_cell("dawm")
 
 
 def test_a_robot_that_the_cell_does_not_have_is_refused():

@@ -1,0 +1,69 @@
+"""What cores want sent, for their shells: messages and setpoints, and their destinations."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import Message
+from deltaq_protocol.topic import Realm, Topic
+
+
+class Sender(ABC):
+    """Destination of an answer; the fronts derive from it, the core only hands it back.
+
+    Attributes:
+        lasting: True for a connection, which can get later messages too; a query takes one answer.
+    """
+
+    lasting = False
+
+    @abstractmethod
+    def deliver(self, message: Message) -> None:
+        """Send an answer; only the shell calls this."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToTopic:
+    """Publish in the realm of the topic; states go to the readers over TCP too.
+
+    Attributes:
+        robot: whose key it goes to; empty where the topic has no robot in its key.
+    """
+
+    topic: Topic
+    robot: str
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class ToSender:
+    """Answer one client."""
+
+    sender: Sender
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class ToRobot:
+    """Send to a robot in answer to a measurement.
+
+    Attributes:
+        q_cmd: (n,) setpoint [rad or m].
+        outputs: digital outputs by name.
+        motion_stop: the KRC has to end the motion itself.
+    """
+
+    q_cmd: Array
+    outputs: Mapping[str, bool]
+    motion_stop: bool
+
+
+Output = ToTopic | ToSender
+
+
+def published(outputs: Iterable[Output], realm: Realm) -> list[ToTopic]:
+    """Those that are published in a realm."""
+    return [output for output in outputs if isinstance(output, ToTopic) and output.topic.realm is realm]

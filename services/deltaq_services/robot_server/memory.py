@@ -1,0 +1,49 @@
+"""What a Robot Server remembers from one telegram to the next: a value, from which another goes on as it would have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.mode_probe import ProbeMemory
+
+Joints = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ServerMemory:
+    """Snapshot of a Robot Server's core, counters excepted; places [rad or m].
+
+    Attributes:
+        cycles_at_rest, q_settled: of `Settling`.
+        told: the last measurement, and when it came.
+        state: what is published; None before the first cycle.
+        mode: of the session; None for that of a robot that is no KUKA.
+        admission, supervision: the newest of the gate that no cycle has had yet.
+    """
+
+    process: int
+    cycle: int
+    phase: Phase
+    reason: ReasonCode | None
+    q_cmd: Joints
+    q_reset: Joints | None
+    dq: Joints
+    plan: Plan
+    epoch: int
+    sequence: int
+    resets: int
+    cycles_without_gate: int
+    cycles_missed: int
+    cycles_at_rest: int
+    q_settled: Joints | None
+    motion_stop: bool
+    outputs: tuple[tuple[str, bool], ...]
+    told: tuple[Measurement, float] | None
+    state: ServerState | None
+    mode: ProbeMemory | None
+    admission: Admission | None
+    supervision: Supervision | None
