@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import coal
@@ -120,10 +121,24 @@ class Group:
 
 
 def make_reproducible(data: Any) -> None:
-    """Switch off the cached guess of GJK, which makes a distance depend on the queries before it."""
+    """Make distances depend on nothing but the bodies and where they are.
+
+    GJK's cached guess is switched off, with which a distance depends on the queries before it. And coal's support of a
+    box keeps for the life of the process whether the first direction that it was asked for had a zero in it; if so,
+    boxes are taken for 1e-10 of their size larger. It is asked for one without zeros first, so that they never are.
+    """
+    _ask_boxes_for_a_slanting_direction()
     with warnings.catch_warnings():
         # coal deprecates the switch in favour of the initial guess, but still obeys it
         warnings.simplefilter("ignore", DeprecationWarning)
         for request in data.distanceRequests:
             request.gjk_initial_guess = coal.GJKInitialGuess.DefaultGuess
             request.enable_cached_gjk_guess = False
+
+
+@cache
+def _ask_boxes_for_a_slanting_direction() -> None:
+    request = coal.DistanceRequest()
+    request.gjk_initial_guess, request.cached_gjk_guess = coal.GJKInitialGuess.CachedGuess, np.ones(3)
+    box, beside = coal.Box(1.0, 1.0, 1.0), coal.Transform3s(np.eye(3), np.full(3, 3.0))
+    coal.distance(box, coal.Transform3s.Identity(), box, beside, request, coal.DistanceResult())
