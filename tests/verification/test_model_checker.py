@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from deltaq_protocol.messages import Phase
-from deltaq_services.robot_server.memory import ServerMemory
 from deltaq_services.robot_server.peer import PeerMemory
 from deltaq_services.robot_server.rsi_driver import DriverMemory
 from deltaq_services.robot_server.session import Belief, Run, SessionMemory
+from deltaq_services.robot_server.snapshot import ServerMemory
 from deltaq_verification.model_checker.attacked import AttackedSystem
 from deltaq_verification.model_checker.explore import explore
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, STEP

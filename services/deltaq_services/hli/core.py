@@ -39,9 +39,9 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.increments import Increments
-from deltaq_services.hli.memory import HliMemory
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
+from deltaq_services.hli.snapshot import HliMemory
 from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Any
 
 from deltaq_protocol.guarded import Admission, GateMemory, ServerState, Supervision
-from deltaq_services.robot_server.memory import ServerMemory
+from deltaq_services.robot_server.snapshot import ServerMemory
 from deltaq_verification.model_checker.line_key import line_key
 from deltaq_verification.model_checker.one_joint import (
     GATE_TIMEOUT_CYCLES,
