@@ -49,8 +49,8 @@ def test_the_demonstration_moves_both_arms_tells_its_figures_and_leaves_nothing_
     for arm in ARMS:
         robot = summary["robots"][arm]
         assert max(robot["travel"]) > 0.001
-        assert robot["cycles"]["count"] > 100
-    assert summary["gate"]["admitted"] > 100
+        assert robot["cycles"]["count"] > 30
+    assert summary["gate"]["admitted"] > 30
     assert summary["tracking"]["angle_deg"]["final"] < 45.0
     assert processes_of(tmp_path) == []
 
