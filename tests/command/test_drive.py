@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from private_cell import write_private_cell
 
+import deltaq_command
 from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
 from deltaq_protocol.messages import RobotState, RobotStatus
@@ -230,7 +231,14 @@ def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_she
     assert status(cell).lease.holder is None
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        signal.SIGTERM,
+        *(pytest.param(number, marks=pytest.mark.nightly) for number in (signal.SIGHUP, signal.SIGQUIT)),
+    ],
+)
 def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, number: int) -> None:
     terminal = Terminal(cell)
     terminal.hold(cell)
@@ -256,8 +264,17 @@ def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, num
         (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
     ],
 )
-def test_wrong_usage_is_told_in_a_line(cell: Path, arguments: tuple[str, ...], told: str) -> None:
-    done = deltaq(cell, "drive", *arguments)
-    assert done.returncode == 2
-    assert told in " ".join(done.stderr.replace("│", "").split())
-    assert "Traceback" not in done.stderr
+def test_wrong_usage_is_told_in_a_line(
+    cell: Path,
+    arguments: tuple[str, ...],
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["deltaq", "drive", *arguments, "--cell", str(cell)])
+    with pytest.raises(SystemExit) as ended:
+        deltaq_command.main()
+    error = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert told in " ".join(error.replace("│", "").split())
+    assert "Traceback" not in error

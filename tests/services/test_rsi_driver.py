@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from krc_side import CELL, FR, KRC, MAX_DV, KrcSide, telegram
+from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
@@ -228,6 +228,39 @@ def test_one_flipped_digit_of_the_programmed_position_moves_nothing(krc):
     told = krc.cycle(programmed=FR.home + 30 * OFF / 1.4)
     np.testing.assert_array_equal(told.correction, before)
     assert krc.counters["telegrams_implausible"] == 1
+
+
+def test_without_the_programmed_position_a_session_begins_where_the_robot_is_and_its_mode_is_probed(tmp_path):
+    xml = tmp_path / "without.xml"
+    xml.write_text(re.sub(r".*DEF_ASPos.*\n", "", XML.read_text()))
+    krc = KrcSide(xml=xml)
+    assert b"ASPos" not in krc.own()
+    krc.begin()
+    assert krc.driver.session.belief is Belief.BELIEVED
+    assert krc.server.detail == ""
+    krc.drive()
+    np.testing.assert_allclose(krc.server.state.q_cmd, krc.q, atol=1e-6)
+    assert np.all(np.abs(krc.correction) > PROBED)
+
+
+@pytest.mark.parametrize("flipped", [b"AIPos", b"Delay"])
+def test_without_it_no_other_flipped_digit_moves_the_robot_either(tmp_path, flipped):
+    xml = tmp_path / "without.xml"
+    xml.write_text(re.sub(r".*DEF_ASPos.*\n", "", XML.read_text()))
+    krc = KrcSide(xml=xml).begin().drive()
+    before = krc.correction
+    begin = krc.own().index(flipped)
+    digits = [match.start() for match in re.finditer(rb"(?<=[\d.\"-])\d", krc.own())]
+    digits = [at for at in digits if begin < at < krc.own().index(b"/>", begin)]
+    assert digits
+    for at in digits:
+        krc.tick()
+        told = bytearray(krc.own())
+        told[at] = ord("0") + (told[at] - ord("0") + 5) % 10
+        krc.hand(bytes(told))
+        np.testing.assert_allclose(krc.correction, before, atol=1e-12)
+        krc.cycle()
+        np.testing.assert_allclose(krc.correction, before, atol=1e-12)
 
 
 @pytest.mark.parametrize(

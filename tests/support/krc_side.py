@@ -21,16 +21,22 @@ CELL = load_cell("lab")
 FR = CELL.robots["fr"]
 XML = resolve_near(find_cell("lab"), FR.driver.ethernet_xml)
 AXES = AxisMap.of(FR.joint_names, FR.units, FR.driver.krc)
-KRC = KrcCodec(
-    load_ethernet_xml(XML), AXES, FR.driver.inputs, {**FR.driver.outputs, "stop": FR.driver.stop}, 4
-)
+
+
+def codec_of(xml):
+    """The KRC's side of a file."""
+    outputs = {**FR.driver.outputs, "stop": FR.driver.stop}
+    return KrcCodec(load_ethernet_xml(xml), AXES, FR.driver.inputs, outputs, 4)
+
+
+KRC = codec_of(XML)
 EPOCH = 7
 MAX_DV = FR.max_acceleration * CELL.cycle_s**2
 _POSE = (0.0,) * 6
 
 
-def telegram(ipoc, q=FR.home, programmed=FR.home, delay=0):
-    return KRC.encode(KrcReport(ipoc, q, programmed, _POSE, _POSE, delay, dict.fromkeys(FR.inputs, False)))
+def telegram(ipoc, q=FR.home, programmed=FR.home, delay=0, codec=KRC):
+    return codec.encode(KrcReport(ipoc, q, programmed, _POSE, _POSE, delay, dict.fromkeys(FR.inputs, False)))
 
 
 class KrcSide:
@@ -43,11 +49,12 @@ class KrcSide:
         resets, order: what the gate orders.
     """
 
-    def __init__(self, step=12, cell=CELL):
+    def __init__(self, step=12, cell=CELL, xml=XML):
         self.cell = cell
         self.server = RobotServer(cell, "fr", process=1)
         self.counters: Counter[str] = self.server.counters
-        self.driver = RsiDriver(sensor_codec(cell, "fr", XML), cell, "fr", self.counters)
+        self.driver = RsiDriver(sensor_codec(cell, "fr", xml), cell, "fr", self.counters)
+        self.codec = codec_of(xml)
         self.step = step
         self.ipoc = 1000
         self.time_s = 0.0
@@ -69,7 +76,11 @@ class KrcSide:
     def own(self, **changes):
         """The KRC's true telegram of this cycle."""
         return telegram(
-            self.ipoc, changes.pop("q", self.q), changes.pop("programmed", self.q_programmed), **changes
+            self.ipoc,
+            changes.pop("q", self.q),
+            changes.pop("programmed", self.q_programmed),
+            codec=self.codec,
+            **changes,
         )
 
     def answer(self, datagram, admission=None):
