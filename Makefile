@@ -43,11 +43,10 @@ demo: $(INSTALLED) ## start the emulated lab cell and let the camera follow, for
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) lint ## lint, types, rooms, tests
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live'
-	$(BIN)/pytest -m live
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
 quick: $(INSTALLED) lint ## lint, types, rooms, and the tests that take no time
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not long'
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m 'not live and not long'
 
 lint: $(INSTALLED) ## lint, format, types, rooms
 	$(BIN)/ruff check
