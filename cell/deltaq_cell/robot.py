@@ -22,7 +22,7 @@ from deltaq_protocol.messages import ToolPose
 FLANGE_LINKS = ("flange", "tool0")
 """The link that carries the tool, by name; a model without one carries it on its last link."""
 
-Point = str
+PointName = str
 """A frame that a robot carries: `tool`, `camera`, or the name of one of its hands."""
 
 
@@ -127,7 +127,7 @@ class RobotModel:
         """(n,) True for revolute joints, False for prismatic ones."""
         return np.array([unit == "rad" for unit in self.description.units])
 
-    def forward(self, q: ArrayLike, hand: Point = "tool") -> Array:
+    def forward(self, q: ArrayLike, hand: PointName = "tool") -> Array:
         """(4, 4) `T_world_tool` of the configuration `q` (n,), of the first hand or of a named one."""
         return self._frame_pose(q, self.frame_of(hand))
 
@@ -147,7 +147,7 @@ class RobotModel:
         px, py, pz = T_world_tool[:3, 3].tolist()
         return ToolPose(position=(px, py, pz), quaternion_wxyz=(sign * w, sign * x, sign * y, sign * z))
 
-    def jacobian(self, q: ArrayLike, point: Point = "tool") -> Array:
+    def jacobian(self, q: ArrayLike, point: PointName = "tool") -> Array:
         """(6, n) Jacobian of the tool's, a hand's or the camera's origin at `q` (n,), world axes.
 
         Rows 0 to 2 are the velocity of that point [m/s], rows 3 to 5 the angular velocity [rad/s], per unit
@@ -236,7 +236,7 @@ class RobotModel:
             if frame.parentJoint == 0:
                 frame.placement = self._T_world_base * frame.placement
 
-    def _carried_frames(self) -> dict[Point, int]:
+    def _carried_frames(self) -> dict[PointName, int]:
         """Add the frames of tool, hands and camera to the model; on which frame each sits."""
         description = self.description
         self._flange = self._flange_frame()
@@ -267,7 +267,7 @@ class RobotModel:
             )
         return int(self.model.getFrameId(link, pin.FrameType.BODY))
 
-    def _add_frame(self, name: Point, pose: Pose, link: int) -> int:
+    def _add_frame(self, name: PointName, pose: Pose, link: int) -> int:
         carrier = self.model.frames[link]
         place = carrier.placement * placement(pose)
         frame = pin.Frame(f"deltaq_{name}", carrier.parentJoint, link, place, pin.FrameType.OP_FRAME)
@@ -289,7 +289,7 @@ class RobotModel:
                 bolted.append(body_geometry(full_name, body, flange.parentJoint, flange.placement))
         return bolted
 
-    def frame_of(self, point: Point) -> int:
+    def frame_of(self, point: PointName) -> int:
         """Index in `model.frames` of a frame that the robot carries: `tool`, `camera` or a hand.
 
         Raises:

@@ -9,6 +9,9 @@ from typing import Literal, cast
 
 from deltaq_protocol.errors import DeltaqError
 
+Address = tuple[str, int]
+"""Host and port, as a socket has them."""
+
 _FORM = re.compile(r"(tcp|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
 
 

@@ -15,10 +15,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from deltaq_protocol.endpoint import Address
 from deltaq_verification.storm.forger import ForgedSender, Forger
 from deltaq_verification.storm.witness import DatagramOrigin, Passed
-
-Address = tuple[str, int]
 
 HERE = "127.0.0.1"
 ELSEWHERE = "127.0.0.2"
