@@ -303,4 +303,5 @@ def _lever(robot: RobotModel, joint: int) -> float:
 
 
 def _port(endpoint: str) -> int:
+    """Its port, also one that does not exist, which `Endpoint` refuses: the problem names it and its bound."""
     return int(endpoint.rsplit(":", 1)[1])
