@@ -14,12 +14,12 @@ import numpy as np
 from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.kernel import NONE, look
-from deltaq_cell.kernel_arrays import Integers, Pairs
-from deltaq_cell.kernel_gap import ROUNDING_M
-from deltaq_cell.kernel_place import place
-from deltaq_cell.kernel_planes import keeps
-from deltaq_cell.kernel_strip import strip_around
+from deltaq_cell.kernel.arrays import Integers, Pairs
+from deltaq_cell.kernel.gap import ROUNDING_M
+from deltaq_cell.kernel.look import NONE, look
+from deltaq_cell.kernel.place import place
+from deltaq_cell.kernel.planes import keeps
+from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
 from deltaq_protocol.arrays import Array

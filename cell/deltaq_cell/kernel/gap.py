@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Placed, PlacedBody
-from deltaq_cell.kernel_simplex import towards_origin
+from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
+from deltaq_cell.kernel.simplex import towards_origin
 from deltaq_protocol.arrays import Array
 
 ROUNDING_M = 1e-9

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Placed, PlacedBody
-from deltaq_cell.kernel_gap import body_at
+from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
+from deltaq_cell.kernel.gap import body_at
 from deltaq_protocol.arrays import Array
 
 
