@@ -46,6 +46,11 @@ class Endpoint:
         return cls(cast(Literal["tcp", "udp"], found[1]), found[2] or found[3], int(found[4]))
 
     @property
+    def address(self) -> Address:
+        """Host and port."""
+        return self.host, self.port
+
+    @property
     def is_loopback(self) -> bool:
         """Whether only this machine can reach it."""
         try:
