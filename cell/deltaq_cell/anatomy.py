@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from deltaq_cell.bodies import Bodies
 from deltaq_cell.extents import Extents, corners_of
-from deltaq_cell.kernel_arrays import Anatomy, Findings, Placed
+from deltaq_cell.kernel.arrays import Anatomy, Findings, Placed
 from deltaq_protocol.arrays import Array
 
 

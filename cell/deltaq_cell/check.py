@@ -19,10 +19,11 @@ from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_located
 from deltaq_cell.models import RobotModelError, nearest_name
 from deltaq_cell.never_checked import SAMPLES, Pair, Why, farthest_apart, ordered, samples
-from deltaq_cell.problems import CellError, Problem, Severity
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.problems import CellError, Problem
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.yaml_source import YamlNode, shown
+from deltaq_protocol.errors import Severity
 
 KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}
 """Sample times of RSI by generation of the KRC."""
@@ -250,7 +251,7 @@ class _Check:
 
     def homes(self, cell: CellModel) -> Iterator[Problem]:
         """With every robot at home, no two bodies are nearer than their stop distance."""
-        proximity = Proximity(cell)
+        proximity = ProximityEngine(cell)
         for name, robot in cell.robots.items():
             proximity.place(name, robot.home, np.zeros(robot.n))
         groups = [(name, group) for name in cell.robots for group in proximity.alone[name]]
@@ -302,4 +303,5 @@ def _lever(robot: RobotModel, joint: int) -> float:
 
 
 def _port(endpoint: str) -> int:
+    """Its port, also one that does not exist, which `Endpoint` refuses: the problem names it and its bound."""
     return int(endpoint.rsplit(":", 1)[1])

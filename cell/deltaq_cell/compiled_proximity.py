@@ -1,8 +1,8 @@
 """`deltaq_cell.proximity` in machine code: the same questions and answers, several times quicker.
 
 Where bodies are, how far they travel and which of them have room is the kernel's (`deltaq_cell.kernel`); coal measures
-the tightest pair that is told. `Proximity` says the same in plain words, and tests hold the one against the other: what
-they show differs by no more than coal's iterations are off, 2e-6 m.
+the tightest pair that is told. `ProximityEngine` says the same in plain words, and tests hold one against the other:
+what they show differs by no more than coal's iterations are off, 2e-6 m.
 """
 
 from __future__ import annotations
@@ -10,22 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.kernel import NONE, look
-from deltaq_cell.kernel_arrays import Pairs
-from deltaq_cell.kernel_gap import ROUNDING_M
-from deltaq_cell.kernel_place import place
-from deltaq_cell.kernel_planes import keeps
-from deltaq_cell.kernel_strip import strip_around
+from deltaq_cell.kernel.arrays import Integers, Pairs
+from deltaq_cell.kernel.gap import ROUNDING_M
+from deltaq_cell.kernel.look import NONE, look
+from deltaq_cell.kernel.place import place
+from deltaq_cell.kernel.planes import keeps
+from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
-from deltaq_cell.proximity import DistanceQuery, Proximity
+from deltaq_cell.proximity import DistanceQuery, ProximityEngine
 from deltaq_protocol.arrays import Array
-
-Indices = NDArray[np.int64]
 
 _OVERLAP_M = 1e-6
 """Bodies that are nearer may be in one another; the kernel does not tell how far."""
@@ -44,8 +41,8 @@ class PairedGroups(list[Group]):
     def __init__(
         self,
         groups: Sequence[Group],
-        numbers: Indices,
-        group: Indices,
+        numbers: Integers,
+        group: Integers,
         pairs: Pairs,
         of: Sequence[Group] | None = None,
     ) -> None:
@@ -54,7 +51,7 @@ class PairedGroups(list[Group]):
         self.of = self if of is None else of
 
 
-class CompiledProximity(Proximity):
+class CompiledProximity(ProximityEngine):
     """All bodies of a cell, placed and looked at by the kernel."""
 
     def __init__(self, cell: CellModel) -> None:
@@ -104,7 +101,7 @@ class CompiledProximity(Proximity):
         direction: Array | None = None,
         among_themselves: bool = True,  # noqa: ARG002 the kernel needs no bodies of their own for it
     ) -> float:
-        """Place a robot in a strip, as `Proximity.place` has it; for all groups always."""
+        """Place a robot in a strip, as `ProximityEngine.place` has it; for all groups always."""
         along = np.zeros_like(half) if direction is None else direction
         told = q.tobytes() + half.tobytes() + along.tobytes()
         if self._told.get(robot) == told:
@@ -209,7 +206,7 @@ class CompiledProximity(Proximity):
         return J
 
 
-def _part(listed: PairedGroups, open_: Indices) -> PairedGroups:
+def _part(listed: PairedGroups, open_: Integers) -> PairedGroups:
     """The groups of some pairs of a list, each with all its pairs."""
     failing = np.zeros(len(listed.of), dtype=bool)
     failing[listed.group[open_]] = True

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
-from deltaq_protocol.errors import DeltaqError
-
-Severity = Literal["error", "warning"]
+from deltaq_protocol.errors import DeltaqError, Severity
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ class Approach:
     per_joint: Array
 
 
-class Proximity:
+class ProximityEngine:
     """All bodies of a cell, placed and inflated at will.
 
     Attributes:
@@ -275,7 +275,7 @@ class Proximity:
         return found
 
     def _not_separated(self, groups: list[Group], room_m: float) -> tuple[list[Group], bool]:
-        """Groups, just measured, that planes do not separate either; and `Look.too_near`."""
+        """Groups, just measured, that planes do not separate either; and `DistanceQuery.too_near`."""
         if not groups:
             return [], False
         near = [group.nearer(group.stop_distance_m + room_m) for group in groups]

@@ -9,21 +9,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from deltaq_cell.description import Pose, RobotDescription
+from deltaq_cell.carried_frames import CarriedFrames, PointName
+from deltaq_cell.description import RobotDescription
 from deltaq_cell.hull import Corners
-from deltaq_cell.models import RobotModelError, collision_names, load_urdf, nearest_name, urdf_from_text
+from deltaq_cell.models import RobotModelError, collision_names, load_urdf, urdf_from_text
 from deltaq_cell.never_checked import Pair, Why, never_checked
 from deltaq_cell.robot_bodies import collision_geometry, hulls_of
-from deltaq_cell.structure import body_geometry, placement
+from deltaq_cell.structure import placement
 from deltaq_cell.urdf_parsing import MissingMeshError, parse_geometry, parse_model
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import ToolPose
-
-FLANGE_LINKS = ("flange", "tool0")
-"""The link that carries the tool, by name; a model without one carries it on its last link."""
-
-Point = str
-"""A frame that a robot carries: `tool`, `camera`, or the name of one of its hands."""
 
 
 class RobotModel:
@@ -70,11 +65,16 @@ class RobotModel:
         self.model = parse_model(source, description.locked_joints)
         self._check_joints()
         self._bake_base_pose()
-        self.hands: tuple[str, ...] = tuple(description.hands) or ("tool",)
-        self._frames = self._carried_frames()
+        self._carried = CarriedFrames(description, name, self.model, source.source)
+        self.hands = self._carried.hands
         self._data = self.model.createData()
         self.geometry = collision_geometry(
-            source, name, self._T_world_base, description.locked_joints, hulls or {}, self._bolted_bodies()
+            source,
+            name,
+            self._T_world_base,
+            description.locked_joints,
+            hulls or {},
+            self._carried.bolted_bodies(),
         )
         if not self.geometry.ngeoms:
             text = f"{source.source}: no link has a collision body, so that nothing could be kept clear of the robot"
@@ -119,7 +119,7 @@ class RobotModel:
     @property
     def tool_offset(self) -> Array:
         """(3,) the tool's origin in the frame of the joint that carries it [m]."""
-        offset: Array = self.model.frames[self._frames["tool"]].placement.translation
+        offset: Array = self.model.frames[self.frame_of("tool")].placement.translation
         return offset
 
     @cached_property
@@ -127,7 +127,7 @@ class RobotModel:
         """(n,) True for revolute joints, False for prismatic ones."""
         return np.array([unit == "rad" for unit in self.description.units])
 
-    def forward(self, q: ArrayLike, hand: Point = "tool") -> Array:
+    def forward(self, q: ArrayLike, hand: PointName = "tool") -> Array:
         """(4, 4) `T_world_tool` of the configuration `q` (n,), of the first hand or of a named one."""
         return self._frame_pose(q, self.frame_of(hand))
 
@@ -147,7 +147,7 @@ class RobotModel:
         px, py, pz = T_world_tool[:3, 3].tolist()
         return ToolPose(position=(px, py, pz), quaternion_wxyz=(sign * w, sign * x, sign * y, sign * z))
 
-    def jacobian(self, q: ArrayLike, point: Point = "tool") -> Array:
+    def jacobian(self, q: ArrayLike, point: PointName = "tool") -> Array:
         """(6, n) Jacobian of the tool's, a hand's or the camera's origin at `q` (n,), world axes.
 
         Rows 0 to 2 are the velocity of that point [m/s], rows 3 to 5 the angular velocity [rad/s], per unit
@@ -157,6 +157,14 @@ class RobotModel:
             self.model, self._data, self._checked(q), self.frame_of(point), pin.LOCAL_WORLD_ALIGNED
         )
         return jacobian
+
+    def frame_of(self, point: PointName) -> int:
+        """Index in `model.frames` of a frame that the robot carries: `tool`, `camera` or a hand.
+
+        Raises:
+            RobotModelError: the robot carries no such frame.
+        """
+        return self._carried.of(point)
 
     def joint_axes(self, q: ArrayLike) -> Array:
         """(n, 3) unit vectors of the joints' axes at `q` (n,), in world coordinates."""
@@ -198,7 +206,7 @@ class RobotModel:
             visual = parse_geometry(self._source, pin.GeometryType.VISUAL, self._T_world_base, locked)
         except MissingMeshError:
             return self.geometry
-        for body in self._bolted_bodies():
+        for body in self._carried.bolted_bodies():
             visual.addGeometryObject(body)
         return visual
 
@@ -235,76 +243,6 @@ class RobotModel:
             frame = self.model.frames[index]
             if frame.parentJoint == 0:
                 frame.placement = self._T_world_base * frame.placement
-
-    def _carried_frames(self) -> dict[Point, int]:
-        """Add the frames of tool, hands and camera to the model; on which frame each sits."""
-        description = self.description
-        self._flange = self._flange_frame()
-        frames = {}
-        for name, hand in description.hands.items():
-            frames[name] = self._add_frame(name, hand.frame, self._link_frame(hand.link, "hands", name))
-        first = description.hands[self.hands[0]].frame if description.hands else description.tool.frame
-        frames["tool"] = self._add_frame("tool", first, self._flange)
-        if description.camera is not None:
-            frames["camera"] = self._add_frame("camera", description.camera.pose, self._flange)
-        return frames
-
-    def _flange_frame(self) -> int:
-        if self.description.hands:
-            first = self.hands[0]
-            return self._link_frame(self.description.hands[first].link, "hands", first)
-        links = [i for i, frame in enumerate(self.model.frames) if frame.type == pin.FrameType.BODY]
-        named = [i for i in links if self.model.frames[i].name in FLANGE_LINKS]
-        return (named or links)[-1]
-
-    def _link_frame(self, link: str, *field: str) -> int:
-        links = [frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY]
-        if link not in links:
-            raise RobotModelError(
-                f"robot '{self.name}': no link '{link}' in {self._source.source}; it has {', '.join(links)}",
-                (*field, "link"),
-                nearest_name(link, links),
-            )
-        return int(self.model.getFrameId(link, pin.FrameType.BODY))
-
-    def _add_frame(self, name: Point, pose: Pose, link: int) -> int:
-        carrier = self.model.frames[link]
-        place = carrier.placement * placement(pose)
-        frame = pin.Frame(f"deltaq_{name}", carrier.parentJoint, link, place, pin.FrameType.OP_FRAME)
-        return int(self.model.addFrame(frame))
-
-    def _bolted_bodies(self) -> list[pin.GeometryObject]:
-        """Attachments, and the bodies of tool or hands."""
-        bolted = []
-        for name, attachment in self.description.attachments.items():
-            link = self.model.frames[self._link_frame(attachment.link, "attachments", name)]
-            bolted.append(body_geometry(f"{self.name}/{name}", attachment, link.parentJoint, link.placement))
-        carried = [("tool", self._flange, self.description.tool)]
-        for name, hand in self.description.hands.items():
-            carried.append((name, self._link_frame(hand.link, "hands", name), hand))
-        for prefix, frame, tool in carried:
-            flange = self.model.frames[frame]
-            for name, body in tool.bodies.items():
-                full_name = f"{self.name}/{prefix}_{name}"
-                bolted.append(body_geometry(full_name, body, flange.parentJoint, flange.placement))
-        return bolted
-
-    def frame_of(self, point: Point) -> int:
-        """Index in `model.frames` of a frame that the robot carries: `tool`, `camera` or a hand.
-
-        Raises:
-            RobotModelError: the robot carries no such frame.
-        """
-        if point in self._frames:
-            return self._frames[point]
-        if point == "camera":
-            raise RobotModelError(
-                f"robot '{self.name}' carries no camera; add one under robots.{self.name}.camera"
-            )
-        raise RobotModelError(
-            f"point must be one of {', '.join(self._frames)}, got {point!r}",
-            suggestion=nearest_name(point, self._frames),
-        )
 
     def _frame_pose(self, q: ArrayLike, frame: int) -> Array:
         pin.forwardKinematics(self.model, self._data, self._checked(q))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deltaq_launch.cell_connection import Listener
-from deltaq_launch.rates import Rate, rate_of
+from deltaq_launch.rates import Regularity, rate_of
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.messages import RobotState
@@ -45,7 +45,7 @@ class Track:
         self._last_cycle = state.cycle
 
     @property
-    def rate(self) -> Rate:
+    def rate(self) -> Regularity:
         """Regularity of the states."""
         return rate_of(self.times_s)
 

@@ -19,8 +19,9 @@ from deltaq_emulator.krc import Krc
 from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
-from deltaq_emulator.shell import Address, Emulator
+from deltaq_emulator.shell import Emulator
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap, load_ethernet_xml
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from deltaq_emulator.limits import CorrectionLimits
-from deltaq_emulator.settings import Correction, KrcSettings, SettingsError
+from deltaq_emulator.settings import CorrectionMode, KrcSettings, SettingsError
 from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.axes import ARM_AXES, EXTERNAL_AXES
 
@@ -59,7 +59,7 @@ class Context:
     monitor: Mapping[str, float]
     timeout: int | None = None
     precision: int | None = None
-    correction: Correction | None = None
+    correction: CorrectionMode | None = None
 
     def over(self, other: Context) -> Context:
         """Both; where both give a value, this one counts."""
@@ -188,7 +188,7 @@ def parse_program(text: str, source: str) -> Context:
     handles = {match[1].lower() for match in _ST_AXISCORR.finditer(code)}
     lower: dict[str, float] = {}
     upper: dict[str, float] = {}
-    correction: Correction | None = None
+    correction: CorrectionMode | None = None
     if (match := _RSI_ON.search(code)) is not None:
         correction = "relative" if match[1].upper() == "RELATIVE" else "absolute"
     for line_number, line in enumerate(lines, start=1):

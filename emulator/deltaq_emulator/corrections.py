@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltaq_emulator.limits import CorrectionLimits
-from deltaq_emulator.settings import Correction
+from deltaq_emulator.settings import CorrectionMode
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import KrcCodec, SensorTelegram
 
@@ -35,7 +35,7 @@ class Corrections:
         """Cycles in which a correction was clipped at its limit."""
         self.begin_session("absolute")
 
-    def begin_session(self, mode: Correction) -> None:
+    def begin_session(self, mode: CorrectionMode) -> None:
         """Start from no correction."""
         self.turn(mode)
         self._value = np.zeros(len(self._hold_on))
@@ -45,7 +45,7 @@ class Corrections:
         self.stop_rose = False
         """The signal that ends the motion rose in the last cycle."""
 
-    def turn(self, mode: Correction) -> None:
+    def turn(self, mode: CorrectionMode) -> None:
         """Take corrections as offsets or add them up, from now on."""
         self._relative = mode == "relative"
 

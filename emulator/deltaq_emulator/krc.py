@@ -22,7 +22,7 @@ from deltaq_emulator.monitors import Monitors
 from deltaq_emulator.profiles import Profile
 from deltaq_emulator.replies import ReplyJudge
 from deltaq_emulator.sample import Sample
-from deltaq_emulator.settings import Correction, KrcSettings, OperatingMode, SettingsError
+from deltaq_emulator.settings import CorrectionMode, KrcSettings, OperatingMode, SettingsError
 from deltaq_emulator.states import TELEGRAMS_GO_OUT, KrcEvent, KrcState, NotNowError, after
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap, EthernetConfig, KrcCodec, KrcReport
@@ -102,7 +102,7 @@ class Krc:
         """Digital inputs, as the operator or the emulated world sets them."""
         self.mode = self.settings.mode
         """Operating mode."""
-        self.correction: Correction = self.settings.correction
+        self.correction: CorrectionMode = self.settings.correction
         """The argument with which the program calls RSI_ON."""
         self.message: KrcMessage | None = None
         """The message on the pendant."""
@@ -288,7 +288,7 @@ class Krc:
         self._state = after(self._state, KrcEvent.CONFIRM)
         self.message = None
 
-    def restart(self, correction: Correction | None = None) -> None:
+    def restart(self, correction: CorrectionMode | None = None) -> None:
         """Start the program again, from where the robot comes to rest; RSI runs some cycles later.
 
         Args:
@@ -329,7 +329,7 @@ class Krc:
         """Let the time stamp jump, forward or back."""
         self._ipoc = (self._ipoc + by) % IPOC_RANGE
 
-    def turn(self, correction: Correction) -> None:
+    def turn(self, correction: CorrectionMode) -> None:
         """Take corrections otherwise from now on, within a session: no program does that."""
         self.correction = correction
         self._corrections.turn(correction)

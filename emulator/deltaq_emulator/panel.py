@@ -35,7 +35,7 @@ from deltaq_emulator.drives import REST_TOLERANCE
 from deltaq_emulator.faults import FaultyLink, Forgery, LinkFaults
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.recorder import CsvRecorder
-from deltaq_emulator.settings import Correction, OperatingMode
+from deltaq_emulator.settings import CorrectionMode, OperatingMode
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.errors import DeltaqError
 
@@ -56,7 +56,7 @@ class _Simple(_Request):
 
 class _Restart(_Request):
     op: Literal["restart"]
-    correction: Correction | None = None
+    correction: CorrectionMode | None = None
 
 
 class _SetMode(_Request):
@@ -80,7 +80,7 @@ class _Fault(LinkFaults):
     link: Literal["to_pc", "from_pc", "both"] = "both"
     freeze_cycles: Annotated[int, Field(ge=0, le=100_000)] | None = None
     ipoc_shift_ms: Annotated[int, Field(gt=-(2**32), lt=2**32)] | None = None
-    correction: Correction | None = None
+    correction: CorrectionMode | None = None
     forge: Annotated[tuple[Forgery, ...], Field(max_length=MAX_FORGERIES)] = ()
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from deltaq_emulator.late_budget import LateRule
 from deltaq_emulator.settings import SettingsError
-from deltaq_protocol.rsi.axes import Krc
+from deltaq_protocol.rsi.axes import KrcGeneration
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Profile:
         late_count: which late replies count against its budget.
     """
 
-    name: Krc
+    name: KrcGeneration
     cycles_s: tuple[float, ...]
     reply_within: float
     ipoc_only_first: bool

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from deltaq_cell.description import Positive
 from deltaq_cell.problems import CellError
 from deltaq_cell.yaml_tree import parse
 from deltaq_emulator.late_budget import LateRule
@@ -16,9 +17,8 @@ from deltaq_protocol.errors import DeltaqError
 SHIPPED = Path(__file__).with_name("krc_settings.yaml")
 """The emulator's default settings."""
 
-Correction = Literal["absolute", "relative"]
+CorrectionMode = Literal["absolute", "relative"]
 """The argument of RSI_ON."""
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class SettingsError(DeltaqError):
@@ -38,7 +38,7 @@ class KrcSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    correction: Correction = "absolute"
+    correction: CorrectionMode = "absolute"
     """RSI_ON(#ABSOLUTE): offset from where RSI started; RSI_ON(#RELATIVE): increment a cycle, so that a correction that
     stays the same is a constant velocity."""
     correction_limit_deg: Positive = 5.0

@@ -19,6 +19,7 @@ from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.strangers import Strangers
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 
 MAX_READ = 64
@@ -26,8 +27,6 @@ MAX_READ = 64
 MAX_DATAGRAM = 65535
 LATE_START = 0.25
 """A cycle that begins later than this fraction of a cycle has been held up by the machine."""
-
-Address = tuple[str, int]
 
 
 class SocketError(DeltaqError):

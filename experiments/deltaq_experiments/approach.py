@@ -67,11 +67,11 @@ def run(options: Options) -> ExperimentOutcome:
     return ExperimentOutcome(_report(options, cell, runs, elapsed_s), _panels(runs))
 
 
-Run = tuple[RunRecord, Array]
+RunViews = tuple[RunRecord, Array]
 """A recording, and (k, 2) view angle error [deg] and view distance [m]."""
 
 
-def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> Run:
+def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> RunViews:
     camera = camera_controller(cell, options.controller, options.latency_s)
     start = start_with_error(cell, camera, error, seed)
     recording = (
@@ -100,7 +100,7 @@ def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> App
     )
 
 
-def _report(options: Options, cell: CellModel, runs: list[Run], elapsed_s: float) -> ApproachReport:
+def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: float) -> ApproachReport:
     starts = [
         approach_of(recording.trace.time_s, views[:, 0], views[:, 1] - VIEW_DISTANCE_M)
         for recording, views in runs
@@ -139,7 +139,7 @@ def _report(options: Options, cell: CellModel, runs: list[Run], elapsed_s: float
     )
 
 
-def _panels(runs: list[Run]) -> tuple[FigurePanel, ...]:
+def _panels(runs: list[RunViews]) -> tuple[FigurePanel, ...]:
     def lines(column: int) -> tuple[Curve, ...]:
         return tuple(
             Curve(f"from {views[0, 0]:.0f}°", recording.trace.time_s, views[:, column])

@@ -37,6 +37,20 @@ class Exited:
     status: int
 
 
+def start_with_lines(command: Sequence[str]) -> subprocess.Popen[str]:
+    """Start a process in a session of its own, whose output can be read line by line as it comes."""
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        encoding="utf-8",
+        errors="replace",
+    )
+
+
 class Child:
     """A running child process.
 
@@ -64,16 +78,7 @@ class Child:
         self.exited = threading.Event()
         self._on_event = on_event
         self._on_line = on_line
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
-            encoding="utf-8",
-            errors="replace",
-        )
+        self._process = start_with_lines(command)
         assert self._process.stdout is not None  # a pipe was asked for
         self.pid = self._process.pid
         self.output = self._process.stdout.fileno()

@@ -39,7 +39,7 @@ class Interrupted:
     number: signal.Signals
 
 
-Event = Ready | Exited | Interrupted
+LauncherEvent = Ready | Exited | Interrupted
 
 
 class Launcher:
@@ -78,7 +78,7 @@ class Launcher:
         self._grace_s = grace_s
         self._python = tuple(python)
         # signal handlers may put into a SimpleQueue at any time, not into a Queue
-        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[LauncherEvent] = queue.SimpleQueue()
         self._handlers: dict[signal.Signals, Any] = {}
         self._warden: Warden | None = None
 
@@ -113,7 +113,7 @@ class Launcher:
         self.stop_service(name)
         self._start([service for service in self.services if service.name == name], timeout_s)
 
-    def wait(self, timeout_s: float | None = None) -> Event | None:
+    def wait(self, timeout_s: float | None = None) -> LauncherEvent | None:
         """The next event, or None if there is none within `timeout_s`."""
         try:
             event = self._events.get(timeout=timeout_s)

@@ -7,12 +7,12 @@ is a minute in which services share their cores with a compiler, and in which th
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from deltaq_launch.child_process import start_with_lines
 from deltaq_launch.launcher import LaunchError
 from deltaq_launch.warden import Warden
 
@@ -72,19 +72,7 @@ def _run(arguments: Sequence[str], what: str, on_function: Callable[[str], None]
     command = [sys.executable, *arguments]
     said: list[str] = []
     # in its own session: Ctrl-C on the terminal reaches the waiting program, which ends it from here
-    with (
-        Warden() as warden,
-        subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
-            encoding="utf-8",
-            errors="replace",
-        ) as compiler,
-    ):
+    with Warden() as warden, start_with_lines(command) as compiler:
         assert compiler.stdout is not None  # a pipe was asked for
         warden.keep(compiler.pid, compiler.stdout.fileno())
         try:

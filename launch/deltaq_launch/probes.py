@@ -13,6 +13,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_launch.services import Probe, Service
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
+from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.session import open_session
@@ -94,11 +95,10 @@ def _ask_hli(cell: CellDescription) -> ProbeAnswer:
 
 
 def _ask_panel(name: str, endpoint: str) -> ProbeAnswer:
-    address, _, port = endpoint.removeprefix("udp/").rpartition(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
         panel.settimeout(TIMEOUT_S)
         try:
-            panel.connect((address, int(port)))
+            panel.connect(Endpoint.parse(endpoint).address)
             panel.send(b'{"op":"status"}')
             answer = _Panel.model_validate_json(panel.recv(65536))
         except (OSError, ValueError) as error:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Rate:
+class Regularity:
     """Regularity of one stream.
 
     Attributes:
@@ -26,13 +26,13 @@ class Rate:
     period_max_s: float | None
 
 
-def rate_of(times_s: list[float]) -> Rate:
+def rate_of(times_s: list[float]) -> Regularity:
     """Regularity of messages that came at `times_s`, in order [s]."""
     if len(times_s) < 2:
-        return Rate(len(times_s), None, None, None, None)
+        return Regularity(len(times_s), None, None, None, None)
     periods = sorted(after - before for before, after in itertools.pairwise(times_s))
     span = times_s[-1] - times_s[0]
-    return Rate(
+    return Regularity(
         count=len(times_s),
         rate_hz=len(periods) / span if span > 0 else None,
         period_median_s=percentile(periods, 0.5),

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import Literal
 
 from deltaq_cell.description import CellDescription, RsiDescription
+from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
 
 
@@ -191,8 +192,7 @@ def _unknown(services: Sequence[Service], name: str) -> UnknownServiceError:
 
 
 def _tcp(endpoint: str, field: str) -> ListeningSocket:
-    address, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-    return ListeningSocket("tcp", address, int(port), field)
+    return ListeningSocket("tcp", *Endpoint.parse(endpoint).address, field)
 
 
 def _emulator(robot: str, driver: RsiDescription, arguments: tuple[str, ...], needs: str) -> Service:
@@ -207,5 +207,5 @@ def _emulator(robot: str, driver: RsiDescription, arguments: tuple[str, ...], ne
         listens=() if panel is None else (ListeningSocket("udp", driver.address, panel, where),),
         robot=robot,
         probe=None if panel is None else Probe.PANEL,
-        endpoint=None if panel is None else f"udp/{driver.address}:{panel}",
+        endpoint=None if panel is None else str(Endpoint("udp", driver.address, panel)),
     )

@@ -106,14 +106,14 @@ class BlockingRobot:
     def states(self) -> Iterator[RobotState]:
         """States as they come, the newest only; see `LeasedRobot.states`."""
         for state in self._states():
-            self._robot.check_lease()
+            self._robot.lease.check()
             yield state
 
     def move(self, dq: Iterable[float]) -> Verdict:
         """Ask for an increment `dq` (n,) [rad or m] and wait for its verdict; see `LeasedRobot.move`."""
         if self._robot.state is None:
             return self._background.run(self._robot.move(dq))
-        return self._robot.move_now(dq, lambda: self._background.run(self._robot.renew()))
+        return self._robot.move_now(dq, lambda: self._background.run(self._robot.lease.renew()))
 
     def send(self, dq: Iterable[float]) -> int:
         """Ask for an increment `dq` (n,) [rad or m] and do not wait for its verdict; see `LeasedRobot.send`."""

@@ -230,7 +230,7 @@ class Cell:
         )
         listeners.add(leased.take_verdict)
         self._leases.add(leased)
-        keeper = asyncio.create_task(leased.keep_lease())
+        keeper = asyncio.create_task(leased.lease.keep())
         try:
             yield leased
         finally:

@@ -9,6 +9,9 @@ from typing import Literal, cast
 
 from deltaq_protocol.errors import DeltaqError
 
+Address = tuple[str, int]
+"""Host and port, as a socket has them."""
+
 _FORM = re.compile(r"(tcp|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
 
 
@@ -41,6 +44,11 @@ class Endpoint:
                 "e.g. tcp/127.0.0.1:7447"
             )
         return cls(cast(Literal["tcp", "udp"], found[1]), found[2] or found[3], int(found[4]))
+
+    @property
+    def address(self) -> Address:
+        """Host and port."""
+        return self.host, self.port
 
     @property
     def is_loopback(self) -> bool:

@@ -5,6 +5,11 @@ A message says what was wrong, what was given, what is allowed and what to do ne
 
 from __future__ import annotations
 
+from typing import Literal
+
+Severity = Literal["error", "warning"]
+"""Of what is wrong with a file: an error keeps it from being used, a warning does not."""
+
 
 class DeltaqError(Exception):
     """Base of every error that deltaq raises on purpose."""

@@ -14,14 +14,13 @@ import zenoh
 
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
-from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_protocol.held_lease import HeldLease
 from deltaq_protocol.messages import (
     Increment,
     IoReply,
     IoRequest,
-    LeaseAction,
     LeaseReply,
-    LeaseRequest,
     Outcome,
     Reason,
     RobotState,
@@ -37,7 +36,6 @@ VERDICT_DEADLINE_S = 0.25
 _FIRST_STATE_DEADLINE_S = 0.5
 _VERDICTS_WAITING = 1024
 """Bound of sent increments, and of received verdicts, that nobody has read."""
-_RENEWALS_A_LEASE = 4
 
 
 class LeasedRobot:
@@ -46,6 +44,7 @@ class LeasedRobot:
     Attributes:
         name: of the robot.
         summary: its joints, units and limits.
+        lease: the right to move it.
     """
 
     def __init__(
@@ -62,8 +61,7 @@ class LeasedRobot:
         self.summary = summary
         self._wire = wire
         self._cell = cell
-        self._token = granted.lease
-        self._lease_s = granted.expires_s or 0.0
+        self.lease = HeldLease(wire, cell, name, granted)
         self._states = states
         self._newest = newest
         self._publisher = wire.publisher(topics.INCREMENT, cell, name)
@@ -72,7 +70,6 @@ class LeasedRobot:
         # each of its operations is atomic, whatever other threads do meanwhile
         self._sent: deque[int] = deque(maxlen=_VERDICTS_WAITING)
         self._verdicts: asyncio.Queue[Verdict] = asyncio.Queue(_VERDICTS_WAITING)
-        self._lost: DeltaqError | None = None
         self._releasing: asyncio.Future[None] | None = None
 
     @property
@@ -88,7 +85,7 @@ class LeasedRobot:
             ServiceUnreachableError: the server is gone.
         """
         async for state in self._states():
-            self.check_lease()
+            self.lease.check()
             yield state
 
     async def move(self, dq: Iterable[float]) -> Verdict:
@@ -116,7 +113,7 @@ class LeasedRobot:
             async with asyncio.timeout(VERDICT_DEADLINE_S):
                 return await self._own(verdicts)
         except TimeoutError:
-            self.check_lease()
+            self.lease.check()
             return _no_verdict(self.name, state.cycle, seq)
         finally:
             del self._awaited[seq]
@@ -128,7 +125,7 @@ class LeasedRobot:
             dq: (n,) increment over one cycle [rad or m].
             renew: renews the lease, or raises the error with which it was lost.
         """
-        self.check_lease()
+        self.lease.check()
         state = self._newest.value
         if state is None:
             raise self._without_state()
@@ -144,7 +141,7 @@ class LeasedRobot:
                     return verdict
                 renew()
         except queue.Empty:
-            self.check_lease()
+            self.lease.check()
             return _no_verdict(self.name, state.cycle, seq)
         finally:
             del self._awaited[seq]
@@ -169,7 +166,7 @@ class LeasedRobot:
 
     def send_now(self, dq: Iterable[float]) -> int:
         """`send` for a robot that has a state already; any thread may call it."""
-        self.check_lease()
+        self.lease.check()
         state = self._newest.value
         if state is None:
             raise self._without_state()
@@ -188,7 +185,7 @@ class LeasedRobot:
             ServiceUnreachableError: the server is gone.
         """
         while True:
-            self.check_lease()
+            self.lease.check()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(VERDICT_DEADLINE_S):
                     verdict = await self._own(self._verdicts)
@@ -201,7 +198,7 @@ class LeasedRobot:
             RefusedError: the robot has no such output, or the lease was lost.
             ServiceUnreachableError: no answer in time.
         """
-        request = IoRequest(robot=self.name, outputs=dict(outputs or {}), lease=self._token)
+        request = IoRequest(robot=self.name, outputs=dict(outputs or {}), lease=self.lease.token)
         return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name))
 
     def take_verdict(self, verdict: Verdict) -> None:
@@ -217,22 +214,6 @@ class LeasedRobot:
                 self._verdicts.get_nowait()
             self._verdicts.put_nowait(verdict)
 
-    async def keep_lease(self) -> None:
-        """Renew the lease until it is lost; `Cell.lease` runs this beside its block."""
-        loop = asyncio.get_running_loop()
-        expires_s = loop.time() + self._lease_s
-        while self._lost is None:
-            await asyncio.sleep(self._lease_s / _RENEWALS_A_LEASE)
-            asked_s = loop.time()
-            try:
-                await self.renew()
-                expires_s = asked_s + self._lease_s
-            except RefusedError as error:
-                self._lost = self._lost or error
-            except DeltaqError as error:
-                if loop.time() >= expires_s:
-                    self._lost = error
-
     async def release(self) -> None:
         """Release the lease, if the server can still be reached; `Cell.lease` does so when its block is left."""
         if self._releasing is None:
@@ -242,18 +223,17 @@ class LeasedRobot:
     def release_now(self) -> None:
         """`release` without a loop: the loop ended before its controller did."""
         if self._releasing is None:
-            request = self._lease_request(LeaseAction.RELEASE)
-            self._wire.ask_now(topics.LEASE, self._cell, request, self.name)
+            self.lease.release_now()
 
     async def _release(self) -> None:
-        self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self.name} was given back")
+        self.lease.end()
         with contextlib.suppress(DeltaqError, zenoh.ZError):
             self._publisher.undeclare()
-            await self._ask(LeaseAction.RELEASE)
+            await self.lease.release()
 
     async def _answerable(self) -> RobotState:
         """The newest state, or the first."""
-        self.check_lease()
+        self.lease.check()
         try:
             state, _ = await self._newest.after(0, _FIRST_STATE_DEADLINE_S)
         except TimeoutError:
@@ -273,7 +253,7 @@ class LeasedRobot:
             seq=seq,
             cycle=state.cycle,
             dq=tuple(float(element) for element in dq),
-            lease=self._token,
+            lease=self.lease.token,
         )
         try:
             self._publisher.put(pack(increment))
@@ -289,34 +269,7 @@ class LeasedRobot:
             if not _is_about_lease(verdict):
                 return verdict
             # verdicts are public, this one may be about somebody else's increment: ask
-            await self.renew()
-
-    async def renew(self) -> None:
-        """Renew the lease now.
-
-        Raises:
-            RefusedError: it was lost.
-            ServiceUnreachableError: no answer in time.
-        """
-        reply = await self._ask(LeaseAction.RENEW)
-        if not reply.granted:
-            now = f"{reply.holder} holds it now" if reply.holder else "it has run out"
-            self._lost = RefusedError(
-                ReasonCode.LEASE_NOT_HELD, f"the lease of {self.name} was lost: {now}", "acquire it again"
-            )
-            raise self._lost
-
-    async def _ask(self, action: LeaseAction) -> LeaseReply:
-        request = self._lease_request(action)
-        return unpack(LeaseReply, await self._wire.ask(topics.LEASE, self._cell, request, self.name))
-
-    def _lease_request(self, action: LeaseAction) -> LeaseRequest:
-        return LeaseRequest(robot=self.name, action=action, lease=self._token)
-
-    def check_lease(self) -> None:
-        """Raise the error with which the lease was lost, if it was."""
-        if self._lost is not None:
-            raise self._lost
+            await self.lease.renew()
 
 
 def _no_verdict(robot: str, cycle: int, seq: int) -> Verdict:

@@ -11,9 +11,9 @@ import zenoh
 
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.messages import Error, Message
 from deltaq_protocol.newest import Newest
+from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
 
@@ -32,8 +32,7 @@ class Wire:
     def __init__(self, session: Any, loop: asyncio.AbstractEventLoop) -> None:
         self._session = session
         self._loop = loop
-        self._declared: list[Any] = []
-        self._inboxes: list[ClientInbox[zenoh.Sample]] = []
+        self._served = ServedInLoop(session, loop)
 
     async def ask(
         self, topic: Topic, cell: str, request: Message, robot: str = "", deadline_s: float = QUERY_DEADLINE_S
@@ -89,26 +88,16 @@ class Wire:
 
     def subscribe(self, key: str, take: Callable[[zenoh.Sample], None], capacity: int) -> None:
         """Call `take` in the loop with the samples of a key; of waiting samples the newest `capacity` are kept."""
-        inbox = ClientInbox[zenoh.Sample](self._loop, take, capacity)
-        self._inboxes.append(inbox)
-        self._declare(key, inbox.put)
+        self._served.subscribe(key, self._served.inbox(take, capacity).put)
 
     def subscribe_newest(self, key: str, newest: Newest[zenoh.Sample, Any]) -> None:
         """Put the samples of a key where the newest is kept, without waking the loop for those that nobody awaits."""
-        self._declare(key, newest.put)
+        self._served.subscribe(key, newest.put)
 
     def publisher(self, topic: Topic, cell: str, robot: str) -> Any:
         """A publisher of a robot's topic; a session that was closed makes its `put` raise `ZError`."""
         return declare_publisher(self._session, topic.key(cell, robot=robot), priority=topic.priority)
 
     def close(self) -> None:
-        """Stop listening, then close: a session that closes with callbacks still running can panic."""
-        while self._declared:
-            self._declared.pop().undeclare()
-        for inbox in self._inboxes:
-            inbox.close()
-        self._session.close()
-
-    def _declare(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
-        callback = zenoh.handlers.Callback(put, indirect=False)
-        self._declared.append(self._session.declare_subscriber(key, callback))
+        """Stop listening, and close the session."""
+        self._served.close()

@@ -10,10 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from own_robot import write_cell, write_package
 
-from deltaq_cell import compiled_proximity, kernel
+from deltaq_cell import compiled_proximity
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.kernel import look as kernel
+from deltaq_cell.proximity import ProximityEngine
 
 TOLERANCE_M = 2e-6
 """What the kernel's search and coal's may differ by."""
@@ -32,7 +33,7 @@ def cell(request, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def reference(cell):
-    return Proximity(cell)
+    return ProximityEngine(cell)
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.hull import hull_corners, hull_shape
-from deltaq_cell.kernel_arrays import Body
-from deltaq_cell.kernel_gap import ROUNDING_M, body_at, farthest, gap
-from deltaq_cell.kernel_simplex import towards_origin
+from deltaq_cell.kernel.arrays import PlacedBody
+from deltaq_cell.kernel.gap import ROUNDING_M, body_at, farthest, gap
+from deltaq_cell.kernel.simplex import towards_origin
 
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
 
@@ -132,7 +132,7 @@ def test_bodies_in_one_another_are_never_told_apart():
 
 
 def point(*at):
-    return Body(np.array([at], dtype=np.float64), 1, 0.0, 0.0, 1.0, 0.0, 0.0)
+    return PlacedBody(np.array([at], dtype=np.float64), 1, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
 def test_no_direction_to_begin_with_is_no_bound():

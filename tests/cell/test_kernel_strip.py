@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltaq_cell.kernel_strip import strip_around
+from deltaq_cell.kernel.strip import strip_around
 
 
 def in_numpy(points):

@@ -13,7 +13,7 @@ from deltaq_cell.cell_model import MOST_TOLD_BYTES, CellModel, LongDescriptionEr
 from deltaq_cell.check import check_cell
 from deltaq_cell.load import parse_cell
 from deltaq_cell.models import RobotModelError
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.codec import pack, to_line, unpack
 from deltaq_protocol.messages import Description
 from deltaq_services.sim.fingerprint import fingerprint
@@ -45,7 +45,7 @@ def test_a_client_models_the_robot_without_its_files_and_measures_to_the_bit(
     assert fingerprint(rebuilt) == fingerprint(cell)
     assert rebuilt.robots["arm_0"].visual is rebuilt.robots["arm_0"].geometry  # there is no paint here either
     random = np.random.default_rng(5)
-    models = [Proximity(cell), Proximity(rebuilt)]
+    models = [ProximityEngine(cell), ProximityEngine(rebuilt)]
     for _ in range(50):
         distances = []
         drawn = {name: random.uniform(robot.lower, robot.upper) for name, robot in cell.robots.items()}

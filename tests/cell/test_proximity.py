@@ -6,7 +6,7 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.extents import Extents
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_verification.oracle import ClearanceOracle
 
 CELL = CellModel.load("lab")
@@ -17,7 +17,7 @@ STILL = {name: np.zeros(robot.n) for name, robot in CELL.robots.items()}
 
 @pytest.fixture
 def proximity():
-    return Proximity(CELL)
+    return ProximityEngine(CELL)
 
 
 def drawn(seed):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.extents import Extents
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.structure import structure_geometry
 
 
@@ -17,7 +17,7 @@ def cell(request):
     return CellModel.load(request.param)
 
 
-@pytest.fixture(scope="module", params=[Proximity, CompiledProximity])
+@pytest.fixture(scope="module", params=[ProximityEngine, CompiledProximity])
 def proximity(request, cell):
     return request.param(cell)
 

@@ -15,19 +15,18 @@ from deltaq_controllers.camera.error import (
 )
 from deltaq_controllers.kinematics import Kinematics
 
-random = np.random.default_rng(3)
 STEP = 1e-6
 
 
-def a_rotation() -> np.ndarray:
+def a_rotation(random: np.random.Generator) -> np.ndarray:
     q, r = np.linalg.qr(random.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q if np.linalg.det(q) > 0 else -q
 
 
 @pytest.mark.parametrize("_", range(20))
-def test_the_size_of_psi_is_the_tangent_of_half_the_view_angle(_: int) -> None:
-    rotation, position, focus = a_rotation(), random.normal(size=3), random.normal(size=3)
+def test_the_size_of_psi_is_the_tangent_of_half_the_view_angle(_: int, random: np.random.Generator) -> None:
+    rotation, position, focus = a_rotation(random), random.normal(size=3), random.normal(size=3)
     y = rotation.T @ (focus - position) / np.linalg.norm(focus - position)
     view = look(rotation, position, focus)
     np.testing.assert_allclose(view.psi, y[:2] / (1.0 + y[2]), rtol=1e-9)
@@ -37,8 +36,8 @@ def test_the_size_of_psi_is_the_tangent_of_half_the_view_angle(_: int) -> None:
 
 
 @pytest.mark.parametrize("_", range(10))
-def test_p_is_the_derivative_of_psi_by_the_focus(_: int) -> None:
-    rotation, position, focus = a_rotation(), random.normal(size=3), random.normal(size=3)
+def test_p_is_the_derivative_of_psi_by_the_focus(_: int, random: np.random.Generator) -> None:
+    rotation, position, focus = a_rotation(random), random.normal(size=3), random.normal(size=3)
     view = look(rotation, position, focus)
     numeric = np.column_stack(
         [
@@ -49,8 +48,8 @@ def test_p_is_the_derivative_of_psi_by_the_focus(_: int) -> None:
     np.testing.assert_allclose(view.P, numeric, rtol=1e-5, atol=1e-6 * view.stretch**2)
 
 
-def test_both_singular_values_of_p_are_the_stretch_over_the_distance() -> None:
-    view = look(a_rotation(), random.normal(size=3), random.normal(size=3))
+def test_both_singular_values_of_p_are_the_stretch_over_the_distance(random: np.random.Generator) -> None:
+    view = look(a_rotation(random), random.normal(size=3), random.normal(size=3))
     np.testing.assert_allclose(np.linalg.svd(view.P)[1], [view.stretch / view.distance] * 2, rtol=1e-9)
 
 
@@ -66,7 +65,9 @@ OFF_AXIS = Camera(pose=Pose(position_m=(0.06, -0.02, 0.15), rpy_deg=(10, -20, 17
     ],
 )
 @pytest.mark.parametrize("_", range(4))
-def test_the_task_jacobian_is_the_derivative_of_psi_by_the_joints(kinematics: Kinematics, _: int) -> None:
+def test_the_task_jacobian_is_the_derivative_of_psi_by_the_joints(
+    kinematics: Kinematics, _: int, random: np.random.Generator
+) -> None:
     n = kinematics.model.nv
     q, focus = random.uniform(-1.0, 1.0, n), random.normal(size=3)
 
@@ -82,7 +83,9 @@ def test_the_task_jacobian_is_the_derivative_of_psi_by_the_joints(kinematics: Ki
 
 
 @pytest.mark.parametrize("name", ["fr", "gr"])
-def test_one_pass_gives_the_poses_and_jacobians_of_the_robots_model(name: str) -> None:
+def test_one_pass_gives_the_poses_and_jacobians_of_the_robots_model(
+    name: str, random: np.random.Generator
+) -> None:
     robot: RobotModel = lab().robots[name]
     kinematics = Kinematics(robot, "tool")
     for q in random.uniform(robot.lower, robot.upper, (5, robot.n)):
@@ -113,8 +116,8 @@ def test_just_short_of_behind_the_camera_the_way_round_is_the_short_one() -> Non
     assert math.isclose(view.angle, angle)
 
 
-def test_a_focus_in_the_lens_counts_as_straight_ahead() -> None:
-    view = look(a_rotation(), np.ones(3), np.ones(3))
+def test_a_focus_in_the_lens_counts_as_straight_ahead(random: np.random.Generator) -> None:
+    view = look(a_rotation(random), np.ones(3), np.ones(3))
     assert view.angle == pytest.approx(0.0, abs=1e-12)
     assert np.isfinite(view.P).all()
 

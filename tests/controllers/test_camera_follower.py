@@ -15,8 +15,7 @@ from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.spheres import Spheres
 
 FR, GR = lab().robots["fr"], lab().robots["gr"]
-random = np.random.default_rng(23)
-STARTS = random.uniform(
+STARTS = np.random.default_rng(23).uniform(
     np.deg2rad([-150, -140, 40, -150, -100, -200]), np.deg2rad([150, -60, 130, 150, 100, 200]), (10, 6)
 )
 FOCUS = np.array([-0.4, -1.25, 1.2])

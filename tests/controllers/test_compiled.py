@@ -135,7 +135,7 @@ def test_what_a_function_is_given_is_part_of_its_code(tmp_path: Path) -> None:
 
 def test_machine_code_is_kept_by_package_and_that_of_a_script_beside_the_decorator() -> None:
     assert package_of("deltaq_controllers.camera.law").name == "deltaq_controllers"
-    assert package_of("deltaq_cell.kernel").name == "deltaq_cell"
+    assert package_of("deltaq_cell.kernel.look").name == "deltaq_cell"
     assert package_of("__main__").name == package_of("no_such_module").name == "deltaq_cell"
 
 

@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_controllers.criteria import BY_NAME, TABLE, Category, Criterion, Normalised, Postures, RobotData
 from deltaq_controllers.criteria.bounds import ROUNDING_M
 from deltaq_controllers.criteria.capsules import box_distance, box_points, segment_points
@@ -119,7 +119,7 @@ def test_the_effective_mass_of_a_load_at_the_hand_is_not_less_than_that_load() -
 
 def test_the_room_of_capsules_is_near_to_what_exact_shapes_leave() -> None:
     cell, data = CELLS["dawm"], DATA["dawm"]
-    proximity = Proximity(cell)
+    proximity = ProximityEngine(cell)
     postures = some(data, 200, seed=6, share=0.6)
     off = []
     for q, room in zip(postures.q, postures.nearest.room, strict=True):

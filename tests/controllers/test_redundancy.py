@@ -17,7 +17,6 @@ from deltaq_controllers.redundancy import (
     weighted_rates,
 )
 
-random = np.random.default_rng(5)
 LOWER, UPPER = np.deg2rad([-185.0, -155, -130, -350, -130, -350]), np.deg2rad([185.0, 35, 154, 350, 130, 350])
 MIDDLE = 0.5 * (LOWER + UPPER)
 AT_REST = np.zeros(6)
@@ -34,7 +33,7 @@ def test_the_scale_of_the_weights_makes_the_unit_of_angle_explicit() -> None:
     assert inverse_weight(DEGREES) == pytest.approx(0.994, abs=0.001)
 
 
-def test_the_gradient_of_11_is_as_printed() -> None:
+def test_the_gradient_of_11_is_as_printed(random: np.random.Generator) -> None:
     q = random.uniform(LOWER + 0.1, UPPER - 0.1)
     printed = (UPPER - LOWER) ** 2 * (2 * q - UPPER - LOWER) / ((q - UPPER) ** 2 * (q - LOWER) ** 2)
     np.testing.assert_allclose(limit_gradient(q, LOWER, UPPER), printed, rtol=1e-9)
@@ -47,7 +46,9 @@ def test_at_a_limit_and_past_it_weights_are_finite_and_hold_the_joint(q: np.ndar
     assert (inverse < 1e-2).all()
 
 
-def test_without_damping_the_task_is_met_exactly_and_sub_tasks_leave_it_alone() -> None:
+def test_without_damping_the_task_is_met_exactly_and_sub_tasks_leave_it_alone(
+    random: np.random.Generator,
+) -> None:
     jacobian, task, field = random.normal(size=(2, 6)), random.normal(size=2), random.normal(size=6)
     inverse = random.uniform(0.1, 1.0, 6)
     rates = damped_rates(jacobian, inverse, task, field, 0.0)
@@ -58,7 +59,7 @@ def test_without_damping_the_task_is_met_exactly_and_sub_tasks_leave_it_alone() 
     np.testing.assert_allclose(rates, law, atol=1e-12)
 
 
-def test_the_solution_without_sub_tasks_costs_least() -> None:
+def test_the_solution_without_sub_tasks_costs_least(random: np.random.Generator) -> None:
     jacobian, task, inverse = random.normal(size=(2, 6)), random.normal(size=2), random.uniform(0.1, 1.0, 6)
     rates = damped_rates(jacobian, inverse, task, np.zeros(6), 0.0)
     null = np.linalg.svd(jacobian)[2][2:]
@@ -67,7 +68,7 @@ def test_the_solution_without_sub_tasks_costs_least() -> None:
         assert other @ (other / inverse) > rates @ (rates / inverse)
 
 
-def test_a_task_that_the_joints_cannot_do_gives_finite_rates() -> None:
+def test_a_task_that_the_joints_cannot_do_gives_finite_rates(random: np.random.Generator) -> None:
     jacobian = np.vstack([random.normal(size=6), np.zeros(6)])
     weights = WeightedGradient(LOWER, UPPER, DEGREES, 0.03)
     assert np.abs(weighted_rates(weights, MIDDLE, jacobian, np.ones(2), np.zeros(6), 1.0)).max() < 100

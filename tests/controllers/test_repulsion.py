@@ -6,7 +6,6 @@ from deltaq_controllers.camera.repulsion import Potential, Repulsion, push
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.spheres import Spheres, cover, local_box
 
-random = np.random.default_rng(11)
 FLOOR_ROBOT, GANTRY_ROBOT = lab().robots["fr"], lab().robots["gr"]
 POTENTIAL = Potential(gain=2e-3, range_m=0.3, min_m=0.03)
 CAP = 0.012 * FLOOR_ROBOT.max_velocity
@@ -99,7 +98,9 @@ def test_as_printed_the_push_is_larger_by_the_distance_of_centres_over_the_clear
 
 
 @pytest.mark.parametrize("_", range(20))
-def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(_: int) -> None:
+def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(
+    _: int, random: np.random.Generator
+) -> None:
     kinematics, spheres = Kinematics(FLOOR_ROBOT, "camera"), Spheres.of(FLOOR_ROBOT)
     repulsion = Repulsion(FLOOR_ROBOT, POTENTIAL, CAP, floor_m=None)
     q = random.uniform(FLOOR_ROBOT.lower, FLOOR_ROBOT.upper)
@@ -128,7 +129,7 @@ def test_looking_only_at_what_is_near_changes_nothing_within_one_increment(_: in
 
 
 @pytest.mark.parametrize("robot", [FLOOR_ROBOT, GANTRY_ROBOT])
-def test_the_spheres_contain_every_moving_body(robot: object) -> None:
+def test_the_spheres_contain_every_moving_body(robot: object, random: np.random.Generator) -> None:
     spheres = Spheres.of(robot)  # type: ignore[arg-type]  # pytest's parameters have no type
     for body in robot.geometry.geometryObjects:  # type: ignore[attr-defined]  # likewise
         if body.parentJoint == 0:

@@ -17,7 +17,7 @@ from deltaq_protocol.session import open_session, subscribe_newest
 from deltaq_verification.faults.relay_placement import RelayPlacement, placed
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.impairment.process import RelayProcess
-from deltaq_verification.impairment.relay import Unit
+from deltaq_verification.impairment.relay import TrafficUnit
 from deltaq_verification.impairment.stream import StreamFaults
 from deltaq_verification.virtual_cell.parts import Link
 
@@ -59,7 +59,9 @@ def stack(tmp_path_factory):
 
         def rewired(services, file):
             loaded = load_rsi_cell(file)
-            relay = placed(RelayPlacement(Link.HLI_SIM, Unit.BYTES), loaded.model.description, "fr", seed=0)
+            relay = placed(
+                RelayPlacement(Link.HLI_SIM, TrafficUnit.BYTES), loaded.model.description, "fr", seed=0
+            )
             gate.append(relays.enter_context(relay))
             return gate[0].with_relays(services, loaded, "fr", folder)
 
@@ -67,7 +69,7 @@ def stack(tmp_path_factory):
         tcp = f"tcp/127.0.0.1:{stack.cell.tcp_port}"
         listens = [Endpoint.parse(endpoint()) for _ in range(2)]
         before = [
-            relays.enter_context(RelayProcess(listen, Endpoint.parse(to), Unit.BYTES))
+            relays.enter_context(RelayProcess(listen, Endpoint.parse(to), TrafficUnit.BYTES))
             for listen, to in zip(listens, (tcp, stack.cell.hli), strict=True)
         ]
         made = Stack(stack, *before, gate[0])

@@ -16,7 +16,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.session import open_session, subscribe_newest
-from deltaq_services.robot_server.mode_probe import PROBE_RAD
+from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
 pytestmark = pytest.mark.live
 

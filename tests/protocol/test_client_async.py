@@ -184,7 +184,7 @@ async def test_an_increment_on_the_key_of_another_robot_is_refused(running: Runn
     await asyncio.sleep(0)
     session = await asyncio.to_thread(open_session, connect=[running.hli._cell.hli], must_connect=True)
     async with running.cell.lease("fr") as robot:
-        stray = Increment(robot="fr", seq=1, cycle=running.peer.cycle, dq=DQ, lease=robot._token)
+        stray = Increment(robot="fr", seq=1, cycle=running.peer.cycle, dq=DQ, lease=robot.lease.token)
         session.put(topics.INCREMENT.key("small", robot="gr"), pack(stray))
         async with asyncio.timeout(10):
             while "malformed" not in running.hli.status().hli:

@@ -24,6 +24,10 @@ def test_an_endpoint_is_read_and_written_back_and_knows_who_can_reach_it(text, i
     assert endpoint.is_loopback is is_loopback
 
 
+def test_a_socket_gets_host_and_port():
+    assert Endpoint.parse("udp/[::1]:7447").address == ("::1", 7447)
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/:1", "tcp/a b:1", "tcp/a:0", "tcp/a:65536", "quic/a:1"],

@@ -11,7 +11,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.seal import UNSEALED, KeyedSeal
 from deltaq_services.guarded_key import KEY_FILE, GuardedKeyError, guarded_seal, off_loopback, write_new_key
 from deltaq_services.hli.guarded_front import GuardedFront
-from deltaq_services.robot_server.link import Link as RobotServerLink
+from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.sim.shell import Shell as GateShell
 
 OUTSIDE = {"sim": "tcp/192.168.7.1:7450"}
@@ -49,7 +49,7 @@ async def test_no_service_starts_without_the_key_that_it_needs(tmp_path, monkeyp
     model = CellModel.load(file)
     cell, port = model.description, SimpleNamespace(loop=asyncio.get_running_loop())
     for start in (
-        lambda: RobotServerLink(cell, "fr", Counter()),
+        lambda: GuardedLink(cell, "fr", Counter()),
         lambda: GateShell(model),
         lambda: GuardedFront(cell, port),
     ):

@@ -12,8 +12,8 @@ from deltaq_services.robot_server.session import (
     STILL,
     Answer,
     Belief,
-    Kind,
     Session,
+    TelegramKind,
 )
 
 FR = load_cell("lab").robots["fr"]
@@ -42,7 +42,7 @@ def confirm(one, begin_s=0.0, begin=BEGIN, step=STEP, count=CONFIRMATIONS, **fie
     for number in range(count):
         told, time_s = telegram(begin + number * step, **fields), begin_s + number * CYCLE_S
         kinds.append(one.judge(told, time_s).kind)
-        if kinds[-1] is Kind.CONFIRMED:
+        if kinds[-1] is TelegramKind.CONFIRMED:
             one.believe(told, time_s)
     return kinds
 
@@ -50,7 +50,7 @@ def confirm(one, begin_s=0.0, begin=BEGIN, step=STEP, count=CONFIRMATIONS, **fie
 def begun():
     """A session whose newest telegram has the IPOC `LAST` and came at 0 s."""
     one = session()
-    assert confirm(one, begin_s=-(CONFIRMATIONS - 1) * CYCLE_S)[-1] is Kind.CONFIRMED
+    assert confirm(one, begin_s=-(CONFIRMATIONS - 1) * CYCLE_S)[-1] is TelegramKind.CONFIRMED
     assert (one.belief, one.step, one.last.ipoc) == (Belief.BELIEVED, STEP, LAST)
     return one
 
@@ -64,9 +64,13 @@ def believed():
 def test_a_session_is_confirmed_by_the_last_of_its_first_telegrams_and_answered_from_there():
     one = session()
     assert (one.belief, one.step, one.last) == (Belief.UNKNOWN, None, None)
-    assert session().judge(telegram(BEGIN), 0.0) == (Kind.FOREIGN, Answer.UNMOVED, "")
-    assert confirm(one) == [Kind.FOREIGN] * (CONFIRMATIONS - 1) + [Kind.CONFIRMED]
-    assert one.judge(telegram(LAST + STEP), CONFIRMATIONS * CYCLE_S) == (Kind.NEXT, Answer.SETPOINT, "")
+    assert session().judge(telegram(BEGIN), 0.0) == (TelegramKind.FOREIGN, Answer.UNMOVED, "")
+    assert confirm(one) == [TelegramKind.FOREIGN] * (CONFIRMATIONS - 1) + [TelegramKind.CONFIRMED]
+    assert one.judge(telegram(LAST + STEP), CONFIRMATIONS * CYCLE_S) == (
+        TelegramKind.NEXT,
+        Answer.SETPOINT,
+        "",
+    )
 
 
 def test_one_row_of_the_automaton_applies_to_each_belief_and_kind_that_can_be():
@@ -75,7 +79,7 @@ def test_one_row_of_the_automaton_applies_to_each_belief_and_kind_that_can_be():
 
 
 def test_telegrams_that_come_twice_as_fast_as_a_krc_sends_them_are_believed_and_faster_ones_are_not():
-    for pace, kind in ((0.51, Kind.CONFIRMED), (0.49, Kind.FOREIGN)):
+    for pace, kind in ((0.51, TelegramKind.CONFIRMED), (0.49, TelegramKind.FOREIGN)):
         one = session()
         for number in range(CONFIRMATIONS):
             last = one.judge(telegram(BEGIN + number * STEP), 5.0 + number * pace * CYCLE_S).kind
@@ -85,14 +89,14 @@ def test_telegrams_that_come_twice_as_fast_as_a_krc_sends_them_are_believed_and_
 def test_it_may_stand_for_as_long_as_it_likes_until_it_was_slow_enough():
     one = session()
     kinds = [one.judge(telegram(BEGIN + number * STEP), number * 0.3 * CYCLE_S).kind for number in range(6)]
-    assert kinds == [Kind.FOREIGN] * 5 + [Kind.CONFIRMED]
+    assert kinds == [TelegramKind.FOREIGN] * 5 + [TelegramKind.CONFIRMED]
 
 
 @pytest.mark.parametrize("joint", range(6))
 @pytest.mark.parametrize("field", ["q", "programmed"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_telegrams_of_a_robot_that_does_not_stand_still_do_not_agree(joint, field, sign):
-    for share, kind in ((0.99, Kind.CONFIRMED), (1.01, Kind.FOREIGN)):
+    for share, kind in ((0.99, TelegramKind.CONFIRMED), (1.01, TelegramKind.FOREIGN)):
         one = session()
         for number in range(CONFIRMATIONS):
             place = FR.home.copy()
@@ -105,88 +109,88 @@ def test_a_change_of_a_joint_by_exactly_the_bound_is_motion():
     one = session()
     for number in range(2 * CONFIRMATIONS):
         told = telegram(BEGIN + number * STEP, np.full(6, number % 2 * STILL))
-        assert one.judge(told, number * CYCLE_S).kind is Kind.FOREIGN
+        assert one.judge(told, number * CYCLE_S).kind is TelegramKind.FOREIGN
 
 
 def test_telegrams_of_which_some_do_not_say_where_the_path_stands_do_not_agree():
     one = session()
     for number in range(2 * CONFIRMATIONS):
         said = telegram(BEGIN + number * STEP, programmed=FR.home if number % 2 else None)
-        assert one.judge(said, number * CYCLE_S).kind is Kind.FOREIGN
-    assert confirm(session(), programmed=None)[-1] is Kind.CONFIRMED
+        assert one.judge(said, number * CYCLE_S).kind is TelegramKind.FOREIGN
+    assert confirm(session(), programmed=None)[-1] is TelegramKind.CONFIRMED
 
 
 @pytest.mark.parametrize("step", [1, 1000])
 def test_steps_of_the_ipoc_up_to_a_second_are_learned_and_no_larger_ones(step):
-    assert confirm(session(), step=step)[-1] is Kind.CONFIRMED
-    assert confirm(session(), step=1001)[-1] is Kind.FOREIGN
+    assert confirm(session(), step=step)[-1] is TelegramKind.CONFIRMED
+    assert confirm(session(), step=1001)[-1] is TelegramKind.FOREIGN
 
 
 def test_steps_that_differ_do_not_agree():
     one = session()
     ipocs = [BEGIN, BEGIN + 12, BEGIN + 25, BEGIN + 37, BEGIN + 50, BEGIN + 62]
     kinds = [one.judge(telegram(ipoc), number * CYCLE_S).kind for number, ipoc in enumerate(ipocs)]
-    assert set(kinds) == {Kind.FOREIGN}
+    assert set(kinds) == {TelegramKind.FOREIGN}
 
 
 def test_a_step_that_is_given_is_known_at_once_and_no_other_agrees():
     one = session(ipoc_step=4)
     assert one.step == 4
-    assert set(confirm(one, step=12)) == {Kind.FOREIGN}
-    assert confirm(session(ipoc_step=4), step=4)[-1] is Kind.CONFIRMED
+    assert set(confirm(one, step=12)) == {TelegramKind.FOREIGN}
+    assert confirm(session(ipoc_step=4), step=4)[-1] is TelegramKind.CONFIRMED
 
 
 def test_a_telegram_that_comes_twice_while_nothing_is_believed_is_not_answered_and_does_not_count():
     one = session()
     for number in range(CONFIRMATIONS - 1):
         told = telegram(BEGIN + number * STEP)
-        assert one.judge(told, number * CYCLE_S).kind is Kind.FOREIGN
-        assert one.judge(told, number * CYCLE_S)[:2] == (Kind.REPEATED, Answer.NOTHING)
-    assert one.judge(telegram(LAST), 1.0).kind is Kind.CONFIRMED
+        assert one.judge(told, number * CYCLE_S).kind is TelegramKind.FOREIGN
+        assert one.judge(told, number * CYCLE_S)[:2] == (TelegramKind.REPEATED, Answer.NOTHING)
+    assert one.judge(telegram(LAST), 1.0).kind is TelegramKind.CONFIRMED
 
 
 @pytest.mark.parametrize("behind", [0, 1, BEHIND])
 def test_a_telegram_that_was_overtaken_is_not_answered(believed, behind):
     judged = believed.judge(telegram(LAST - behind * STEP), CYCLE_S)
-    assert judged == (Kind.REPEATED, Answer.NOTHING, "")
+    assert judged == (TelegramKind.REPEATED, Answer.NOTHING, "")
     assert believed.belief is Belief.BELIEVED
-    assert believed.judge(telegram(LAST + STEP), CYCLE_S).kind is Kind.NEXT
+    assert believed.judge(telegram(LAST + STEP), CYCLE_S).kind is TelegramKind.NEXT
 
 
 @pytest.mark.parametrize("ipoc", [LAST - (BEHIND + 1) * STEP, LAST - 7, LAST + 7, LAST + 5 * STEP])
 def test_a_telegram_of_another_clock_is_foreign_and_moves_nothing(believed, ipoc):
-    assert believed.judge(telegram(ipoc), CYCLE_S) == (Kind.FOREIGN, Answer.UNMOVED, "")
+    assert believed.judge(telegram(ipoc), CYCLE_S) == (TelegramKind.FOREIGN, Answer.UNMOVED, "")
     assert believed.belief is Belief.DOUBTED
-    assert believed.judge(telegram(LAST + STEP), CYCLE_S)[:2] == (Kind.NEXT, Answer.SETPOINT)
+    assert believed.judge(telegram(LAST + STEP), CYCLE_S)[:2] == (TelegramKind.NEXT, Answer.SETPOINT)
     assert believed.belief is Belief.BELIEVED
 
 
 @pytest.mark.parametrize("elapsed", [0, 1, 7])
 def test_the_ipoc_may_run_ahead_of_the_elapsed_time_by_the_jitter_and_no_further(elapsed):
     time_s = elapsed * CYCLE_S + 1e-6
-    for ahead, kind in ((elapsed + JITTER, Kind.NEXT), (elapsed + JITTER + 1, Kind.FOREIGN)):
+    for ahead, kind in ((elapsed + JITTER, TelegramKind.NEXT), (elapsed + JITTER + 1, TelegramKind.FOREIGN)):
         one = begun()
         assert one.judge(telegram(LAST + ahead * STEP), time_s).kind is kind
 
 
 def test_telegrams_may_be_lost_for_less_than_it_takes_to_be_silent(believed):
     lost = round(SILENCE_S / CYCLE_S)
-    assert believed.judge(telegram(LAST + (lost + 1) * STEP), 9.0).kind is Kind.FOREIGN
-    assert believed.judge(telegram(LAST + lost * STEP), 9.0).kind is Kind.NEXT
+    assert believed.judge(telegram(LAST + (lost + 1) * STEP), 9.0).kind is TelegramKind.FOREIGN
+    assert believed.judge(telegram(LAST + lost * STEP), 9.0).kind is TelegramKind.NEXT
 
 
 def test_of_a_krc_that_is_silent_after_less_than_a_cycle_the_next_telegram_is_still_its_own():
     one = session(silence_s=0.3 * CYCLE_S)
     confirm(one, begin_s=-(CONFIRMATIONS - 1) * CYCLE_S)
-    assert one.judge(telegram(LAST + 2 * STEP), CYCLE_S).kind is Kind.FOREIGN
-    assert one.judge(telegram(LAST + STEP), CYCLE_S).kind is Kind.NEXT
+    assert one.judge(telegram(LAST + 2 * STEP), CYCLE_S).kind is TelegramKind.FOREIGN
+    assert one.judge(telegram(LAST + STEP), CYCLE_S).kind is TelegramKind.NEXT
 
 
 def test_the_time_counts_from_the_newest_telegram_of_the_session(believed):
     for number in range(1, 30):
-        assert believed.judge(telegram(LAST + number * STEP), number * CYCLE_S).kind is Kind.NEXT
+        assert believed.judge(telegram(LAST + number * STEP), number * CYCLE_S).kind is TelegramKind.NEXT
     assert believed.last.ipoc == LAST + 29 * STEP
-    for ahead, kind in ((30 + JITTER + 1, Kind.FOREIGN), (30 + JITTER, Kind.NEXT)):
+    for ahead, kind in ((30 + JITTER + 1, TelegramKind.FOREIGN), (30 + JITTER, TelegramKind.NEXT)):
         assert believed.judge(telegram(LAST + ahead * STEP), 30.1 * CYCLE_S).kind is kind
 
 
@@ -194,7 +198,7 @@ def test_the_time_counts_from_the_newest_telegram_of_the_session(believed):
 def test_a_joint_that_cannot_have_moved_so_far_makes_a_telegram_garbled(cycles):
     bound = Plausibility.of(FR, CYCLE_S)
     furthest = cycles * np.array(bound.reach) + np.array(bound.resolution)
-    for share, kind in ((0.999, Kind.NEXT), (1.001, Kind.GARBLED)):
+    for share, kind in ((0.999, TelegramKind.NEXT), (1.001, TelegramKind.GARBLED)):
         one = begun()
         judged = one.judge(telegram(LAST + cycles * STEP, FR.home + share * furthest), cycles * CYCLE_S)
         assert judged.kind is kind
@@ -204,55 +208,59 @@ def test_a_joint_that_cannot_have_moved_so_far_makes_a_telegram_garbled(cycles):
 
 def test_a_garbled_telegram_leaves_the_session_as_it_was(believed):
     far = FR.home + 1.0
-    assert believed.judge(telegram(LAST + STEP, far), CYCLE_S).kind is Kind.GARBLED
+    assert believed.judge(telegram(LAST + STEP, far), CYCLE_S).kind is TelegramKind.GARBLED
     assert (believed.belief, believed.last.ipoc) == (Belief.BELIEVED, LAST)
-    assert believed.judge(telegram(LAST + 2 * STEP), 2 * CYCLE_S).kind is Kind.NEXT
+    assert believed.judge(telegram(LAST + 2 * STEP), 2 * CYCLE_S).kind is TelegramKind.NEXT
 
 
 def test_another_programmed_position_is_garbled_unless_the_robot_stands_there(believed):
     elsewhere, near = FR.home + 0.2, FR.tracking_tolerance
     judged = believed.judge(telegram(LAST + STEP, programmed=elsewhere), CYCLE_S)
-    assert judged[:2] == (Kind.GARBLED, Answer.LAST)
+    assert judged[:2] == (TelegramKind.GARBLED, Answer.LAST)
     assert judged.why == "its programmed position is neither the session's nor the robot's"
     for sign in (1, -1):
         off = telegram(LAST + STEP, elsewhere + sign * 1.01 * near, elsewhere)
-        assert believed.judge(off, CYCLE_S).kind is Kind.GARBLED
+        assert believed.judge(off, CYCLE_S).kind is TelegramKind.GARBLED
         there = telegram(LAST + STEP, elsewhere + sign * 0.99 * near, elsewhere)
-        assert believed.judge(there, CYCLE_S) == (Kind.FOREIGN, Answer.UNMOVED, "")
+        assert believed.judge(there, CYCLE_S) == (TelegramKind.FOREIGN, Answer.UNMOVED, "")
     on_the_bound = telegram(LAST + STEP, near, np.zeros(6))
-    assert believed.judge(on_the_bound, CYCLE_S).kind is Kind.FOREIGN
+    assert believed.judge(on_the_bound, CYCLE_S).kind is TelegramKind.FOREIGN
     one_joint_off = elsewhere.copy()
     one_joint_off[2] += 2 * near[2]
-    assert believed.judge(telegram(LAST + STEP, one_joint_off, elsewhere), CYCLE_S).kind is Kind.GARBLED
+    assert (
+        believed.judge(telegram(LAST + STEP, one_joint_off, elsewhere), CYCLE_S).kind is TelegramKind.GARBLED
+    )
 
 
 def test_a_programmed_position_that_is_missing_all_at_once_is_garbled(believed):
-    assert believed.judge(telegram(LAST + STEP, programmed=None), CYCLE_S).kind is Kind.GARBLED
+    assert believed.judge(telegram(LAST + STEP, programmed=None), CYCLE_S).kind is TelegramKind.GARBLED
 
 
 def test_another_session_is_believed_when_the_last_has_been_silent_for_its_time_and_no_earlier():
-    for silent_s, kind in ((SILENCE_S - 1e-9, Kind.FOREIGN), (SILENCE_S, Kind.CONFIRMED)):
+    for silent_s, kind in ((SILENCE_S - 1e-9, TelegramKind.FOREIGN), (SILENCE_S, TelegramKind.CONFIRMED)):
         one = begun()
         for number in range(CONFIRMATIONS):
             time_s = silent_s - (CONFIRMATIONS - 1 - number) * CYCLE_S
             last = one.judge(telegram(5_000_000 + number * STEP), time_s).kind
-            assert last is (kind if number == CONFIRMATIONS - 1 else Kind.FOREIGN)
+            assert last is (kind if number == CONFIRMATIONS - 1 else TelegramKind.FOREIGN)
 
 
 def test_a_telegram_of_the_session_ends_the_count_of_those_that_are_not(believed):
     for number in range(CONFIRMATIONS - 1):
         believed.judge(telegram(5_000_000 + number * STEP), 0.1 + number * CYCLE_S)
     time_s = 0.1 + CONFIRMATIONS * CYCLE_S
-    assert believed.judge(telegram(LAST + 5 * STEP), time_s).kind is Kind.NEXT
+    assert believed.judge(telegram(LAST + 5 * STEP), time_s).kind is TelegramKind.NEXT
     later_s = time_s + SILENCE_S + 1.0
     last = believed.judge(telegram(5_000_000 + (CONFIRMATIONS - 1) * STEP), later_s)
-    assert last.kind is Kind.FOREIGN
+    assert last.kind is TelegramKind.FOREIGN
 
 
 def test_a_clock_set_back_for_good_is_another_session_once_the_last_is_silent(believed):
     begin = LAST - 50 * STEP
     kinds = confirm(believed, begin_s=SILENCE_S, begin=begin)
-    assert kinds == [Kind.REPEATED] + [Kind.FOREIGN] * (CONFIRMATIONS - 2) + [Kind.CONFIRMED]
+    assert kinds == [TelegramKind.REPEATED] + [TelegramKind.FOREIGN] * (CONFIRMATIONS - 2) + [
+        TelegramKind.CONFIRMED
+    ]
     assert believed.last.ipoc == begin + (CONFIRMATIONS - 1) * STEP
 
 
@@ -260,25 +268,25 @@ def test_a_telegram_that_rsi_restarts_with_ends_the_count_and_puts_a_session_in_
     believed.interrupted()
     assert believed.belief is Belief.DOUBTED
     assert believed.judge(telegram(LAST + STEP, FR.home + 1.0), CYCLE_S)[:2] == (
-        Kind.GARBLED,
+        TelegramKind.GARBLED,
         Answer.NOTHING,
     )
     one = session()
     confirm(one, count=CONFIRMATIONS - 1)
     one.interrupted()
     assert one.belief is Belief.UNKNOWN
-    assert one.judge(telegram(LAST), 1.0).kind is Kind.FOREIGN
+    assert one.judge(telegram(LAST), 1.0).kind is TelegramKind.FOREIGN
 
 
 def test_the_ipoc_may_wrap_while_a_session_is_confirmed_and_while_it_goes_on():
     one = session()
     begin = 2**32 - 2 * STEP
-    assert confirm(one, begin=begin)[-1] is Kind.CONFIRMED
+    assert confirm(one, begin=begin)[-1] is TelegramKind.CONFIRMED
     assert one.step == STEP
     one = session()
     confirm(one, begin=begin - CONFIRMATIONS * STEP)
     ipoc = begin - STEP
     for number in range(4):
         told = telegram(ipoc + (number + 1) * STEP)
-        assert one.judge(told, (CONFIRMATIONS + number) * CYCLE_S).kind is Kind.NEXT
-    assert one.judge(telegram(ipoc), (CONFIRMATIONS + 4) * CYCLE_S).kind is Kind.REPEATED
+        assert one.judge(told, (CONFIRMATIONS + number) * CYCLE_S).kind is TelegramKind.NEXT
+    assert one.judge(telegram(ipoc), (CONFIRMATIONS + 4) * CYCLE_S).kind is TelegramKind.REPEATED

@@ -11,15 +11,11 @@ from deltaq_cell.description import RobotDescription
 from deltaq_cell.load import load_cell
 from deltaq_services.robot_server.mode_probe import (
     ADRIFT,
-    PROBE_M,
-    PROBE_RAD,
     KinematicMode,
-    Mode,
     ModeProbe,
-    joint_modes,
     mode_of_session,
-    pulse_offsets,
 )
+from deltaq_services.robot_server.probe_trial import PROBE_M, PROBE_RAD, Mode, joint_modes, pulse_offsets
 
 LAB, LAB_4MS, DAWM = load_cell("lab"), load_cell("lab-4ms"), load_cell("dawm")
 GR = LAB.robots["gr"]

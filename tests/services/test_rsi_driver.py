@@ -10,7 +10,7 @@ from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import TelegramError
-from deltaq_services.robot_server.mode_probe import PROBE_RAD
+from deltaq_services.robot_server.probe_trial import PROBE_RAD
 from deltaq_services.robot_server.session import CONFIRMATIONS, Belief
 
 STEP = np.full(6, np.deg2rad(1.0))

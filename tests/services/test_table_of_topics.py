@@ -33,7 +33,7 @@ from deltaq_protocol.topic import Hertz, Party, Priority, Realm
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Sender, published
 from deltaq_services.pace import Pace
-from deltaq_services.robot_server.link import Link
+from deltaq_services.robot_server.guarded_link import GuardedLink
 
 NOW_S = 50.0
 
@@ -169,7 +169,7 @@ class _Listened:
 
     def __init__(self) -> None:
         cell = small_cell()
-        link = Link(cell, "fr", Counter())
+        link = GuardedLink(cell, "fr", Counter())
         listener = open_session(connect=[cell.robots["fr"].server], must_connect=True)
         heard: queue.SimpleQueue[Any] = queue.SimpleQueue()
         states: queue.SimpleQueue[Any] = queue.SimpleQueue()

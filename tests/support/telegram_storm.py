@@ -15,7 +15,7 @@ from krc_side import FR, KRC, MAX_DV, KrcSide, telegram
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.rsi import TelegramError
-from deltaq_services.robot_server.mode_probe import PROBE_RAD
+from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
 _ANSWER = re.compile(
     rb'<Sen Type="ImFree"><AK ' + b" ".join(rb'A%d="(-?[0-9.]+)"' % i for i in range(1, 7)) + rb"/>.*"

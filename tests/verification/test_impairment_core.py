@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
 from deltaq_verification.impairment.lines import FaultyLines
-from deltaq_verification.impairment.relay import InvalidFaultError, Unit, relay, wire_faults
+from deltaq_verification.impairment.relay import InvalidFaultError, TrafficUnit, relay, wire_faults
 from deltaq_verification.impairment.stream import MAX_WAITING_BYTES, FaultyStream, StreamFaults
 
 FAULTS = st.builds(
@@ -101,12 +101,12 @@ def test_a_line_that_never_ends_does_not_fill_the_memory():
 
 def test_a_stream_that_should_lose_something_is_refused():
     with pytest.raises(InvalidFaultError, match="loss cannot befall bytes, only lines"):
-        wire_faults(Unit.BYTES, {"drop": 0.1})
+        wire_faults(TrafficUnit.BYTES, {"drop": 0.1})
     with pytest.raises(InvalidFaultError, match="a stall cannot befall lines, only bytes"):
-        wire_faults(Unit.LINES, {"stalled": True})
+        wire_faults(TrafficUnit.LINES, {"stalled": True})
 
 
 def test_datagrams_over_tcp_are_refused_and_told():
     udp, tcp = Endpoint.parse("udp/127.0.0.1:1"), Endpoint.parse("tcp/127.0.0.1:1")
     with pytest.raises(InvalidEndpointError, match=r"tcp/127.0.0.1:1: datagrams travel over udp"):
-        relay(udp, tcp, Unit.DATAGRAMS)
+        relay(udp, tcp, TrafficUnit.DATAGRAMS)

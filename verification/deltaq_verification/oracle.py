@@ -24,7 +24,7 @@ STRUCTURE = "structure"
 
 
 @dataclass(frozen=True)
-class NearestPair:
+class LeastDistance:
     """Least distance [m] over some configurations, and between which bodies."""
 
     distance_m: float
@@ -65,15 +65,15 @@ class ClearanceOracle:
         gate = cell.description.gate
         self.stop_distances_m: Array = np.where(own, gate.self_stop_distance_m, gate.stop_distance_m)
 
-    def between_robots_and_structure(self, configurations: Mapping[str, Array]) -> NearestPair:
+    def between_robots_and_structure(self, configurations: Mapping[str, Array]) -> LeastDistance:
         """Least distance between robots, and between robots and structure; (n,) [rad or m] per robot."""
         return self._nearest(self._foreign, configurations)
 
-    def between_robots(self, configurations: Mapping[str, Array]) -> NearestPair:
+    def between_robots(self, configurations: Mapping[str, Array]) -> LeastDistance:
         """Least distance between bodies of two robots; (n,) [rad or m] per robot."""
         return self._nearest(self._of_two_robots, configurations)
 
-    def of_one_robot(self, configurations: Mapping[str, Array]) -> NearestPair:
+    def of_one_robot(self, configurations: Mapping[str, Array]) -> LeastDistance:
         """Least distance between two bodies of one robot; (n,) [rad or m] per robot."""
         return self._nearest(self._own, configurations)
 
@@ -97,13 +97,13 @@ class ClearanceOracle:
         self._distances.place(configurations)
         return self._distances.below(limits_m)
 
-    def _nearest(self, pairs: Indices, configurations: Mapping[str, Array]) -> NearestPair:
+    def _nearest(self, pairs: Indices, configurations: Mapping[str, Array]) -> LeastDistance:
         self._distances.place(configurations)
         distance, nearest = self._distances.least(pairs)
         if nearest < 0:
-            return NearestPair(distance, ("", ""))
+            return LeastDistance(distance, ("", ""))
         one, other = self._pairs[nearest]
-        return NearestPair(distance, (self._names[one], self._names[other]))
+        return LeastDistance(distance, (self._names[one], self._names[other]))
 
 
 TELEGRAM_STEP = 1e-6 * np.pi / 180

@@ -7,13 +7,11 @@ its siblings.
 
 from deltaq_cell.description.base import (
     DescriptionModel,
-    Endpoint,
+    EndpointText,
     JointName,
-    Name,
     NotNegative,
     Pose,
     Positive,
-    Vector3,
 )
 from deltaq_cell.description.bodies import (
     Attachment,
@@ -32,6 +30,7 @@ from deltaq_cell.description.cell import MOST_ROBOTS, CellDescription, ContactDe
 from deltaq_cell.description.driver import Driver, KinematicDriver, RsiDescription, ServoLag
 from deltaq_cell.description.joint import JointDescription
 from deltaq_cell.description.robot import RobotDescription
+from deltaq_protocol.messages import Name, Vector3
 
 __all__ = [
     "MOST_ROBOTS",
@@ -46,7 +45,7 @@ __all__ = [
     "CylinderShape",
     "DescriptionModel",
     "Driver",
-    "Endpoint",
+    "EndpointText",
     "GateDescription",
     "Hand",
     "JointDescription",

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field
 
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+from deltaq_protocol.messages import Vector3
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
 JointName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")]
 """As its URDF names it."""
-Endpoint = Annotated[str, Field(pattern=r"^tcp/[^/\s]+:\d{1,5}$")]
+EndpointText = Annotated[str, Field(pattern=r"^tcp/[^/\s]+:\d{1,5}$")]
 
 
 class DescriptionModel(BaseModel):

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deltaq_cell.description.base import DescriptionModel, Name, Pose, Positive
+from deltaq_cell.description.base import DescriptionModel, Pose, Positive
+from deltaq_protocol.messages import Name
 
 
 class BoxShape(DescriptionModel):

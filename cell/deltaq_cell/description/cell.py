@@ -6,9 +6,10 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from deltaq_cell.description.base import DescriptionModel, Endpoint, Name, Positive
+from deltaq_cell.description.base import DescriptionModel, EndpointText, Positive
 from deltaq_cell.description.bodies import Body
 from deltaq_cell.description.robot import RobotDescription
+from deltaq_protocol.messages import Name
 
 MOST_ROBOTS = 8
 """In one cell: one thread decides for all, and the number of pairs grows with the square."""
@@ -86,9 +87,9 @@ class CellDescription(DescriptionModel):
     gate: GateDescription = GateDescription()
     contacts: dict[Name, ContactDescription] = {}
     """Contacts that an operator may allow; none is allowed at the start."""
-    hli: Endpoint = "tcp/127.0.0.1:7447"
+    hli: EndpointText = "tcp/127.0.0.1:7447"
     """Where the HLI serves zenoh clients."""
-    sim: Endpoint = "tcp/127.0.0.1:7450"
+    sim: EndpointText = "tcp/127.0.0.1:7450"
     """Where the SIM listens in the guarded realm."""
     tcp_address: str = "127.0.0.1"
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210

@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from deltaq_cell.description.base import DescriptionModel, Name, NotNegative, Positive
+from deltaq_cell.description.base import DescriptionModel, NotNegative, Positive
+from deltaq_protocol.messages import Name
 
 
 def _is_loopback(address: str) -> bool:

@@ -96,7 +96,7 @@ def sessions() -> str:
         )
         for name, members in (
             ("belief", session.Belief),
-            ("telegram", session.Kind),
+            ("telegram", session.TelegramKind),
             ("answer", session.Answer),
         )
     ]

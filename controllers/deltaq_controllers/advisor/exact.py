@@ -13,7 +13,7 @@ import pinocchio as pin
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import composite_model
 from deltaq_cell.group import Group
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.arrays import Array
 
 
@@ -42,7 +42,7 @@ class ExactClearance:
     """
 
     def __init__(self, cell: CellModel, robot: str, others: Mapping[str, Array] | None = None) -> None:
-        self._proximity = Proximity(cell)
+        self._proximity = ProximityEngine(cell)
         self._robot = robot
         lists = [self._proximity.alone[robot]]
         lists += [self._proximity.between[robot, name] for name in cell.robots if name != robot]

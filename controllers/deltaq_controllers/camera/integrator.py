@@ -16,13 +16,13 @@ import numpy as np
 from deltaq_cell.compiled import compiled
 from deltaq_protocol.arrays import Array
 
-Field = Callable[[Array], Array]
+VectorField = Callable[[Array], Array]
 
 _STILL = 1e-300
 """A joint that moves by less never reaches its cap [rad or m]."""
 
 
-def runge_kutta_step(field: Field, q: Array, rates: Array, step_s: float) -> Array:
+def runge_kutta_step(field: VectorField, q: Array, rates: Array, step_s: float) -> Array:
     """Displacement over one classical Runge-Kutta step.
 
     Args:
@@ -57,7 +57,7 @@ def share_inside(start: Array, step: Array, cap: Array) -> float:
 
 
 def integrate(
-    field: Field,
+    field: VectorField,
     q: Array,
     horizon_s: float,
     max_step_s: float,

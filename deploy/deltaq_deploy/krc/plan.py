@@ -11,7 +11,7 @@ from deltaq_cell.check import KRC_CYCLES_S
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap
-from deltaq_protocol.rsi.axes import ARM_AXES, Krc
+from deltaq_protocol.rsi.axes import ARM_AXES, KrcGeneration
 from deltaq_protocol.rsi.judge import is_any
 
 RSI_OF = {"krc2": (2,), "krc4": (3, 4)}
@@ -117,7 +117,7 @@ class KrcPlan:
 
     cell: str
     robot: str
-    krc: Krc
+    krc: KrcGeneration
     rsi: int
     cycle_ms: int
     address: str
@@ -244,7 +244,7 @@ def _known(digital: Mapping[str, int], tags: Mapping[str, str], robot: str) -> M
     return digital
 
 
-def _generation(krc: Krc, asked: int | None) -> int:
+def _generation(krc: KrcGeneration, asked: int | None) -> int:
     allowed = RSI_OF[krc]
     if asked is None:
         return allowed[0]
@@ -255,7 +255,7 @@ def _generation(krc: Krc, asked: int | None) -> int:
     return asked
 
 
-def _cycle_ms(cell: CellDescription, krc: Krc) -> int:
+def _cycle_ms(cell: CellDescription, krc: KrcGeneration) -> int:
     for cycle_s in KRC_CYCLES_S[krc]:
         if abs(cell.cycle_s - cycle_s) < 1e-9:
             return round(cycle_s * 1000)

@@ -12,7 +12,7 @@ from deltaq_protocol.errors import ServiceUnreachableError
 _DATAGRAM_BYTES = 65_536
 _POLL_S = 0.2
 
-Answer = Callable[[bytes, str], bytes | None]
+Responder = Callable[[bytes, str], bytes | None]
 
 
 def listen(
@@ -20,7 +20,7 @@ def listen(
     port: int,
     duration_s: float,
     statistics: WireStatistics,
-    answer: Answer | None = None,
+    answer: Responder | None = None,
     ready: Callable[[], None] = lambda: None,
 ) -> None:
     """Listen until the time is over or Ctrl-C, and count what comes.

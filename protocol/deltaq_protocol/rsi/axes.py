@@ -17,8 +17,8 @@ import numpy as np
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi.errors import EthernetConfigError
 
-Krc = Literal["krc2", "krc4"]
-Unit = Literal["rad", "m"]
+KrcGeneration = Literal["krc2", "krc4"]
+JointUnit = Literal["rad", "m"]
 
 DEG_PER_RAD = 180.0 / math.pi
 MM_PER_M = 1000.0
@@ -43,8 +43,8 @@ class AxisMap:
     """
 
     joints: tuple[str, ...]
-    units: tuple[Unit, ...]
-    krc: Krc = "krc4"
+    units: tuple[JointUnit, ...]
+    krc: KrcGeneration = "krc4"
 
     def __post_init__(self) -> None:
         if len(self.joints) != len(self.units):
@@ -63,7 +63,7 @@ class AxisMap:
                 )
 
     @classmethod
-    def of(cls, joints: Sequence[str], units: Sequence[Unit], krc: Krc) -> AxisMap:
+    def of(cls, joints: Sequence[str], units: Sequence[JointUnit], krc: KrcGeneration) -> AxisMap:
         """The map of a robot description: `AxisMap.of(robot.joint_names, robot.units, robot.driver.krc)`."""
         return cls(tuple(joints), tuple(units), krc)
 

@@ -13,6 +13,7 @@ from deltaq_protocol.codec import pack
 from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import UNSEALED, Seal
+from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
 
@@ -21,7 +22,7 @@ _WAITING = 256
 
 
 class LoopSession:
-    """Serves a session in an event loop. zenoh's threads do nothing but put into bounded inboxes.
+    """Publishes, and serves subscriptions and queries of all robots and services in an event loop.
 
     Args:
         session: an open zenoh session; it is closed by `close`.
@@ -35,21 +36,18 @@ class LoopSession:
     ) -> None:
         self._session = session
         self._cell = cell
-        self._loop = loop
         self._seal = seal
         self._publishers: dict[tuple[str, ...], Any] = {}
-        self._declared: list[Any] = []
+        self._served = ServedInLoop(session, loop)
         self._inboxes: dict[str, ClientInbox[Any]] = {}
 
     def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
         """Call `take` in the loop with every sample of a topic, of any robot and service."""
-        callback = self._callback(topic, take)
-        self._declared.append(self._session.declare_subscriber(topic.key(self._cell), callback))
+        self._served.subscribe(topic.key(self._cell), self._inbox(topic, take).put)
 
     def answer(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
         """Call `take` in the loop with every query of a topic, of any robot."""
-        callback = self._callback(topic, take)
-        self._declared.append(self._session.declare_queryable(topic.key(self._cell), callback))
+        self._served.answer(topic.key(self._cell), self._inbox(topic, take).put)
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
@@ -73,13 +71,9 @@ class LoopSession:
         return counters
 
     def close(self) -> None:
-        """Stop listening, then close: a session that closes with callbacks still running can panic."""
-        for declared in self._declared:
-            declared.undeclare()
-        for inbox in self._inboxes.values():
-            inbox.close()
-        self._session.close()
+        """Stop listening, and close the session."""
+        self._served.close()
 
-    def _callback(self, topic: Topic, take: Callable[[Any], None]) -> Any:
-        inbox = self._inboxes[topic.name] = ClientInbox[Any](self._loop, take, _WAITING)
-        return zenoh.handlers.Callback(inbox.put, indirect=False)
+    def _inbox(self, topic: Topic, take: Callable[[Any], None]) -> ClientInbox[Any]:
+        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING)
+        return inbox

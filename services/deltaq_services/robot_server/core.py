@@ -26,7 +26,8 @@ from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.mode_probe import KinematicMode, Mode, ModeProbe, mode_of_session
+from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
+from deltaq_services.robot_server.probe_trial import Mode
 from deltaq_services.robot_server.settling import Settling
 from deltaq_services.robot_server.snapshot import ServerMemory
 

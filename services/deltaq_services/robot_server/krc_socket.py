@@ -8,10 +8,11 @@ from types import TracebackType
 from typing import Self
 
 from deltaq_cell.description import RsiDescription
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Peer, Sender
+from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _DATAGRAM_BYTES = 65_536
@@ -111,7 +112,7 @@ class KrcSocket:
                 self._counters["socket_errors"] += 1
                 continue
             who = self.peer.judge(sender, now_s)
-            if who is not Sender.KRC:
+            if who is not DatagramSource.KRC:
                 self._counters[who] += 1
                 continue
             self._skipped(len(waiting) // MOST_READ)

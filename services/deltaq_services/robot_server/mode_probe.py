@@ -1,38 +1,18 @@
 """Finds out, before the first motion of a session, whether the KRC takes corrections as offsets or adds them up.
 
-A constant correction is a place where RSI is absolute, `RSI_ON(#ABSOLUTE)`, and a constant speed where it is relative.
-So each trial adds a short pulse to the setpoint, waits until the drives have followed, and then adds its negative:
-
-| the KRC | after the pulse | after its negative | area below the curve |
-| --- | --- | --- | --- |
-| is absolute | back where it was | back where it was | that of the pulse, and of its negative |
-| adds up | displaced by the pulse's sum | back where it was | is not looked at |
-| moves nothing | where it was | where it was | none |
-
-All that a trial adds sums up to zero, so it is undone whatever the KRC does with it, and no joint gets further than
-`PROBE_RAD` or `PROBE_M`. Drives smear a pulse, but linear ones of gain one keep its area, so that it does not matter
-how they lag as long as they are done within a window. A joint that sags, or is noisy, does not do the same with its
-sign turned in the second half; such a trial tells nothing, and there is another.
+One trial follows the other (`deltaq_services.robot_server.probe_trial`), until one of them tells. All that a trial adds
+sums up to zero, so it is undone whatever the KRC does with it, and no joint gets further than `PROBE_RAD` or `PROBE_M`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_protocol.arrays import Array
-
-PROBE_RAD = math.radians(0.03)
-PROBE_M = 0.03e-3
-"""Sum of a pulse: how far a KRC that adds up is displaced by it."""
-
-SHARE_OF_TOLERANCE = 0.1
-"""Of its tracking tolerance no joint is displaced by more. A robot may be that tolerance off its path without being
-held, so the distances that the gate keeps pay for it already."""
+from deltaq_services.robot_server.probe_trial import AT_REST, Mode, joint_modes, pulse_sums, triangle
 
 ADRIFT = 3.0
 """A joint this many times a pulse's sum away from where the session began is moving by itself."""
@@ -40,31 +20,10 @@ ADRIFT = 3.0
 _ADRIFT_CYCLES = 3
 """Cycles in a row in which it has to be there: a single telegram may be a forged one."""
 
-_AT_REST = 3
-"""Samples at the end of a window that tell where the robot has come to rest."""
-
 _PAUSE_WINDOWS = 4
 """Windows to wait after a trial that told nothing."""
 
-_BACK = 0.25
-"""Share of a pulse's sum by which a joint that is back where it was may be off."""
-
-_SEEN = 0.5
-"""Share of a pulse that has to be seen; and no more than the inverse of it."""
-
 _IPOC_WRAP = 2**32
-
-
-class Mode(StrEnum):
-    """How a KRC takes corrections."""
-
-    UNKNOWN = "unknown"
-    ABSOLUTE = "absolute"
-    RELATIVE = "relative"
-    """It adds them up."""
-    ADRIFT = "adrift"
-    """The robot moves though its correction rests."""
-
 
 _REMEDY = "nothing is driven in this session: let the program call RSI_ON(#ABSOLUTE), and start it again"
 
@@ -134,11 +93,11 @@ class ModeProbe:
         self.mode = Mode.UNKNOWN
         self.unseen: tuple[str, ...] = ()
         self._joints = robot.joint_names
-        self._size = _size(robot)
-        pulse = _pulse(self._size, robot.max_acceleration * cycle_s**2)
-        settling = np.zeros(lag_cycles + _AT_REST)
+        self._size = pulse_sums(robot)
+        pulse = triangle(self._size, robot.max_acceleration * cycle_s**2)
+        settling = np.zeros(lag_cycles + AT_REST)
         self._window = len(pulse) + len(settling)
-        self._course = np.concatenate([np.zeros(_AT_REST), pulse, settling, -pulse, settling, [0.0]])
+        self._course = np.concatenate([np.zeros(AT_REST), pulse, settling, -pulse, settling, [0.0]])
         self._offset = np.zeros_like(q)
         self._q_start = q
         self._adrift_cycles = 0
@@ -167,7 +126,7 @@ class ModeProbe:
     @property
     def idle(self) -> bool:
         """Whether nothing is added, and nothing that was added is still to be undone."""
-        return self.mode is not Mode.UNKNOWN or self._cycle <= _AT_REST
+        return self.mode is not Mode.UNKNOWN or self._cycle <= AT_REST
 
     @property
     def detail(self) -> str:
@@ -275,50 +234,3 @@ def mode_of_session(
     if isinstance(robot.driver, RsiDescription):
         return ModeProbe(robot, cycle_s, lag_cycles, q)
     return KinematicMode()
-
-
-def joint_modes(samples: Array, window: int) -> list[Mode]:
-    """What each joint tells of its KRC.
-
-    Args:
-        samples: (3 + 2 window + 1, n) measured in each cycle of a trial, in units of the pulses' sums. The first value
-            of the pulse was sent in reply to sample 3, that of its negative a window later.
-        window: samples from the beginning of one pulse to that of the next.
-
-    Returns:
-        n modes, UNKNOWN where a joint agrees with neither.
-    """
-    begins = (_AT_REST + 1, _AT_REST + 1 + window)
-    rest = [samples[end - _AT_REST : end].mean(axis=0) for end in (*begins, begins[1] + window)]
-    steps = (rest[1] - rest[0], rest[1] - rest[2])
-    # above straight lines from rest to rest, so that a slow drift has no area
-    areas = [
-        sign * (samples[begin : begin + window].sum(axis=0) - window * (rest[half] + rest[half + 1]) / 2)
-        for half, (begin, sign) in enumerate(zip(begins, (1.0, -1.0), strict=True))
-    ]
-    adds_up = np.minimum(*steps) > _SEEN
-    back = np.maximum(np.abs(steps[0]), np.abs(steps[1])) < _BACK
-    follows = (np.minimum(*areas) > _SEEN) & (np.maximum(*areas) < 1 / _SEEN)
-    return [
-        Mode.RELATIVE if relative else Mode.ABSOLUTE if absolute else Mode.UNKNOWN
-        for relative, absolute in zip(adds_up, back & follows, strict=True)
-    ]
-
-
-def pulse_offsets(robot: RobotDescription, cycle_s: float) -> Array:
-    """What a trial's first pulse adds to the setpoint, cycle by cycle (k, n) [rad or m]; its second subtracts it."""
-    size = _size(robot)
-    return _pulse(size, robot.max_acceleration * cycle_s**2)[:, np.newaxis] * size
-
-
-def _size(robot: RobotDescription) -> Array:
-    largest = np.array([PROBE_RAD if unit == "rad" else PROBE_M for unit in robot.units])
-    size: Array = np.minimum(largest, SHARE_OF_TOLERANCE * robot.tracking_tolerance)
-    return size
-
-
-def _pulse(size: Array, max_dv: Array) -> Array:
-    """A triangle whose sum is one, as short as joints of these sizes (n,) and limits of acceleration (n,) allow."""
-    # at its peak the speed turns from one step up to one step down: two steps, each of size / half**2
-    half = max(1, math.ceil(math.sqrt(float(np.max(2.0 * size / max_dv)))))
-    return (half - np.abs(np.arange(1 - half, half))) / half**2

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-Address = tuple[str, int]
+from deltaq_protocol.endpoint import Address
 
 
-class Sender(StrEnum):
-    """Sender of a datagram; all but the KRC's are dropped, and counted under these names."""
+class DatagramSource(StrEnum):
+    """Where a datagram comes from; all but the KRC's are dropped, and counted under these names."""
 
     KRC = "telegrams_from_krc"
     FOREIGN = "telegrams_foreign"
@@ -48,7 +48,7 @@ class Peer:
         self._silence_s = silence_s
         self._heard_s = 0.0
 
-    def judge(self, sender: Address, now_s: float) -> Sender:
+    def judge(self, sender: Address, now_s: float) -> DatagramSource:
         """The sender of a datagram, before a byte of it is read.
 
         Args:
@@ -56,15 +56,15 @@ class Peer:
             now_s: on a monotonic clock.
         """
         if sender == self.address:
-            return Sender.KRC
+            return DatagramSource.KRC
         host, port = sender
         if port == 0 or self._krc_address not in (None, host):
             self.stranger = f"a stranger at {host}:{port}"
-            return Sender.FOREIGN
+            return DatagramSource.FOREIGN
         if self.address is None or now_s - self._heard_s > self._silence_s:
-            return Sender.KRC
+            return DatagramSource.KRC
         self.stranger = f"a second KRC at {host}:{port}"
-        return Sender.SECOND_KRC
+        return DatagramSource.SECOND_KRC
 
     def snapshot(self) -> PeerMemory:
         """Snapshot of all that judgements depend on, for `restore`."""

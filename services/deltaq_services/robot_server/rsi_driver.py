@@ -22,7 +22,7 @@ from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
-from deltaq_services.robot_server.session import STILL, Answer, Belief, Kind, Session, SessionMemory
+from deltaq_services.robot_server.session import STILL, Answer, Belief, Session, SessionMemory, TelegramKind
 
 _EARLIER = 64
 """Sessions that are remembered with the correction that was sent last in them: a KRC that comes back after another was
@@ -119,12 +119,12 @@ class RsiDriver:
             return None
         last = self.session.last
         kind, answer, why = self.session.judge(telegram, time_s)
-        if kind is Kind.NEXT and last is not None:
+        if kind is TelegramKind.NEXT and last is not None:
             self._opened = False
             return self._measured(telegram, last)
-        if kind is Kind.GARBLED:
+        if kind is TelegramKind.GARBLED:
             self._implausible(telegram, why)
-        if kind is Kind.CONFIRMED:
+        if kind is TelegramKind.CONFIRMED:
             return self._confirmed(telegram, time_s)
         if answer is Answer.UNMOVED:
             kept = self._kept(telegram)

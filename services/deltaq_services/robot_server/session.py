@@ -48,7 +48,7 @@ class Belief(StrEnum):
     """A session was believed, and telegrams come that do not belong to it."""
 
 
-class Kind(StrEnum):
+class TelegramKind(StrEnum):
     """Kind of a telegram with respect to the believed session."""
 
     NEXT = "next"
@@ -80,34 +80,34 @@ class Answer(StrEnum):
 class Judgement(NamedTuple):
     """Kind of a telegram, its answer, and why a garbled one is garbled."""
 
-    kind: Kind
+    kind: TelegramKind
     answer: Answer
     why: str = ""
 
 
 @dataclass(frozen=True)
-class Row:
+class SessionTransition:
     """In `belief`, a telegram of `kind` is answered with `answer` and leads to `next_belief`."""
 
     belief: Belief
-    kind: Kind
+    kind: TelegramKind
     answer: Answer
     next_belief: Belief
 
 
-AUTOMATON: tuple[Row, ...] = (
-    Row(Belief.UNKNOWN, Kind.FOREIGN, Answer.UNMOVED, Belief.UNKNOWN),
-    Row(Belief.UNKNOWN, Kind.REPEATED, Answer.NOTHING, Belief.UNKNOWN),
-    Row(Belief.UNKNOWN, Kind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
-    Row(Belief.BELIEVED, Kind.NEXT, Answer.SETPOINT, Belief.BELIEVED),
-    Row(Belief.BELIEVED, Kind.REPEATED, Answer.NOTHING, Belief.BELIEVED),
-    Row(Belief.BELIEVED, Kind.GARBLED, Answer.LAST, Belief.BELIEVED),
-    Row(Belief.BELIEVED, Kind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
-    Row(Belief.DOUBTED, Kind.NEXT, Answer.SETPOINT, Belief.BELIEVED),
-    Row(Belief.DOUBTED, Kind.REPEATED, Answer.NOTHING, Belief.DOUBTED),
-    Row(Belief.DOUBTED, Kind.GARBLED, Answer.NOTHING, Belief.DOUBTED),
-    Row(Belief.DOUBTED, Kind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
-    Row(Belief.DOUBTED, Kind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
+AUTOMATON: tuple[SessionTransition, ...] = (
+    SessionTransition(Belief.UNKNOWN, TelegramKind.FOREIGN, Answer.UNMOVED, Belief.UNKNOWN),
+    SessionTransition(Belief.UNKNOWN, TelegramKind.REPEATED, Answer.NOTHING, Belief.UNKNOWN),
+    SessionTransition(Belief.UNKNOWN, TelegramKind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
+    SessionTransition(Belief.BELIEVED, TelegramKind.NEXT, Answer.SETPOINT, Belief.BELIEVED),
+    SessionTransition(Belief.BELIEVED, TelegramKind.REPEATED, Answer.NOTHING, Belief.BELIEVED),
+    SessionTransition(Belief.BELIEVED, TelegramKind.GARBLED, Answer.LAST, Belief.BELIEVED),
+    SessionTransition(Belief.BELIEVED, TelegramKind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
+    SessionTransition(Belief.DOUBTED, TelegramKind.NEXT, Answer.SETPOINT, Belief.BELIEVED),
+    SessionTransition(Belief.DOUBTED, TelegramKind.REPEATED, Answer.NOTHING, Belief.DOUBTED),
+    SessionTransition(Belief.DOUBTED, TelegramKind.GARBLED, Answer.NOTHING, Belief.DOUBTED),
+    SessionTransition(Belief.DOUBTED, TelegramKind.FOREIGN, Answer.UNMOVED, Belief.DOUBTED),
+    SessionTransition(Belief.DOUBTED, TelegramKind.CONFIRMED, Answer.SETPOINT, Belief.BELIEVED),
 )
 """The automaton of a session: one of these rows applies to every telegram."""
 
@@ -180,18 +180,18 @@ class Session:
             time_s: when it arrived, on a monotonic clock.
         """
         kind, why = self._kind(telegram, time_s)
-        if kind is Kind.NEXT:
+        if kind is TelegramKind.NEXT:
             self._goes_on(telegram, time_s)
-        if kind in (Kind.NEXT, Kind.GARBLED):
+        if kind in (TelegramKind.NEXT, TelegramKind.GARBLED):
             self._run = None
         else:
             grew = self._follow(telegram, time_s)
-            if kind is Kind.REPEATED and grew:
-                kind = Kind.FOREIGN  # two that follow one another are a clock set back
-            if kind is Kind.FOREIGN and self._confirmed(time_s):
-                kind = Kind.CONFIRMED
+            if kind is TelegramKind.REPEATED and grew:
+                kind = TelegramKind.FOREIGN  # two that follow one another are a clock set back
+            if kind is TelegramKind.FOREIGN and self._confirmed(time_s):
+                kind = TelegramKind.CONFIRMED
         row = _ROWS[self.belief, kind]
-        if kind is not Kind.CONFIRMED:
+        if kind is not TelegramKind.CONFIRMED:
             self.belief = row.next_belief
         return Judgement(kind, row.answer, why)
 
@@ -219,9 +219,9 @@ class Session:
     def _goes_on(self, telegram: KrcTelegram, time_s: float) -> None:
         self.last, self._time_s = telegram, time_s
 
-    def _kind(self, telegram: KrcTelegram, time_s: float) -> tuple[Kind, str]:
+    def _kind(self, telegram: KrcTelegram, time_s: float) -> tuple[TelegramKind, str]:
         repeats = self._run is not None and self._run.newest.ipoc == telegram.ipoc
-        other = Kind.REPEATED if repeats else Kind.FOREIGN
+        other = TelegramKind.REPEATED if repeats else TelegramKind.FOREIGN
         last = self.last
         if last is None:
             return other, ""
@@ -229,19 +229,19 @@ class Session:
         step = self.step
         behind = (last.ipoc - telegram.ipoc) % IPOC_WRAP
         if behind % step == 0 and behind <= _OVERTAKEN_CYCLES * step:
-            return Kind.REPEATED, ""
+            return TelegramKind.REPEATED, ""
         ahead = (telegram.ipoc - last.ipoc) % IPOC_WRAP
         passed = (time_s - self._time_s) / self._cycle_s + _JITTER_CYCLES
         if ahead % step or ahead > min(self._silence_cycles, passed) * step:
             return other, ""
         if not _same(telegram.q_programmed, last.q_programmed):
             if self._stands_where_programmed(telegram):
-                return Kind.FOREIGN, ""
-            return Kind.GARBLED, "its programmed position is neither the session's nor the robot's"
+                return TelegramKind.FOREIGN, ""
+            return TelegramKind.GARBLED, "its programmed position is neither the session's nor the robot's"
         assert telegram.q is not None  # asked only of telegrams with a position
         assert last.q is not None  # the session consists of such
         fault = self._plausible.of_motion(telegram.q.tolist(), last.q.tolist(), ahead // step)
-        return (Kind.NEXT, "") if fault is None else (Kind.GARBLED, str(fault))
+        return (TelegramKind.NEXT, "") if fault is None else (TelegramKind.GARBLED, str(fault))
 
     def _stands_where_programmed(self, telegram: KrcTelegram) -> bool:
         if telegram.q is None or telegram.q_programmed is None:

@@ -16,8 +16,8 @@ from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.ending import Ending
+from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
-from deltaq_services.robot_server.link import Link
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
@@ -58,7 +58,7 @@ def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> Senso
 
 def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescription, xml: Path) -> None:
     rsi = RsiDriver(sensor_codec(cell, server.robot, xml), cell, server.robot, server.counters)
-    link = Link(cell, server.robot, server.counters)
+    link = GuardedLink(cell, server.robot, server.counters)
     ending = Ending(server)
     silence_s = cell.gate.krc_timeout_s
     try:
@@ -102,7 +102,7 @@ def _told(*details: str) -> str:
 
 def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:
     """A robot that is no KUKA: this process keeps the time, and the robot is where it was sent."""
-    link = Link(cell, server.robot, server.counters)
+    link = GuardedLink(cell, server.robot, server.counters)
     ending = Ending(server)
     print(f"ready: robot-server-{server.robot} keeps the time of a kinematic robot", flush=True)
     q = cell.robots[server.robot].home

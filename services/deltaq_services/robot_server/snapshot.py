@@ -10,7 +10,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ProbeMemory
 
-Joints = tuple[float, ...]
+JointValues = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,9 @@ class ServerMemory:
     cycle: int
     phase: Phase
     reason: ReasonCode | None
-    q_cmd: Joints
-    q_reset: Joints | None
-    dq: Joints
+    q_cmd: JointValues
+    q_reset: JointValues | None
+    dq: JointValues
     plan: Plan
     epoch: int
     sequence: int
@@ -39,7 +39,7 @@ class ServerMemory:
     cycles_without_gate: int
     cycles_missed: int
     cycles_at_rest: int
-    q_settled: Joints | None
+    q_settled: JointValues | None
     motion_stop: bool
     outputs: tuple[tuple[str, bool], ...]
     told: tuple[Measurement, float] | None

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.proximity import DistanceQuery, Proximity
+from deltaq_cell.proximity import DistanceQuery, ProximityEngine
 from deltaq_services.sim.tube import Piece
 
 NUMERICAL_TOLERANCE_M = 1e-5
@@ -47,7 +47,7 @@ class Certificate:
 class Certifier:
     """Certifies tubes, all within one budget of pieces."""
 
-    def __init__(self, proximity: Proximity, budget: int = BUDGET) -> None:
+    def __init__(self, proximity: ProximityEngine, budget: int = BUDGET) -> None:
         self._proximity = proximity
         self._left = budget
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from deltaq_cell.description import ContactDescription
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 
 
 class Contacts:
@@ -19,7 +19,7 @@ class Contacts:
         allowed: names of those that are allowed now, in the cell's order.
     """
 
-    def __init__(self, proximity: Proximity, contacts: Mapping[str, ContactDescription]) -> None:
+    def __init__(self, proximity: ProximityEngine, contacts: Mapping[str, ContactDescription]) -> None:
         self._proximity = proximity
         self._contacts = contacts
         self.allowed: tuple[str, ...] = ()

@@ -48,12 +48,17 @@ def _code_hash() -> str:
         assert spec is not None
         assert spec.origin is not None  # this very package
         origin = Path(spec.origin)
-        files = sorted(origin.parent.glob("*.py")) if origin.name == "__init__.py" else [origin]
-        for file in files:
-            digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+        for file in code_files(origin):
+            place = file.relative_to(origin.parent).as_posix()
+            digest.update(place.encode() + b"\0" + file.read_bytes() + b"\0")
     for library in _LIBRARIES:
         digest.update(f"{library} {version(library)}\n".encode())
     return digest.hexdigest()[:16]
+
+
+def code_files(origin: Path) -> list[Path]:
+    """Source files of a module, or of a package with all packages in it, in an order of their own."""
+    return sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]
 
 
 def _configuration_hash(cell: CellModel) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_cell.description import GateDescription
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
@@ -59,7 +59,7 @@ class Gate:
 
     def __init__(
         self,
-        proximity: Proximity,
+        proximity: ProximityEngine,
         limits: dict[str, Limits],
         margins: GateDescription,
         contacts: Contacts,

@@ -17,7 +17,7 @@ import numpy as np
 
 from deltaq_cell.description import GateDescription
 from deltaq_cell.group import Group
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
@@ -25,7 +25,7 @@ from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Certifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Piece
-from deltaq_services.sim.violations import Pair, Violations
+from deltaq_services.sim.violations import BodyPair, Violations
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class _Near:
         return first.name, second.name
 
     @property
-    def pair(self) -> Pair:
+    def pair(self) -> BodyPair:
         return frozenset(self.names)
 
 
@@ -55,7 +55,7 @@ class Retreat:
         violations: distances that pairs have to keep; updated by every check.
     """
 
-    def __init__(self, proximity: Proximity, margins: GateDescription, violations: Violations) -> None:
+    def __init__(self, proximity: ProximityEngine, margins: GateDescription, violations: Violations) -> None:
         self._proximity = proximity
         self._speed = margins.retreat_speed
         self._violations = violations

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltaq_cell.description import GateDescription
-from deltaq_cell.proximity import Proximity
+from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
@@ -29,7 +29,7 @@ class SlowDown:
         cycle_s: sample time of its robots.
     """
 
-    def __init__(self, proximity: Proximity, margins: GateDescription, cycle_s: float) -> None:
+    def __init__(self, proximity: ProximityEngine, margins: GateDescription, cycle_s: float) -> None:
         self._proximity = proximity
         self._distance_m = margins.slow_down_distance_m
         self._fastest = margins.slow_down_speed_m_s * cycle_s

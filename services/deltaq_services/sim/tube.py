@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deltaq_cell.kernel_strip import strip_around
+from deltaq_cell.kernel.strip import strip_around
 from deltaq_protocol.arrays import Array
 
 _SHORTEST = 1e-7

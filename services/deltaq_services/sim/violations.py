@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable
 
 from deltaq_protocol.guarded import KeptDistance
 
-Pair = frozenset[str]
+BodyPair = frozenset[str]
 """Names of two bodies."""
 
 ALLOWANCE_M = 5e-6
@@ -25,13 +25,13 @@ class Violations:
     """The distances that violated pairs have to keep [m]."""
 
     def __init__(self) -> None:
-        self._kept: dict[Pair, float] = {}
+        self._kept: dict[BodyPair, float] = {}
 
-    def kept_m(self, pair: Pair) -> float | None:
+    def kept_m(self, pair: BodyPair) -> float | None:
         """The distance that a pair has to keep; None if it is not known to be violated."""
         return self._kept.get(pair)
 
-    def stands(self, pair: Pair, distance_m: float, stop_distance_m: float) -> None:
+    def stands(self, pair: BodyPair, distance_m: float, stop_distance_m: float) -> None:
         """A pair nearer than its stop distance was measured while its robots stood still.
 
         Args:
@@ -45,7 +45,7 @@ class Violations:
         if before is None or distance_m < before - _MEASURED_M:
             self._kept[pair] = keeps
 
-    def only(self, robot: str, violated: Collection[Pair]) -> None:
+    def only(self, robot: str, violated: Collection[BodyPair]) -> None:
         """The violations of a robot are among these; all others of it have ended."""
         ended = [pair for pair in self._kept if _concerns(pair, robot) and pair not in violated]
         for pair in ended:
@@ -63,5 +63,5 @@ class Violations:
         self._kept = {frozenset(item.pair): item.distance_m for item in memory}
 
 
-def _concerns(pair: Pair, robot: str) -> bool:
+def _concerns(pair: BodyPair, robot: str) -> bool:
     return any(name.startswith(f"{robot}/") for name in pair)

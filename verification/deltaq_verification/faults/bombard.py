@@ -9,8 +9,8 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
-from deltaq_services.robot_server.peer import Address
 from deltaq_verification.faults.actions import Bombard
 from deltaq_verification.virtual_cell.arm import HERE
 

@@ -26,7 +26,7 @@ from deltaq_verification.faults.live_cell import MovingCell, Needs, moving_cell,
 from deltaq_verification.faults.live_inject import Injector
 from deltaq_verification.faults.mover import CRUISE_RAD_S, SWING_RAD
 from deltaq_verification.faults.panel import PanelError, describe, pendant_message, recovery
-from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_verification.faults.report import NEVER, FaultEffect, is_good, judged, motion_after, recovery_text
 from deltaq_verification.faults.virtual import ATTEMPTS, FaultRunError
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
@@ -51,7 +51,11 @@ _CYCLES_MOVED = 25
 
 
 def run_live_faults(
-    faults: Sequence[Fault], loaded: LoadedCell, robot: str, on_row: Callable[[Row], None], seed: int = 0
+    faults: Sequence[Fault],
+    loaded: LoadedCell,
+    robot: str,
+    on_row: Callable[[FaultEffect], None],
+    seed: int = 0,
 ) -> None:
     """Start the cell's services, let a moving robot suffer fault after fault, and take everything down.
 
@@ -106,7 +110,7 @@ class _Run:
         self._cruise = float(CRUISE_RAD_S * self._cycle_s)
         self._home = float(loaded.model.robots[robot].home[0])
 
-    def suffer(self, fault: Fault) -> Row:
+    def suffer(self, fault: Fault) -> FaultEffect:
         """Move, inject, watch, lift, bring back, judge."""
         self._injector.prepare(fault)
         self._wait_for_room()
@@ -138,7 +142,7 @@ class _Run:
             _flipped(ended) - _flipped(begun),
         )
         gate = self._description.gate
-        return Row(
+        return FaultEffect(
             fault=fault.name,
             what=fault.what,
             live=True,

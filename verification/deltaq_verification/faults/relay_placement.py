@@ -16,7 +16,7 @@ from deltaq_protocol.endpoint import Endpoint
 from deltaq_verification.faults.actions import Impair, ImpairStream
 from deltaq_verification.faults.catalogue import Fault
 from deltaq_verification.impairment.process import RelayProcess
-from deltaq_verification.impairment.relay import Unit
+from deltaq_verification.impairment.relay import TrafficUnit
 from deltaq_verification.impairment.stream import StreamFaults
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Link
@@ -29,20 +29,20 @@ class RelayPlacement:
     """A wire, and what is impaired on it as a whole."""
 
     link: Link
-    unit: Unit
+    unit: TrafficUnit
 
     @classmethod
     def of(cls, fault: Fault) -> RelayPlacement | None:
         """Where a relay has to stand for this fault; None if it needs none."""
         match fault.action:
             case Impair(Link.CONTROLLER_HLI, _):
-                return cls(Link.CONTROLLER_HLI, Unit.LINES)
+                return cls(Link.CONTROLLER_HLI, TrafficUnit.LINES)
             case Impair(Link.KRC_SERVER, _):
-                return cls(Link.KRC_SERVER, Unit.DATAGRAMS)
+                return cls(Link.KRC_SERVER, TrafficUnit.DATAGRAMS)
             case Impair(link, _):
-                return cls(link, Unit.MESSAGES)
+                return cls(link, TrafficUnit.MESSAGES)
             case ImpairStream(link, _):
-                return cls(link, Unit.BYTES)
+                return cls(link, TrafficUnit.BYTES)
         return None
 
 

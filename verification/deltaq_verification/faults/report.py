@@ -22,7 +22,7 @@ def recovery_text(steps: list[str]) -> str:
     return ", ".join(steps) or BY_ITSELF
 
 
-class Motion(BaseModel):
+class StoppingMotion(BaseModel):
     """How a robot moved from the cycle of a fault on.
 
     Attributes:
@@ -67,7 +67,7 @@ class Kept(BaseModel):
     protest: str | None
 
 
-class Row(BaseModel):
+class FaultEffect(BaseModel):
     """One fault and its effect.
 
     Attributes:
@@ -83,7 +83,7 @@ class Row(BaseModel):
     fault: str
     what: str
     live: bool
-    motion: Motion
+    motion: StoppingMotion
     phase: str
     reason: str | None
     named_after_s: float | None
@@ -92,7 +92,7 @@ class Row(BaseModel):
     good: bool
 
 
-class Table(BaseModel):
+class FaultTable(BaseModel):
     """The table of faults."""
 
     model_config = ConfigDict(frozen=True)
@@ -101,7 +101,7 @@ class Table(BaseModel):
     robot: str
     cycle_s: float
     cruise_rad_s: float
-    rows: tuple[Row, ...]
+    rows: tuple[FaultEffect, ...]
 
     @property
     def good(self) -> bool:
@@ -109,7 +109,7 @@ class Table(BaseModel):
         return all(row.good for row in self.rows)
 
 
-def motion_after(robot: RobotModel, setpoints: Array, cycle_s: float, cruise: float) -> Motion:
+def motion_after(robot: RobotModel, setpoints: Array, cycle_s: float, cruise: float) -> StoppingMotion:
     """Measure from setpoints (m, n) [rad or m], the first of which was sent before the fault.
 
     Args:
@@ -124,9 +124,11 @@ def motion_after(robot: RobotModel, setpoints: Array, cycle_s: float, cruise: fl
     moving = np.flatnonzero(steps > 2 * TELEGRAM_STEP)
     last = int(moving[-1]) + 1 if moving.size else 0
     if last + 5 > len(steps):
-        return Motion(braked_after_cycles=braked, rest_after_s=None, travel_rad=None, travel_tool_m=None)
+        return StoppingMotion(
+            braked_after_cycles=braked, rest_after_s=None, travel_rad=None, travel_tool_m=None
+        )
     tool = np.array([robot.forward(q)[:3, 3] for q in setpoints[: last + 1]])
-    return Motion(
+    return StoppingMotion(
         braked_after_cycles=braked,
         rest_after_s=last * cycle_s,
         travel_rad=float(np.abs(setpoints[last] - setpoints[0]).max()),

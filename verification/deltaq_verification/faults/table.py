@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deltaq_verification.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
 from deltaq_verification.faults.mover import CRUISE_RAD_S
-from deltaq_verification.faults.report import Row, Table
+from deltaq_verification.faults.report import FaultEffect, FaultTable
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.faults.virtual import run_fault
 
@@ -38,7 +38,7 @@ def run_table(
     live: bool = False,
     seed: int = 0,
     on_row: Callable[[int, int], None] | None = None,
-) -> Table:
+) -> FaultTable:
     """Let one robot suffer fault after fault.
 
     Args:
@@ -58,10 +58,10 @@ def run_table(
     if not chosen:
         way, other = ("live", "leave out") if live else ("in virtual time", "add")
         raise UnknownFaultError(f"none of these faults can be had {way}; {other} --live")
-    rows: list[Row] = []
+    rows: list[FaultEffect] = []
     order = {fault.name: place for place, fault in enumerate(chosen)}
 
-    def add(row: Row) -> None:
+    def add(row: FaultEffect) -> None:
         rows.append(row)
         if on_row is not None:
             on_row(len(rows), len(chosen))
@@ -73,7 +73,7 @@ def run_table(
     else:
         for fault in chosen:
             add(run_fault(fault, loaded, name, seed))
-    return Table(
+    return FaultTable(
         cell=loaded.model.description.cell,
         robot=name,
         cycle_s=loaded.model.description.cycle_s,
@@ -82,7 +82,7 @@ def run_table(
     )
 
 
-def shown(row: Row) -> tuple[str, ...]:
+def shown(row: FaultEffect) -> tuple[str, ...]:
     """A row under `COLUMNS`, for people: degrees and millimetres."""
     motion, kept = row.motion, row.kept
     if motion.rest_after_s is None or motion.travel_rad is None or motion.travel_tool_m is None:
@@ -108,7 +108,7 @@ def shown(row: Row) -> tuple[str, ...]:
     )
 
 
-def markdown(table: Table) -> str:
+def markdown(table: FaultTable) -> str:
     """The table for a page of the documentation."""
     lines = [COLUMNS, ["---"] * len(COLUMNS), *map(shown, table.rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

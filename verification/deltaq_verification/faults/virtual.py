@@ -11,9 +11,9 @@ import numpy as np
 from deltaq_emulator.faults import LinkFaults
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Done, Phase
-from deltaq_services.robot_server.peer import Address
 from deltaq_verification.faults.actions import (
     AskPanel,
     BeginInThePast,
@@ -31,7 +31,7 @@ from deltaq_verification.faults.catalogue import CHANGE_S, Fault
 from deltaq_verification.faults.controller import VirtualController
 from deltaq_verification.faults.mover import CRUISE_RAD_S
 from deltaq_verification.faults.panel import checked, describe, pendant_message, recovery
-from deltaq_verification.faults.report import NEVER, Row, is_good, judged, motion_after, recovery_text
+from deltaq_verification.faults.report import NEVER, FaultEffect, is_good, judged, motion_after, recovery_text
 from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle
 from deltaq_verification.virtual_cell.arm import HERE, OTHER_PORT, VirtualArm
 from deltaq_verification.virtual_cell.cell import VirtualCell
@@ -63,7 +63,7 @@ class FaultRunError(DeltaqError):
     """The robot did not move before there was any fault."""
 
 
-def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Row:
+def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> FaultEffect:
     """Let a moving robot suffer one fault.
 
     Args:
@@ -100,7 +100,7 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Ro
         run.arm.to_pc.counts["flipped"],
     )
     gate = run.stack.cell.description.gate
-    return Row(
+    return FaultEffect(
         fault=fault.name,
         what=fault.what,
         live=False,

@@ -11,7 +11,7 @@ from typing import Self
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
-from deltaq_verification.impairment.relay import Unit, relay
+from deltaq_verification.impairment.relay import TrafficUnit, relay
 from deltaq_verification.impairment.stream import StreamFaults
 
 _ANSWER_S = 20.0
@@ -27,7 +27,7 @@ class RelayProcess:
         DeltaqError: on entering, as `relay` does.
     """
 
-    def __init__(self, listen: Endpoint, to: Endpoint, unit: Unit, seed: int = 0) -> None:
+    def __init__(self, listen: Endpoint, to: Endpoint, unit: TrafficUnit, seed: int = 0) -> None:
         # spawned: a fork of a process with zenoh's threads in it could stand still for ever
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -68,7 +68,7 @@ class RelayProcess:
             raise ServiceUnreachableError(f"{self._process.name}: {answer}")
 
 
-def _serve(pipe: Connection, listen: Endpoint, to: Endpoint, unit: Unit, seed: int) -> None:
+def _serve(pipe: Connection, listen: Endpoint, to: Endpoint, unit: TrafficUnit, seed: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started it ends it
     try:
         asyncio.run(_relay(pipe, listen, to, unit, seed))
@@ -76,7 +76,7 @@ def _serve(pipe: Connection, listen: Endpoint, to: Endpoint, unit: Unit, seed: i
         pipe.send(str(error))
 
 
-async def _relay(pipe: Connection, listen: Endpoint, to: Endpoint, unit: Unit, seed: int) -> None:
+async def _relay(pipe: Connection, listen: Endpoint, to: Endpoint, unit: TrafficUnit, seed: int) -> None:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     async with relay(listen, to, unit, seed) as running:
 

@@ -19,7 +19,7 @@ from deltaq_verification.impairment.tcp import TcpRelay
 from deltaq_verification.impairment.udp import UdpRelay
 
 
-class Unit(StrEnum):
+class TrafficUnit(StrEnum):
     """The unit that faults affect."""
 
     BYTES = "bytes"
@@ -34,7 +34,7 @@ class Unit(StrEnum):
     @property
     def faults(self) -> type[StreamFaults] | type[LinkFaults]:
         """What can befall it."""
-        return StreamFaults if self is Unit.BYTES else LinkFaults
+        return StreamFaults if self is TrafficUnit.BYTES else LinkFaults
 
 
 _WORDS = {
@@ -52,21 +52,21 @@ class InvalidFaultError(DeltaqError):
     """A fault that does not exist for this unit."""
 
 
-def unit_of(endpoint: Endpoint, name: str = "") -> Unit:
+def unit_of(endpoint: Endpoint, name: str = "") -> TrafficUnit:
     """The unit of this name; of an empty one, what the transport itself carries.
 
     Raises:
         InvalidFaultError: if there is no such unit.
     """
     if not name:
-        return Unit.DATAGRAMS if endpoint.transport == "udp" else Unit.BYTES
+        return TrafficUnit.DATAGRAMS if endpoint.transport == "udp" else TrafficUnit.BYTES
     try:
-        return Unit(name)
+        return TrafficUnit(name)
     except ValueError:
-        raise InvalidFaultError(f"no unit {name!r}; there are {', '.join(Unit)}") from None
+        raise InvalidFaultError(f"no unit {name!r}; there are {', '.join(TrafficUnit)}") from None
 
 
-def wire_faults(unit: Unit, asked: Mapping[str, Any]) -> StreamFaults | LinkFaults:
+def wire_faults(unit: TrafficUnit, asked: Mapping[str, Any]) -> StreamFaults | LinkFaults:
     """The faults of a link, from the fields of `StreamFaults` or `LinkFaults`.
 
     Raises:
@@ -75,7 +75,7 @@ def wire_faults(unit: Unit, asked: Mapping[str, Any]) -> StreamFaults | LinkFaul
     allowed = unit.faults.model_fields
     for name in asked:
         if name not in allowed:
-            able = ", ".join(other for other in Unit if name in other.faults.model_fields)
+            able = ", ".join(other for other in TrafficUnit if name in other.faults.model_fields)
             word = _WORDS.get(name, name)
             raise InvalidFaultError(f"{word} cannot befall {unit}, only {able}; name another unit")
     try:
@@ -92,7 +92,9 @@ class Relay(Protocol):
         """Do this from now on, a `StreamFaults` to bytes or a `LinkFaults` to anything else."""
 
 
-def relay(listen: Endpoint, to: Endpoint, unit: Unit, seed: int = 0) -> AbstractAsyncContextManager[Relay]:
+def relay(
+    listen: Endpoint, to: Endpoint, unit: TrafficUnit, seed: int = 0
+) -> AbstractAsyncContextManager[Relay]:
     """The relay between two endpoints, to be entered; it has no faults until they are set.
 
     Args:
@@ -105,18 +107,18 @@ def relay(listen: Endpoint, to: Endpoint, unit: Unit, seed: int = 0) -> Abstract
         InvalidEndpointError: if the transport of an endpoint is not that of the unit.
         ServiceUnreachableError: on entering, if `listen` cannot be listened on.
     """
-    transport = "udp" if unit is Unit.DATAGRAMS else "tcp"
+    transport = "udp" if unit is TrafficUnit.DATAGRAMS else "tcp"
     for endpoint in (listen, to):
         if endpoint.transport != transport:
             raise InvalidEndpointError(
                 f"{endpoint}: {unit} travel over {transport}; write {transport}/HOST:PORT"
             )
     match unit:
-        case Unit.BYTES:
+        case TrafficUnit.BYTES:
             return TcpRelay(listen, to, FaultyStream, seed)
-        case Unit.LINES:
+        case TrafficUnit.LINES:
             return TcpRelay(listen, to, FaultyLines, seed)
-        case Unit.MESSAGES:
+        case TrafficUnit.MESSAGES:
             return MessageRelay(listen, to, seed)
-        case Unit.DATAGRAMS:
+        case TrafficUnit.DATAGRAMS:
             return UdpRelay(listen, to, seed)

@@ -7,14 +7,14 @@ from collections.abc import Callable
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.endpoint import Endpoint
-from deltaq_verification.impairment.relay import Unit, relay
+from deltaq_verification.impairment.relay import TrafficUnit, relay
 from deltaq_verification.impairment.stream import StreamFaults
 
 
 async def impair_for_a_while(
     listen: Endpoint,
     to: Endpoint,
-    unit: Unit,
+    unit: TrafficUnit,
     faults: StreamFaults | LinkFaults,
     say: Callable[[str], None],
     *,

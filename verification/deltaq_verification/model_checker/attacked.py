@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
+from deltaq_protocol.endpoint import Address
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Sender
+from deltaq_services.robot_server.peer import DatagramSource
 from deltaq_verification.model_checker import soundness
 from deltaq_verification.model_checker.gate_side import Act
 from deltaq_verification.model_checker.one_joint import FASTEST, IPOC_STEP, ROBOT, STEP, one_joint_cell
@@ -197,9 +198,9 @@ class AttackedSystem(System):
         kept_out = sender == STRANGER_AT or (
             sender == SECOND_AT and heard and _line(system_state).peer.address == KRC_AT
         )
-        if kept_out and who is Sender.KRC:
+        if kept_out and who is DatagramSource.KRC:
             raise Violation(Property.UNHEARD, f"a datagram from {sender} was read")
-        if who is not Sender.KRC:
+        if who is not DatagramSource.KRC:
             return system_state
         system_state = replace(system_state, line=line)
         if measured is not None:

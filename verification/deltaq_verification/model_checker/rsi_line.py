@@ -16,9 +16,10 @@ import numpy as np
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Peer, PeerMemory, Sender
+from deltaq_services.robot_server.peer import DatagramSource, Peer, PeerMemory
 from deltaq_services.robot_server.rsi_driver import DriverMemory, RsiDriver
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, KRC_TIMEOUT_CYCLES, ROBOT
 
@@ -74,7 +75,7 @@ class Packed(SensorCodec):
         return _REPLY.pack(ipoc, float(correction[0]))
 
 
-class Krc(NamedTuple):
+class TrueKrc(NamedTuple):
     """The true KRC: it follows each correction at once, and keeps the last one (HOLDON).
 
     Attributes:
@@ -96,15 +97,15 @@ class Krc(NamedTuple):
         """Its setpoint [m]."""
         return self.programmed + self.correction
 
-    def ticked(self) -> Krc:
+    def ticked(self) -> TrueKrc:
         """A cycle later."""
         return self._replace(
             ipoc=self.ipoc + IPOC_STEP, answered=False, delay=self.delay + (not self.answered)
         )
 
-    def begun_anew(self, off: float) -> Krc:
+    def begun_anew(self, off: float) -> TrueKrc:
         """Its program started again, so far off where the robot stood [m]."""
-        return Krc(self.ipoc, programmed=self.stands + off)
+        return TrueKrc(self.ipoc, programmed=self.stands + off)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ class RsiLine:
 
     driver: DriverMemory
     peer: PeerMemory
-    krc: Krc
+    krc: TrueKrc
     heard: int
     attacks_left: int
     pending: tuple[float, ...] = ()
@@ -140,7 +141,7 @@ class RsiLine:
 
     def read(
         self, program: Program, datagram: Own, sender: Address, tick: int
-    ) -> tuple[RsiLine, Sender, Measurement | None, Own | None]:
+    ) -> tuple[RsiLine, DatagramSource, Measurement | None, Own | None]:
         """Hand a datagram to the Robot Server's program as its socket does.
 
         Returns:
@@ -152,7 +153,7 @@ class RsiLine:
         driver.restore(self.driver)
         peer.restore(self.peer)
         who = peer.judge(sender, now_s)
-        if who is not Sender.KRC:
+        if who is not DatagramSource.KRC:
             return self, who, None, None
         measured = driver.read(datagram.packed(), now_s)
         peer.believed(sender, now_s)
@@ -173,7 +174,7 @@ class RsiLine:
 
 def new_line(driver: DriverMemory, peer: PeerMemory, attacks: int) -> RsiLine:
     """The line as a KRC and a Robot Server find it that have just started."""
-    return RsiLine(driver, peer, Krc(ipoc=1000), heard=0, attacks_left=attacks)
+    return RsiLine(driver, peer, TrueKrc(ipoc=1000), heard=0, attacks_left=attacks)
 
 
 def new_program(description: CellDescription) -> Program:

@@ -6,13 +6,14 @@ import copy
 from dataclasses import dataclass, replace
 
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Peer, Sender
-from deltaq_services.robot_server.session import Belief, Judgement, Kind, Session
+from deltaq_services.robot_server.peer import DatagramSource, Peer
+from deltaq_services.robot_server.session import Belief, Judgement, Session, TelegramKind
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
@@ -132,9 +133,9 @@ class SessionIsTakenInAnyPhase(AttackedSystem):
 
 
 class _LooksAtNoSender(Peer):
-    def judge(self, sender: Address, now_s: float) -> Sender:
+    def judge(self, sender: Address, now_s: float) -> DatagramSource:
         super().judge(sender, now_s)
-        return Sender.KRC
+        return DatagramSource.KRC
 
 
 class SenderIsNotLookedAt(AttackedSystem):
@@ -147,7 +148,7 @@ class SenderIsNotLookedAt(AttackedSystem):
 
 class _BelievesAtOnce(Session):
     def judge(self, telegram: KrcTelegram, time_s: float) -> Judgement:
-        if self._kind(telegram, time_s)[0] is Kind.FOREIGN:
+        if self._kind(telegram, time_s)[0] is TelegramKind.FOREIGN:
             self.belief = Belief.DOUBTED
         return super().judge(telegram, time_s)
 

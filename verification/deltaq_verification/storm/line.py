@@ -8,17 +8,14 @@ from __future__ import annotations
 import select
 import socket
 import struct
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
+from deltaq_protocol.endpoint import Address
 from deltaq_verification.storm.forger import ForgedSender, Forger
 from deltaq_verification.storm.witness import DatagramOrigin, Passed
-
-Address = tuple[str, int]
+from deltaq_verification.storm.worker import Worker
 
 HERE = "127.0.0.1"
 ELSEWHERE = "127.0.0.2"
@@ -37,7 +34,7 @@ _HURRY_S = 0.02
 """What the attacker catches up with at most: its datagrams are spread, so that the Robot Server's loop keeps up."""
 
 
-class AttackedLine:
+class AttackedLine(Worker):
     """The wire; a context manager.
 
     Args:
@@ -56,6 +53,7 @@ class AttackedLine:
     def __init__(
         self, server: Address, forger: Forger, rate_hz: float, on_passed: Callable[[Passed], None]
     ) -> None:
+        super().__init__("line")
         self.sent: Counter[str] = Counter()
         self.goal = self.forged = 0
         self._forger, self._period_s, self._on_passed = forger, 1.0 / rate_hz, on_passed
@@ -70,25 +68,18 @@ class AttackedLine:
         self.address: Address = self._to_krc.getsockname()
         self._krc: Address | None = None
         self._overtaken: bytes | None = None
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._carry, name="line")
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
+    def close(self) -> None:
+        """End the work, and close the sockets."""
+        super().close()
         for sock in (self._to_krc, *self._senders.values()):
             sock.close()
 
-    def _carry(self) -> None:
+    def work(self) -> None:
+        """Carry and attack."""
         due_s = time.monotonic()
         of_server = list(self._senders.values())
-        while not self._ended.is_set():
+        while not self.ended.is_set():
             attacking = self.forged < self.goal
             wait_s = max(0.0, due_s - time.monotonic()) if attacking else _HURRY_S
             readable, _, _ = select.select([self._to_krc, *of_server], [], [], wait_s)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from collections import Counter
-from types import TracebackType
-from typing import Self
 
 from deltaq_cell.description import CellDescription
 from deltaq_emulator.states import KrcState
@@ -13,13 +10,14 @@ from deltaq_launch.cell_connection import connect
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_verification.faults.panel import PanelClient, PanelError, recovery
+from deltaq_verification.storm.worker import Worker
 
 _LOOK_S = 0.25
 _RESTART_LOOKS = 120
 """Looks after which the program on the KRC is started anew, so that sessions begin while the storm goes on."""
 
 
-class StormOperator:
+class StormOperator(Worker):
     """Looks at pendant and phase in a thread of its own; a context manager.
 
     Args:
@@ -31,25 +29,15 @@ class StormOperator:
     """
 
     def __init__(self, cell: CellDescription, robot: str) -> None:
+        super().__init__("operator")
         self.did: Counter[str] = Counter()
         self._cell, self._robot = cell, robot
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="operator")
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
+    def work(self) -> None:
+        """Look again and again."""
         looks = 0
         with PanelClient(self._cell, self._robot) as panel, connect(self._cell, "operator") as running:
-            while not self._ended.wait(_LOOK_S):
+            while not self.ended.wait(_LOOK_S):
                 looks += 1
                 try:
                     state = panel.ask({"op": "status"})["state"]

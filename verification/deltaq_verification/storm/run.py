@@ -14,12 +14,13 @@ from deltaq_cell.find import resolve_near
 from deltaq_emulator.settings import KrcSettings
 from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import Role, Service, cell_services
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
-from deltaq_services.robot_server.mode_probe import pulse_offsets
+from deltaq_services.robot_server.probe_trial import pulse_offsets
 from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.storm.admitted import Admitted
 from deltaq_verification.storm.forger import Forger
-from deltaq_verification.storm.line import Address, AttackedLine
+from deltaq_verification.storm.line import AttackedLine
 from deltaq_verification.storm.operator import StormOperator
 from deltaq_verification.storm.overheard import Overheard
 from deltaq_verification.storm.witness import Passed, UnexplainedError, Witness

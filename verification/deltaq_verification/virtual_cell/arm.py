@@ -12,12 +12,13 @@ from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.endpoint import Address
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.outputs import ToRobot
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.peer import Address, Peer, Sender
+from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_verification.virtual_cell.parts import Life, VirtualProcess
 
@@ -198,7 +199,7 @@ class KrcArm(VirtualArm):
 
     def _read(self, datagram: bytes, now_s: float, sender: Address) -> None:
         who = self._peer.judge(sender, now_s)
-        if who is not Sender.KRC:
+        if who is not DatagramSource.KRC:
             self.server.counters[who] += 1
             return
         self._unanswered = None

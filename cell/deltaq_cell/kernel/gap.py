@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Body, Placed
-from deltaq_cell.kernel_simplex import towards_origin
+from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
+from deltaq_cell.kernel.simplex import towards_origin
 from deltaq_protocol.arrays import Array
 
 ROUNDING_M = 1e-9
@@ -26,10 +26,10 @@ _CLOSED_M = 1e-7
 
 
 @compiled
-def body_at(cell: Anatomy, placed: Placed, number: int) -> Body:
+def body_at(cell: Anatomy, placed: Placed, number: int) -> PlacedBody:
     """A body where it is placed."""
     axis = placed.axis[number]
-    return Body(
+    return PlacedBody(
         placed.corners[number],
         cell.corner_count[number],
         axis[0],
@@ -42,7 +42,7 @@ def body_at(cell: Anatomy, placed: Placed, number: int) -> Body:
 
 @compiled
 def gap(
-    first: Body, second: Body, x: float, y: float, z: float, enough_m: float, simplex: Array
+    first: PlacedBody, second: PlacedBody, x: float, y: float, z: float, enough_m: float, simplex: Array
 ) -> tuple[float, float, float, float, float]:
     """Bounds of the distance of two bodies [m], and a normal n from first to second.
 
@@ -87,7 +87,7 @@ def gap(
 
 
 @compiled
-def farthest(body: Body, x: float, y: float, z: float) -> tuple[float, float, float]:
+def farthest(body: PlacedBody, x: float, y: float, z: float) -> tuple[float, float, float]:
     """The point of a body, without its ball, that is farthest along (x, y, z)."""
     corners = body.corners
     best, most = 0, -math.inf

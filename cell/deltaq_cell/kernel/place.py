@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Placed
+from deltaq_cell.kernel.arrays import Anatomy, Placed
 from deltaq_protocol.arrays import Array
 
 

@@ -22,7 +22,7 @@ from deltaq_services.pace import Pace
 M = TypeVar("M", bound=Message)
 
 
-class Link:
+class GuardedLink:
     """zenoh session of one Robot Server.
 
     Args:

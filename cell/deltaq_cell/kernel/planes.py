@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Body, Placed
-from deltaq_cell.kernel_gap import body_at
+from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
+from deltaq_cell.kernel.gap import body_at
 from deltaq_protocol.arrays import Array
 
 
@@ -60,8 +60,8 @@ def keeps(
 
 @compiled
 def _shows(
-    first: Body,
-    second: Body,
+    first: PlacedBody,
+    second: PlacedBody,
     nx: float,
     ny: float,
     nz: float,
@@ -89,7 +89,7 @@ def _shows(
 
 @compiled
 def _reach(
-    body: Body, twist: Array, nx: float, ny: float, nz: float, ax: float, ay: float, az: float, t: float
+    body: PlacedBody, twist: Array, nx: float, ny: float, nz: float, ax: float, ay: float, az: float, t: float
 ) -> float:
     """How far a body reaches at t, to first order, along a that is met by its motion as n [m]."""
     wx, wy, wz = twist[3], twist[4], twist[5]

@@ -1,8 +1,8 @@
-"""The gate's kernel: one look at many pairs of bodies, in machine code and without allocating.
+"""One look of the gate at many pairs of bodies.
 
 It answers what `deltaq_cell.proximity` does, pair by pair: the first look with bodies inflated by their travel, and for
 what that leaves open the planes of the second and third look. Balls and boxes leave most pairs out, planes between the
-bodies at the middle nearly all others (`deltaq_cell.kernel_gap`): a pair is left out only by a lower bound, rounding
+bodies at the middle nearly all others (`deltaq_cell.kernel.gap`): a pair is left out only by a lower bound, rounding
 taken off, that exceeds what is asked.
 """
 
@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel_arrays import Anatomy, Findings, Pairs, Placed
-from deltaq_cell.kernel_gap import ROUNDING_M, body_at, gap
-from deltaq_cell.kernel_planes import keeps
+from deltaq_cell.kernel.arrays import Anatomy, Findings, Pairs, Placed
+from deltaq_cell.kernel.gap import ROUNDING_M, body_at, gap
+from deltaq_cell.kernel.planes import keeps
 
 NONE = -1
 """The tightest of no pairs."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from deltaq_protocol.arrays import Array, Flags
 
-Indices = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 
 class Anatomy(NamedTuple):
@@ -40,18 +40,18 @@ class Anatomy(NamedTuple):
         box: (bodies, 3) half edges of that box along the world's axes, zero for a ball [m].
     """
 
-    parent: Indices
+    parent: Integers
     rotation: Array
     translation: Array
     joint_axis: Array
     revolute: Flags
-    carrier: Indices
-    first_joint: Indices
-    last_joint: Indices
+    carrier: Integers
+    first_joint: Integers
+    last_joint: Integers
     moved_by: Flags
-    robot: Indices
+    robot: Integers
     corners: Array
-    corner_count: Indices
+    corner_count: Integers
     axis: Array
     disc: Array
     ball: Array
@@ -91,7 +91,7 @@ class Placed(NamedTuple):
     travel: Array
 
 
-class Body(NamedTuple):
+class PlacedBody(NamedTuple):
     """One body where it is placed: corners, widened by a ball and by a disc across its axis (`deltaq_cell.extents`).
 
     Attributes:
@@ -123,8 +123,8 @@ class Pairs(NamedTuple):
         active: (pairs,) whether they are looked at now.
     """
 
-    first: Indices
-    second: Indices
+    first: Integers
+    second: Integers
     stop_m: Array
     active: Flags
 

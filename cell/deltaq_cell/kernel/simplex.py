@@ -5,12 +5,12 @@ from __future__ import annotations
 from deltaq_cell.compiled import compiled
 from deltaq_protocol.arrays import Array
 
-Point = tuple[int, float, float, float]
+SimplexPoint = tuple[int, float, float, float]
 """Which corners of a simplex hold the point, as bits, and its coordinates."""
 
 
 @compiled
-def towards_origin(simplex: Array, count: int, is_outside: bool) -> Point:
+def towards_origin(simplex: Array, count: int, is_outside: bool) -> SimplexPoint:
     """Nearest point to the origin of the first `count` rows of `simplex` (4, 3), which are reduced to what holds it.
 
     Args:
@@ -46,7 +46,7 @@ def towards_origin(simplex: Array, count: int, is_outside: bool) -> Point:
 
 
 @compiled
-def _nearer(one: Point, other: Point) -> Point:
+def _nearer(one: SimplexPoint, other: SimplexPoint) -> SimplexPoint:
     """The one of two points that is nearer to the origin."""
     a = one[1] * one[1] + one[2] * one[2] + one[3] * one[3]
     b = other[1] * other[1] + other[2] * other[2] + other[3] * other[3]
@@ -54,7 +54,7 @@ def _nearer(one: Point, other: Point) -> Point:
 
 
 @compiled
-def _of_edge(simplex: Array, i: int, j: int) -> Point:
+def _of_edge(simplex: Array, i: int, j: int) -> SimplexPoint:
     ax, ay, az = simplex[i, 0], simplex[i, 1], simplex[i, 2]
     bx, by, bz = simplex[j, 0] - ax, simplex[j, 1] - ay, simplex[j, 2] - az
     along, square = -(ax * bx + ay * by + az * bz), bx * bx + by * by + bz * bz
@@ -67,7 +67,7 @@ def _of_edge(simplex: Array, i: int, j: int) -> Point:
 
 
 @compiled
-def _of_triangle(simplex: Array, i: int, j: int, k: int) -> Point:
+def _of_triangle(simplex: Array, i: int, j: int, k: int) -> SimplexPoint:
     ax, ay, az = simplex[i, 0], simplex[i, 1], simplex[i, 2]
     bx, by, bz = simplex[j, 0], simplex[j, 1], simplex[j, 2]
     cx, cy, cz = simplex[k, 0], simplex[k, 1], simplex[k, 2]
