@@ -103,7 +103,7 @@ def _live(options: LiveOptions, runs: int, json: bool) -> bool:
                 told.append(
                     run_once(options, lambda time_s: move(round(time_s * 1e3), round(length_s * 1e3)))
                 )
-            if not json:
+            if runs > 1 and not json:
                 output.print(f"run {number} of {runs} is done")
     good = all(run.good for run in told)
     if json:
@@ -150,7 +150,7 @@ def show_run(run: LiveRun, number: int) -> None:
             print_table(title, ("because", "cycles"), robot.braked.items())
     spent = sorted(run.processor_us.items(), key=lambda item: -item[1])
     title = f"run {number}: processor time of a cycle"
-    print_table(title, ("process", "us"), [(name, f"{us:.0f}") for name, us in spent])
+    print_table(title, ("process", "µs"), [(name, f"{us:.0f}") for name, us in spent])
     figures = [
         (
             row.what,

@@ -279,14 +279,14 @@ class LeasedRobot:
             dq=tuple(float(element) for element in dq),
             lease=self._token,
         )
+        if self._stamps is not None:
+            self._stamps.add(Station.INCREMENT_OUT, self.name, state.cycle, seq)
         try:
             self._publisher.put(pack(increment))
         except zenoh.ZError as error:
             raise ServiceUnreachableError(
                 f"{self.name} cannot be moved: the connection was closed; connect again"
             ) from error
-        if self._stamps is not None:
-            self._stamps.add(Station.INCREMENT_OUT, self.name, state.cycle, seq)
 
     async def _own(self, verdicts: asyncio.Queue[Verdict]) -> Verdict:
         """The next verdict on an increment of this client."""

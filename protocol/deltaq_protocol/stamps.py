@@ -44,7 +44,7 @@ class Station(IntEnum):
     STATE_AT_CLIENT = 2
     """A controller has taken the state of a cycle."""
     INCREMENT_OUT = 3
-    """A controller has sent an increment; the cycle that it answers, and its sequence number."""
+    """A controller is about to send an increment; the cycle that it answers, and its sequence number."""
     INCREMENT_AT_HLI = 4
     """The HLI has taken an increment; as before."""
     REQUEST_AT_GATE = 5

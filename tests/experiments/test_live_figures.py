@@ -235,4 +235,4 @@ def test_a_bound_that_is_missed_by_a_little_is_missed() -> None:
     assert LiveRow.of("longest", 24.01, "ms", 12.0, at_most=24.0).kept is False
     assert LiveRow.of("rate", None, "%", 100.0, at_least=99.9).kept is False
     assert LiveRow.of("rate", 99.9, "%", 100.0, at_least=99.9).kept is True
-    assert LiveRow.of("processor", 1e9, "us", 1.0).kept is None
+    assert LiveRow.of("processor", 1e9, "µs", 1.0).kept is None

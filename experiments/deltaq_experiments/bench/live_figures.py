@@ -175,7 +175,7 @@ def bounded_rows(
         ]
     spent_us = sum(processor_us.values())
     rows.append(
-        LiveRow.of("processor time of a cycle, all processes", spent_us, "us", reference_processor_us)
+        LiveRow.of("processor time of a cycle, all processes", spent_us, "µs", reference_processor_us)
     )
     return tuple(rows)
 
