@@ -10,6 +10,7 @@ import typer
 
 from deltaq_command import (
     advise,
+    bench,
     demo,
     drive,
     fault,
@@ -57,7 +58,7 @@ app.add_typer(rsi.rsi, name="rsi", rich_help_panel=REAL)
 app.command(rich_help_panel=STUDY)(study.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
 app.command(rich_help_panel=STUDY)(study.peg_and_valve)
-app.command(rich_help_panel=STUDY)(study.bench)
+app.command(rich_help_panel=STUDY)(bench.bench)
 app.command(rich_help_panel=STUDY)(recordings.replay)
 app.command(rich_help_panel=STUDY)(recordings.plot)
 app.command(rich_help_panel=STUDY)(installation.check)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,12 +18,14 @@ if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription
     from deltaq_command.observer import Track
     from deltaq_launch.launcher import Launcher
-    from deltaq_protocol.messages import Status
+    from deltaq_protocol.messages import RobotStatus, Status
 
 FOLLOWS = "paper"
 """The follower's default camera controller."""
 TICK_S = 0.25
 TOLD_EVERY_S = 10.0
+SETTLED_S = 1.0
+"""The admission rate counts from here: a controller that serves has yet to take its lease."""
 
 
 def demo(
@@ -70,34 +73,46 @@ def _follow(
     from deltaq_command.observer import Observer
     from deltaq_launch.cell_connection import connect, listen
 
+    def ask() -> Status:
+        with connect(cell, "deltaq demo") as running:
+            return running.status()
+
+    statuses = [ask()]
     with listen(cell) as listener:
         observer = Observer(listener, tuple(cell.robots))
-        problems = _wait(launcher, duration_s, output)
+        problems = _wait(launcher, duration_s, output, lambda: statuses.append(ask()))
         observer.close()
-    with connect(cell, "deltaq demo") as running:
-        status = running.status()
+    before, status = statuses[-1], ask()
     # each prints its figures as it ends
     launcher.stop_service("follower")
     launcher.stop_service("leader")
-    summary = summarise(cell, observer.tracks, status, launcher.last_json("follower"))
+    summary = summarise(cell, observer.tracks, before, status, launcher.last_json("follower"))
     still = [name for name, track in observer.tracks.items() if not any(track.travel)]
     return summary, [*problems, *(f"{name} did not move" for name in still)]
 
 
-def _wait(launcher: Launcher, duration_s: float, output: Console) -> list[str]:
-    """Show progress until the time is over, a service ends or a signal comes; returns what went wrong."""
+def _wait(
+    launcher: Launcher, duration_s: float, output: Console, on_settled: Callable[[], None]
+) -> list[str]:
+    """Show progress until the time is over, a service ends or a signal comes; returns what went wrong.
+
+    `on_settled` is called once, when the controllers have begun.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from deltaq_launch.child_process import Exited
     from deltaq_launch.launcher import Interrupted, describe_exit
 
     begin = time.monotonic()
-    told_s = 0.0
+    told_s, settled = 0.0, False
     columns = (TextColumn("the camera follows"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=output, transient=True, disable=not output.is_terminal) as progress:
         task = progress.add_task("", total=duration_s)
         while (elapsed := time.monotonic() - begin) < duration_s:
             progress.update(task, completed=elapsed)
+            if not settled and elapsed >= SETTLED_S:
+                settled = True
+                on_settled()
             if not output.is_terminal and elapsed - told_s >= TOLD_EVERY_S:
                 told_s = elapsed
                 launcher.say(f"{elapsed:.0f} of {duration_s:g} s")
@@ -110,10 +125,24 @@ def _wait(launcher: Launcher, duration_s: float, output: Console) -> list[str]:
     return []
 
 
+def admission_rate(before: RobotStatus, after: RobotStatus) -> float | None:
+    """Share of a robot's cycles between two statuses in which a fresh, admitted increment reached it.
+
+    None if there was no cycle, or its Robot Server began anew in between.
+    """
+    cycles = after.cycle - before.cycle
+    admissions = after.counters.get("admissions", 0) - before.counters.get("admissions", 0)
+    return admissions / cycles if cycles > 0 and admissions >= 0 else None
+
+
 def summarise(
-    cell: CellDescription, tracks: dict[str, Track], status: Status, tracking: dict[str, Any] | None
+    cell: CellDescription,
+    tracks: dict[str, Track],
+    before: Status,
+    status: Status,
+    tracking: dict[str, Any] | None,
 ) -> dict[str, Any]:
-    """The figures of a demonstration, as `--json` prints them."""
+    """The figures of a demonstration, as `--json` prints them, from the statuses at its begin and at its end."""
     from dataclasses import asdict
 
     return {
@@ -124,6 +153,7 @@ def summarise(
                 "phase": status.robots[name].phase.value,
                 "cycles": asdict(track.rate),
                 "missed": track.missed,
+                "admission_rate": admission_rate(before.robots[name], status.robots[name]),
                 "travel": track.travel,
                 "counters": status.robots[name].counters,
             }
@@ -160,6 +190,12 @@ def show(summary: dict[str, Any]) -> None:
         ("robot", "seen", "missed", "median ms", "p99 ms", "longest ms"),
         rows,
     )
+    for name, robot in summary["robots"].items():
+        if (rate := robot["admission_rate"]) is not None:
+            print(
+                f"{name}: a fresh increment that the gate had admitted reached the robot in {rate:.2%} of its cycles; "
+                "in the others it braked along a path that had been checked before"
+            )
     tracking = summary["tracking"]
     if tracking:
         print_table("tracking", ("what", "value"), flat(tracking))

@@ -29,6 +29,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.stamps import Station, stamps_if_asked
 from deltaq_protocol.wire import Wire
 
 VERDICT_DEADLINE_S = 0.25
@@ -65,6 +66,7 @@ class LeasedRobot:
         self._states = states
         self._newest = newest
         self._publisher = wire.publisher(topics.INCREMENT, cell, name)
+        self._stamps = stamps_if_asked(f"client-{name}", [name])
         self._seqs = itertools.count(1)
         self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
         # each of its operations is atomic, whatever other threads do meanwhile
@@ -86,6 +88,8 @@ class LeasedRobot:
         """
         async for state in self._states():
             self.lease.check()
+            if self._stamps is not None:
+                self._stamps.add(Station.STATE_AT_CLIENT, self.name, state.cycle)
             yield state
 
     async def move(self, dq: Iterable[float]) -> Verdict:
@@ -255,6 +259,8 @@ class LeasedRobot:
             dq=tuple(float(element) for element in dq),
             lease=self.lease.token,
         )
+        if self._stamps is not None:
+            self._stamps.add(Station.INCREMENT_OUT, self.name, state.cycle, seq)
         try:
             self._publisher.put(pack(increment))
         except zenoh.ZError as error:

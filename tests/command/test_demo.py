@@ -50,6 +50,7 @@ def test_the_demonstration_moves_both_arms_tells_its_figures_and_leaves_nothing_
         robot = summary["robots"][arm]
         assert max(robot["travel"]) > 0.001
         assert robot["cycles"]["count"] > 30
+        assert 0.0 < robot["admission_rate"] <= 1.0
     assert summary["gate"]["admitted"] > 30
     assert summary["tracking"]["angle_deg"]["final"] < 45.0
     assert processes_of(tmp_path) == []

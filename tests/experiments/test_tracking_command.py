@@ -72,10 +72,22 @@ def test_live_every_experiment_runs_and_draws(name, tmp_path):
         assert report["contacts"] == 0
 
 
-@pytest.mark.long
-def test_bench_tells_ratios_against_a_reference_of_the_same_run():
+@pytest.mark.live
+@pytest.mark.nightly
+def test_bench_tells_ratios_against_references_of_the_same_run():
     status, out, error = deltaq("bench", "--cycles", "20", "--json")
     assert status in (0, 1), error
-    row = json.loads(out)["rows"][0]
-    assert row["median_ratio"] == pytest.approx(row["median_us"] / row["reference_us"])
-    assert "1495 pairs" in row["reference"]
+    table = json.loads(out)
+    whats = [row["what"].split(",")[0] for row in table["rows"]]
+    assert whats == [
+        "an RSI reply",
+        "an RSI telegram read and its reply written",
+        "the 7 messages of a cycle packed and unpacked",
+        "one gate decision",
+        "one gate decision near obstacles",
+    ]
+    for row in table["rows"]:
+        assert row["median_ratio"] == pytest.approx(row["median_us"] / row["reference_us"])
+    assert "1495 pairs" in table["rows"][-1]["reference"]
+    assert [row["kept"] is None for row in table["rows"]] == [False, True, True, False, False]
+    assert table["good"] == all(row["kept"] is not False for row in table["rows"]) == (status == 0)

@@ -24,6 +24,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
+from deltaq_protocol.stamps import Station, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
@@ -63,6 +64,7 @@ class OpenFront:
         self._cell = cell.cell
         self._increment_keys = {robot: topics.INCREMENT.key(cell.cell, robot=robot) for robot in cell.robots}
         self._port = port
+        self._stamps = stamps_if_asked("hli", list(cell.robots))
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
         opened = open_session(listen=[cell.hli], access=rules)
         session = self._session = LoopSession(opened, cell.cell, port.loop)
@@ -101,6 +103,8 @@ class OpenFront:
         except InvalidMessageError as error:
             outputs = port.core.increments.on_bad_increment(error, None, port.now())
         else:
+            if self._stamps is not None:
+                self._stamps.add(Station.INCREMENT_AT_HLI, increment.robot, increment.cycle, increment.seq)
             outputs = port.core.increments.on_increment(increment, None, port.now())
         port.carry_out(outputs)
 

@@ -15,9 +15,11 @@ from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
+from deltaq_protocol.stamps import stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.pace import Pace
+from deltaq_services.robot_server.cycle_stamps import CycleStamps
 
 M = TypeVar("M", bound=Message)
 
@@ -42,11 +44,16 @@ class GuardedLink:
         self._seal = guarded_seal(cell)
         rules = access(Party.ROBOT_SERVER, Realm.GUARDED, cell.cell, robot)
         self._session: Any = open_session(listen=[cell.robots[robot].server], access=rules)
-        self._admissions = subscribe_newest(self._session, topics.ADMISSION.key(cell.cell, robot=robot))
+        admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
+        self._admissions = subscribe_newest(self._session, admission_key)
         self._supervisions = subscribe_newest(self._session, topics.SUPERVISION.key(cell.cell, robot=robot))
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
+        stamps = stamps_if_asked(self._service, [robot])
+        self._stamps = (
+            None if stamps is None else CycleStamps(stamps, self._session, admission_key, self._seal)
+        )
 
     def admission(self) -> Admission | None:
         """The newest admission since the last call, if any."""
@@ -60,6 +67,8 @@ class GuardedLink:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
         if state is not None:
             self._state.put(pack(state))
+            if self._stamps is not None:
+                self._stamps.published(state)
         if self._pace.due(time_s):
             health = Health(
                 service=self._service,

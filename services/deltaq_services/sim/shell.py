@@ -20,11 +20,13 @@ from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_protocol.stamps import stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.pace import Pace
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import GateLog
+from deltaq_services.sim.gate_stamps import GateStamps
 
 _RING = 256
 """Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
@@ -45,6 +47,8 @@ class Shell:
         self._name = description.cell
         self._identity = cell.identity
         self.sim = Sim(cell, epoch=secrets.randbits(62))
+        stamps = stamps_if_asked("sim", list(description.robots))
+        self._stamps = None if stamps is None else GateStamps(stamps, self.sim)
         self._seal = guarded_seal(description)
         self._session: Any = open_session(
             listen=[description.sim],
@@ -88,11 +92,15 @@ class Shell:
             self.sim.counters["invalid_messages"] += 1
             print(f"{key}: {error}", flush=True)
             return
+        if self._stamps is not None:
+            self._stamps.came(message)
         outputs = []
         for output in self.sim.take(message):
             packed = pack(output.message)
             self._publisher(output.topic, output.robot).put(packed)
             outputs.append((output.topic.name, packed))
+            if self._stamps is not None:
+                self._stamps.went(output.message)
         self._log.took(topic, payload, outputs)
 
     def _publisher(self, topic: Topic, robot: str = "") -> Any:

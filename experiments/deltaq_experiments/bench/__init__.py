@@ -1,0 +1,1 @@
+"""Figures as ratios, each against its reference in the same run: `deltaq bench`."""

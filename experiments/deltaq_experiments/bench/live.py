@@ -1,0 +1,219 @@
+"""A cell at work, measured from outside and from the stamps of its processes: `deltaq bench --live`."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from deltaq_cell.description import CellDescription
+from deltaq_cell.load import load_cell
+from deltaq_experiments.bench.hop_reference import HopTimes, hop_reference
+from deltaq_experiments.bench.journeys import RobotStamps, by_robot
+from deltaq_experiments.bench.live_figures import LiveRow, RobotFigures, bounded_rows, robot_figures
+from deltaq_experiments.bench.processor_time import processor_seconds
+from deltaq_launch.bring_to_rest import bring_to_rest
+from deltaq_launch.child_process import Exited
+from deltaq_launch.launcher import (
+    Interrupted,
+    Launcher,
+    LaunchError,
+    LaunchInterruptedError,
+    describe_exit,
+)
+from deltaq_launch.services import Role, Service, cell_services, demo_controllers
+from deltaq_protocol.stamps import FOLDER, WrittenStamps, read_stamps
+
+STAMPING = (Role.ROBOT_SERVER, Role.SIM, Role.HLI, Role.LEADER, Role.FOLLOWER)
+"""Services that write stamps when they end."""
+_LAST_LINES = 20
+_TICK_S = 0.25
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What is run, and for how long.
+
+    Attributes:
+        cell: name or file of the cell.
+        follower: camera controller of the follower.
+        warm_up_s: from the first increments to the window that is measured [s].
+        duration_s: of the window [s].
+        compiler: of the reference, see `native.program`.
+    """
+
+    cell: str
+    follower: str
+    warm_up_s: float
+    duration_s: float
+    compiler: str | None = None
+
+
+class LiveRun(BaseModel):
+    """The figures of one run.
+
+    Attributes:
+        robots: by name.
+        processor_us: processor time of each process in a cycle [µs].
+        reference: language of the reference, cycles, and what share of its messages were back within theirs.
+        rows: what is promised, and what is compared.
+        silent: processes that left no stamps, so that their stations are missing.
+        overwritten: stamps that were lost because a ring was full.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    robots: dict[str, RobotFigures]
+    processor_us: dict[str, float]
+    reference: dict[str, float | str]
+    rows: tuple[LiveRow, ...]
+    silent: tuple[str, ...]
+    overwritten: int
+
+    @property
+    def good(self) -> bool:
+        """Whether all that is promised is kept, and all that was asked was measured."""
+        return not self.silent and all(row.kept is not False for row in self.rows)
+
+
+def run_once(options: LiveOptions, on_time: Callable[[float], None] | None = None) -> LiveRun:
+    """Start the cell, a leader and the follower; measure; end everything again.
+
+    Args:
+        options: what to run.
+        on_time: called now and then with the time since everything serves [s].
+
+    Raises:
+        LaunchError: if a service does not come up, or ends before its time.
+        LaunchInterruptedError: if a signal came first.
+        HopReferenceError: if the reference fails.
+    """
+    cell = load_cell(options.cell)
+    leader, follower = demo_controllers(cell)
+    follower = replace(follower, arguments=(*follower.arguments, "--controller", options.follower))
+    services = (*cell_services(cell, options.cell), leader, follower)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        window = _run(cell, services, options, folder, on_time or (lambda _: None))
+        files = sorted(folder.glob("*.stamps"))
+        return _figures(cell, services, window, [read_stamps(file) for file in files])
+
+
+@dataclass(frozen=True)
+class _Window:
+    begin_ns: int
+    end_ns: int
+    processor_s: dict[str, float]
+    reference: HopTimes
+    reference_processor_s: float
+
+
+def _run(
+    cell: CellDescription,
+    services: Sequence[Service],
+    options: LiveOptions,
+    folder: Path,
+    on_time: Callable[[float], None],
+) -> _Window:
+    python = ("env", f"{FOLDER}={folder}", sys.executable)
+    lines = _LastLines()
+    launcher = Launcher(services, lines, partial(bring_to_rest, cell, "deltaq bench"), python=python)
+    with launcher:
+        launcher.start()
+        wait = partial(_wait, launcher, lines, time.monotonic(), on_time)
+        wait(options.warm_up_s)
+        with hop_reference(cell.cycle_s, options.duration_s, folder, options.compiler) as reference:
+            begin_ns = time.monotonic_ns()
+            before, reference_before = _processor(launcher), reference.processor_s()
+            wait(options.duration_s)
+            after, reference_after = _processor(launcher), reference.processor_s()
+            end_ns = time.monotonic_ns()
+            times = reference.times(begin_ns, end_ns)
+        # controllers first, while there is somebody to take their lease back
+        launcher.stop_service("follower")
+        launcher.stop_service("leader")
+    spent = {name: after[name] - before[name] for name in before}
+    return _Window(begin_ns, end_ns, spent, times, reference_after - reference_before)
+
+
+def _processor(launcher: Launcher) -> dict[str, float]:
+    return {name: processor_seconds(child.pid) for name, child in launcher.children.items()}
+
+
+def _wait(
+    launcher: Launcher, lines: _LastLines, began_s: float, on_time: Callable[[float], None], for_s: float
+) -> None:
+    end_s = time.monotonic() + for_s
+    while (left_s := end_s - time.monotonic()) > 0.0:
+        on_time(time.monotonic() - began_s)
+        match launcher.wait(min(_TICK_S, left_s)):
+            case Interrupted(number):
+                raise LaunchInterruptedError(f"stopped by {number.name} while the cell was measured")
+            case Exited(name, status):
+                raise LaunchError(
+                    f"{describe_exit(name, status)} while the cell was measured; the last lines were\n{lines.text()}"
+                )
+
+
+class _LastLines:
+    """Keeps the last lines of all services, to be shown if a run fails."""
+
+    def __init__(self) -> None:
+        self._lines: deque[str] = deque(maxlen=_LAST_LINES)
+        self._lock = threading.Lock()
+
+    def __call__(self, name: str, line: str) -> None:
+        with self._lock:
+            self._lines.append(f"{name}: {line}")
+
+    def text(self) -> str:
+        with self._lock:
+            return "\n".join(self._lines)
+
+
+def _figures(
+    cell: CellDescription, services: Sequence[Service], window: _Window, written: Sequence[WrittenStamps]
+) -> LiveRun:
+    stamps = by_robot(written)
+    robots = {
+        name: robot_figures(stamps.get(name, RobotStamps()), window.begin_ns, window.end_ns, window.reference)
+        for name in cell.robots
+    }
+    cycles = (window.end_ns - window.begin_ns) / 1e9 / cell.cycle_s
+    processor_us = {name: spent_s / cycles * 1e6 for name, spent_s in window.processor_s.items()}
+    reference_us = window.reference_processor_s / cycles * 1e6
+    reference = window.reference
+    stamping = [service for service in services if service.role in STAMPING]
+    return LiveRun(
+        robots=robots,
+        processor_us=processor_us,
+        reference={
+            "language": reference.language,
+            "cycles": len(reference.rows),
+            "in_time": reference.in_time,
+            "processor_us": reference_us,
+        },
+        rows=bounded_rows(robots, processor_us, reference, reference_us),
+        silent=_silent(stamping, {one.process for one in written}),
+        overwritten=sum(one.overwritten for one in written),
+    )
+
+
+def _silent(stamping: Sequence[Service], heard: set[str]) -> tuple[str, ...]:
+    """Services without stamps; a controller's carry the name of its robot, so they are counted."""
+    silent = [
+        service.name
+        for service in stamping
+        if service.role not in (Role.LEADER, Role.FOLLOWER) and service.name not in heard
+    ]
+    controllers = [service.name for service in stamping if service.role in (Role.LEADER, Role.FOLLOWER)]
+    clients = sum(name.startswith("client-") for name in heard)
+    return (*silent, *controllers[clients:])

@@ -1,0 +1,158 @@
+"""How soon a Robot Server answers a telegram, beside an echo of the same bytes: 9 axes, 4 ms, one core.
+
+The Robot Server is a process as `deltaq up` starts it. It hears a heartbeat and an admission in every cycle, as from
+the gate; since its robot stands and is not ready, it decodes the admission and refuses it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from socket import AF_INET, SOCK_DGRAM, SOCK_STREAM, socket
+
+import numpy as np
+
+from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
+from deltaq_experiments.bench.asker import frame
+from deltaq_experiments.bench.native import program
+from deltaq_experiments.bench.table import BenchRow
+from deltaq_experiments.bench.telegrams import standing_telegrams
+from deltaq_launch.launcher import Launcher
+from deltaq_launch.services import cell_services, one
+from deltaq_protocol import topics
+from deltaq_protocol.codec import pack, unpack
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.guarded import Admission, ServerState, Supervision
+from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_services.guarded_key import guarded_seal
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+
+CELL, ROBOT = "lab-4ms", "gr"
+"""Six axes on a gantry of three, at the shorter cycle."""
+CYCLES = 2000
+_LEFT_OUT = 250
+"""Cycles of the beginning: a Robot Server has to believe in a session first."""
+_LONGER_S = 20.0
+
+
+class RsiReplyError(DeltaqError):
+    """The Robot Server could not be measured."""
+
+
+def rsi_reply(cycles: int = CYCLES, compiler: str | None = None) -> BenchRow:
+    """Time from a telegram to its reply.
+
+    Args:
+        cycles: telegrams that are timed.
+        compiler: of the reference, see `native.program`.
+
+    Raises:
+        LaunchError: if the Robot Server does not come up.
+        RsiReplyError: if it does not answer.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        made = program("asker", folder, compiler)
+        loaded = LoadedCell.load(_private(folder))
+        cell, cycle_s = loaded.model.description, loaded.model.description.cycle_s
+        driver = cell.robots[ROBOT].driver
+        assert driver.kind == "rsi"  # the shipped cell's
+        telegrams, file = folder / "telegrams", folder / "took"
+        telegrams.write_bytes(frame(standing_telegrams(loaded, ROBOT, cycles + _LEFT_OUT)))
+        service = one(cell_services(cell, str(loaded.file)), f"robot-server-{ROBOT}")
+        arguments = (f"{round(cycle_s * 1e9)}", driver.address, f"{driver.port}", f"{telegrams}", f"{file}")
+        with ExitStack() as stack:
+            with _on_one_core():
+                launcher = stack.enter_context(Launcher([service], lambda *_: None))
+                launcher.start()
+            stack.enter_context(_gate(cell))
+            with _on_one_core():
+                asker = subprocess.Popen([*made.command, *arguments], stderr=subprocess.PIPE, text=True)
+            try:
+                _, said = asker.communicate(timeout=(cycles + _LEFT_OUT) * cycle_s + _LONGER_S)
+            except subprocess.TimeoutExpired as error:
+                raise RsiReplyError("the reference of the RSI reply did not end") from error
+            finally:
+                asker.kill()
+                asker.communicate()
+        if asker.returncode != 0:
+            raise RsiReplyError(f"the reference of the RSI reply ended with {asker.returncode}: {said}")
+        took = np.fromfile(file, dtype="=i8").reshape(-1, 2)[_LEFT_OUT:] / 1e9
+    server, echo = (column[column >= 0.0].tolist() for column in took.T)
+    if len(server) < cycles / 2 or len(echo) < cycles / 2:
+        raise RsiReplyError(f"of {cycles} telegrams {len(server)} were answered, {len(echo)} by the echo")
+    return BenchRow.of(
+        f"an RSI reply, {len(cell.robots[ROBOT].joints)} axes at {cycle_s * 1e3:g} ms, one core",
+        f"an echo of the same bytes in {made.language}",
+        server,
+        echo,
+        at_most=2.0,
+        p99_at_most=2.5,
+    )
+
+
+@contextmanager
+def _on_one_core() -> Iterator[None]:
+    """Whatever is started inside stays on one core; of several the last, since the first serves most interrupts."""
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+@contextmanager
+def _gate(cell: CellDescription) -> Iterator[None]:
+    """Answers each state of the robot with a heartbeat and an admission."""
+    endpoint = cell.robots[ROBOT].server
+    session = open_session(connect=[endpoint], must_connect=True)
+    seal, identity = guarded_seal(cell), str(content_identity(cell))
+    keys = {row: row.key(cell.cell, robot=ROBOT) for row in (topics.SUPERVISION, topics.ADMISSION)}
+    heartbeats, admissions = (
+        declare_publisher(session, key, seal, row.priority) for row, key in keys.items()
+    )
+
+    def answer(sample: object) -> None:
+        state = unpack(ServerState, sample.payload.to_bytes())  # type: ignore[attr-defined] # zenoh has no types
+        heartbeat = Supervision(robot=ROBOT, epoch=1, cycle=state.cycle, cell=identity)
+        admission = Admission(
+            robot=ROBOT,
+            epoch=1,
+            sequence=1,
+            cycle=state.cycle,
+            follows_sequence=state.sequence,
+            follows_q_cmd=state.q_cmd,
+            follows_dq=state.dq,
+            dq=state.dq,
+            brake_cycles=1,
+        )
+        heartbeats.put(pack(heartbeat))
+        admissions.put(pack(admission))
+
+    subscriber = session.declare_subscriber(topics.SERVER_STATE.key(cell.cell, robot=ROBOT), answer)
+    try:
+        yield
+    finally:
+        subscriber.undeclare()
+        session.close()
+
+
+def _private(folder: Path) -> Path:
+    """The cell on ports of its own, so that one that is up is not disturbed."""
+    with socket(AF_INET, SOCK_STREAM) as tcp, socket(AF_INET, SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        udp.bind(("127.0.0.1", 0))
+        server, port = tcp.getsockname()[1], udp.getsockname()[1]
+    file = folder / "private.yaml"
+    file.write_text(
+        f"extends: {CELL}\n"
+        f"robots: {{{ROBOT}: {{server: tcp/127.0.0.1:{server}, driver: {{port: {port}}}}}}}\n",
+        encoding="utf-8",
+    )
+    return file

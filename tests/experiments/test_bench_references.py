@@ -1,0 +1,131 @@
+"""The references of the benchmark: real processes on bare sockets, in C and in Python, and what goes wrong."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deltaq_experiments.bench.asker import frame, framed
+from deltaq_experiments.bench.hop_reference import HopReferenceError, hop_reference
+from deltaq_experiments.bench.native import CompilerError, program
+from deltaq_experiments.bench.processor_time import processor_seconds
+
+COMPILERS = pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
+
+
+def test_a_compiler_that_fails_is_told_with_what_it_said(tmp_path: Path) -> None:
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho out of memory >&2\nexit 1\n", encoding="utf-8")
+    broken.chmod(0o755)
+    with pytest.raises(CompilerError, match="out of memory"):
+        program("hops", tmp_path, str(broken))
+
+
+def test_without_a_compiler_the_reference_is_in_python(tmp_path: Path) -> None:
+    assert program("hops", tmp_path, "no-such-compiler").language == "Python"
+
+
+@COMPILERS
+def test_a_message_passes_five_hops_in_their_order(tmp_path: Path, compiler: str | None) -> None:
+    begin_ns = time.monotonic_ns()
+    with hop_reference(0.004, 0.2, tmp_path, compiler) as reference:
+        assert reference.processor_s() >= 0.0
+        times = reference.times(begin_ns, begin_ns + 10**12)
+    back = times.rows[times.rows[:, -1] > 0]
+    assert len(times.rows) == 300  # with the second that it runs longer
+    assert len(back) > 0
+    assert (np.diff(back, axis=1) > 0).all()
+    assert 0.0 <= times.in_time <= 1.0
+
+
+def test_of_the_reference_only_the_window_counts(tmp_path: Path) -> None:
+    with hop_reference(0.004, 0.1, tmp_path) as reference:
+        assert len(reference.times(0, 1).rows) == 0
+
+
+@COMPILERS
+def test_a_reference_that_is_killed_is_an_error_and_leaves_no_process(
+    tmp_path: Path, compiler: str | None
+) -> None:
+    with hop_reference(0.004, 60.0, tmp_path, compiler) as reference:
+        reference.process.kill()
+        with pytest.raises(HopReferenceError, match="ended with -9"):
+            reference.times(0, 1)
+
+
+def test_a_reference_that_cannot_write_its_file_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "hops.bin").mkdir()
+    with (
+        hop_reference(0.004, 0.0, tmp_path) as reference,
+        pytest.raises(HopReferenceError, match=r"hops\.bin"),
+    ):
+        reference.times(0, 1)
+
+
+def test_datagrams_keep_their_bounds_in_a_file() -> None:
+    datagrams = [b"", b"<Rob/>", bytes(range(256))]
+    assert list(framed(frame(datagrams))) == datagrams
+
+
+@COMPILERS
+def test_the_asker_times_a_server_and_its_own_echo_and_notes_who_is_silent(
+    tmp_path: Path, compiler: str | None
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+        server.settimeout(5.0)
+
+        def answer_every_second_one() -> None:
+            for number in range(50):
+                telegram, sender = server.recvfrom(4096)
+                assert telegram == b"telegram %d" % number
+                if number % 2:
+                    server.sendto(b"reply", sender)
+
+        answering = threading.Thread(target=answer_every_second_one)
+        answering.start()
+        telegrams, took = tmp_path / "telegrams", tmp_path / "took"
+        telegrams.write_bytes(frame([b"telegram %d" % number for number in range(50)]))
+        port = server.getsockname()[1]
+        command = [*program("asker", tmp_path, compiler).command, "20000000", "127.0.0.1", f"{port}"]
+        subprocess.run([*command, str(telegrams), str(took)], check=True, timeout=60)
+        answering.join()
+    server_ns, echo_ns = np.fromfile(took, dtype="=i8").reshape(-1, 2).T
+    assert len(server_ns) == 50
+    assert (server_ns[::2] == -1).all()
+    assert (server_ns[1::2] > 0).any()
+    assert (echo_ns > 0).any()
+
+
+def test_processor_time_of_this_process_is_its_own() -> None:
+    before = time.process_time()
+    found = processor_seconds(os.getpid())
+    assert before <= found <= time.process_time()
+
+
+def test_processor_time_of_children_counts_if_asked() -> None:
+    busy = "import time\nwhile time.process_time() < 0.3: pass\nprint(flush=True)\ninput()"
+    with subprocess.Popen(
+        [sys.executable, "-c", busy], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        own = processor_seconds(os.getpid())
+        assert processor_seconds(os.getpid(), with_children=True) - own > 0.25
+        assert processor_seconds(child.pid) > 0.25
+        child.communicate(b"\n")
+
+
+def test_processor_time_of_a_process_that_has_ended_is_an_error() -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as child:
+        child.wait()
+    with pytest.raises(ProcessLookupError, match=f"process {child.pid} has ended"):
+        processor_seconds(child.pid)

@@ -1,0 +1,238 @@
+"""Figures of a live benchmark from stamps: lost ones, late ones, none at all, and what a braked cycle is blamed on."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from stamped import MS, ns, stamp
+
+from deltaq_experiments.bench.braked import BrakeCause, causes
+from deltaq_experiments.bench.hop_reference import HopTimes
+from deltaq_experiments.bench.journeys import RobotStamps, by_robot, journeys
+from deltaq_experiments.bench.live_figures import LiveRow, bounded_rows, robot_figures
+from deltaq_experiments.bench.quantiles import Quantiles, ratio
+from deltaq_protocol.stamps import CycleOutcome, Station, WrittenStamps
+
+BRAKED = CycleOutcome.BRAKED
+
+
+def hop_times(rows: list[list[int]], cycle_s: float = 0.012) -> HopTimes:
+    return HopTimes("C", cycle_s, np.array(rows, dtype=np.int64).reshape(-1, 6))
+
+
+def even_hops(count: int) -> HopTimes:
+    return hop_times([[ns(c), *(ns(c) + hop * 100_000 for hop in range(1, 6))] for c in range(count)])
+
+
+# --- quantiles ----------------------------------------------------------------------------------------------
+
+
+def test_nothing_measured_has_no_quantiles() -> None:
+    none = Quantiles.of([])
+    assert (none.count, none.p50, none.p99, none.p99_9, none.longest) == (0, None, None, None, None)
+
+
+def test_quantiles_are_measured_values_by_nearest_rank() -> None:
+    thousand = Quantiles.of([float(value) for value in range(1000, 0, -1)])
+    assert (thousand.p50, thousand.p99, thousand.p99_9, thousand.longest) == (500.0, 990.0, 999.0, 1000.0)
+    one = Quantiles.of([3.0])
+    assert (one.p50, one.p99, one.p99_9, one.longest) == (3.0, 3.0, 3.0, 3.0)
+
+
+@pytest.mark.parametrize(("value", "reference"), [(None, 1.0), (1.0, None), (1.0, 0.0), (1.0, -1.0)])
+def test_there_is_no_ratio_to_nothing(value: float | None, reference: float | None) -> None:
+    assert ratio(value, reference) is None
+
+
+# --- journeys -----------------------------------------------------------------------------------------------
+
+
+def test_without_stamps_there_are_no_journeys_and_no_rate() -> None:
+    figures = robot_figures(RobotStamps(), 0, ns(100), even_hops(0))
+    assert (figures.cycles, figures.fresh, figures.admission_rate, figures.increments) == (0, 0, None, 0)
+    assert figures.longest_client_cycle_ms is None
+    assert all(station.age_ms.count == 0 and station.ratio_p50 is None for station in figures.stations)
+
+
+def test_an_increment_is_joined_through_all_stations() -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4)
+    [one] = journeys(stamps, 0, ns(10))
+    assert (one.cycle, one.seq, one.decided_on) == (4, 4, 4)
+    assert one.age_ns(Station.ADMISSION_AT_SERVER) == 9 * MS
+    assert set(one.at_ns) == set(Station)
+
+
+@pytest.mark.parametrize("lost", [s for s in Station if s is not Station.TELEGRAM])
+def test_a_lost_stamp_leaves_out_its_station_and_keeps_the_others_before_it(lost: Station) -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4, without=(lost,))
+    stamp(stamps, 5)
+    figures = robot_figures(stamps, 0, ns(10), even_hops(10))
+    missing = {station.station: station.missing for station in figures.stations}
+    assert figures.increments == 2
+    assert max(missing.values()) == 1
+    if lost in (Station.REQUEST_AT_GATE, Station.DECISION_BEGUN):  # what joins an increment with its decision
+        assert missing["decided"] == missing["admission at the Robot Server"] == 1
+    else:
+        assert sum(missing.values()) == 1
+
+
+def test_an_increment_whose_telegram_has_no_stamp_is_left_out() -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4, without=(Station.TELEGRAM,))
+    assert journeys(stamps, 0, ns(10)) == []
+
+
+def test_an_increment_decided_one_cycle_later_takes_that_cycles_admission() -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4, decided_on=5, later_ms={s: 8.0 for s in Station if s >= Station.DECISION_BEGUN})
+    [one] = journeys(stamps, 0, ns(10))
+    assert one.decided_on == 5
+    assert one.age_ns(Station.ADMISSION_AT_SERVER) == 17 * MS
+
+
+def test_sequence_numbers_of_a_second_lease_are_not_those_of_the_first() -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4, seq=1)
+    stamp(stamps, 40, seq=1)
+    assert [(one.cycle, one.decided_on) for one in journeys(stamps, 0, ns(100))] == [(4, 4), (40, 40)]
+
+
+def test_of_two_stamps_of_one_kind_the_first_counts() -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4)
+    stamps.add(Station.TELEGRAM, 4, 0, ns(4) + 5 * MS)
+    assert journeys(stamps, 0, ns(10))[0].age_ns(Station.DECIDED) == 7 * MS
+
+
+def test_only_cycles_of_the_window_count() -> None:
+    stamps = RobotStamps()
+    for cycle in range(10):
+        stamp(stamps, cycle)
+    figures = robot_figures(stamps, ns(3), ns(7), even_hops(10))
+    assert (figures.cycles, figures.increments, figures.admission_rate) == (4, 4, 1.0)
+
+
+def test_stamps_of_all_processes_are_sorted_by_robot() -> None:
+    def written(process: str, robots: tuple[str, ...], rows: list[list[int]]) -> WrittenStamps:
+        return WrittenStamps(process, robots, 0, np.array(rows, dtype=np.int64).reshape(-1, 5))
+
+    found = by_robot(
+        [
+            written("robot-server-gr", ("gr",), [[Station.TELEGRAM, 0, 7, 0, 100]]),
+            written("sim", ("fr", "gr"), [[Station.ADMISSION_OUT, 1, 7, 0, 200]]),
+            written("hli", ("fr", "gr"), []),
+        ]
+    )
+    assert set(found) == {"gr"}
+    assert found["gr"].states[Station.TELEGRAM] == {7: 100}
+    assert found["gr"].admissions[Station.ADMISSION_OUT] == {7: 200}
+
+
+# --- braked cycles ------------------------------------------------------------------------------------------
+
+LATE_MS = 12.5
+
+
+@pytest.mark.parametrize(
+    ("before", "cause"),
+    [
+        ({"without": tuple(s for s in Station if s >= Station.STATE_AT_CLIENT)}, BrakeCause.STATE_MISSED),
+        ({"without": tuple(s for s in Station if s >= Station.INCREMENT_OUT)}, BrakeCause.NO_INCREMENT),
+        (
+            {
+                "without": tuple(s for s in Station if s >= Station.INCREMENT_AT_HLI),
+                "later_ms": {Station.INCREMENT_OUT: LATE_MS},
+            },
+            BrakeCause.CLIENT_LATE,
+        ),
+        ({"without": tuple(s for s in Station if s >= Station.INCREMENT_AT_HLI)}, BrakeCause.ON_WAY_TO_HLI),
+        ({"without": tuple(s for s in Station if s >= Station.REQUEST_AT_GATE)}, BrakeCause.ON_WAY_TO_GATE),
+        ({"without": tuple(s for s in Station if s >= Station.DECISION_BEGUN)}, BrakeCause.NOT_DECIDED),
+        ({"without": (Station.ADMISSION_OUT, Station.ADMISSION_AT_SERVER)}, BrakeCause.GATE_HELD),
+        ({"without": (Station.ADMISSION_AT_SERVER,)}, BrakeCause.ADMISSION_LOST),
+        ({"later_ms": {Station.ADMISSION_AT_SERVER: LATE_MS}}, BrakeCause.ADMISSION_LATE),
+        (
+            {"later_ms": {s: LATE_MS for s in Station if s >= Station.DECIDED}},
+            BrakeCause.GATE_LATE,
+        ),
+        ({}, BrakeCause.ADMISSION_REFUSED),
+    ],
+)
+def test_a_braked_cycle_is_blamed_on_the_first_station_not_passed_in_time(
+    before: dict[str, object], cause: BrakeCause
+) -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4, **before)  # type: ignore[arg-type] # the cases above
+    stamp(stamps, 5, outcome=BRAKED)
+    assert causes(stamps, [5]) == Counter({cause: 1})
+
+
+def test_a_held_robot_and_a_missed_reply_are_causes_of_their_own() -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4, outcome=CycleOutcome.HELD)
+    stamp(stamps, 5, outcome=CycleOutcome.REPLY_MISSED)
+    stamp(stamps, 6)
+    assert causes(stamps, [4, 5, 6, 7]) == Counter({BrakeCause.HELD: 1, BrakeCause.REPLY_MISSED: 1})
+
+
+def test_every_braked_cycle_has_one_cause() -> None:
+    stamps = RobotStamps()
+    for cycle in range(20):
+        lost = (Station.ADMISSION_AT_SERVER,) if cycle % 3 == 1 else ()
+        stamp(stamps, cycle, without=lost, outcome=BRAKED if cycle % 3 == 2 else CycleOutcome.FRESH)
+    figures = robot_figures(stamps, 0, ns(20), even_hops(20))
+    assert (figures.cycles, figures.fresh) == (20, 14)
+    assert figures.braked == {BrakeCause.ADMISSION_LOST.value: 6}
+
+
+# --- beside the reference -----------------------------------------------------------------------------------
+
+
+def test_ages_are_compared_with_the_same_number_of_hops() -> None:
+    stamps = RobotStamps()
+    for cycle in range(10):
+        stamp(stamps, cycle)
+    figures = robot_figures(stamps, 0, ns(10), even_hops(10))
+    by_name = {station.station: station for station in figures.stations}
+    assert by_name["state out"].ratio_p50 is None
+    assert by_name["request at the gate"].ratio_p50 == pytest.approx(5.0 / 0.4)
+    assert by_name["admission at the Robot Server"].ratio_p99 == pytest.approx(9.0 / 0.5)
+    assert figures.longest_client_cycle_ms == pytest.approx(12.0)
+
+
+def test_the_reference_counts_its_own_misses() -> None:
+    late, lost = [0, 1, 2, 3, 4, ns(1)], [ns(1), 0, 0, 0, 0, 0]
+    times = hop_times([late, lost, [ns(2), *(ns(2) + hop for hop in range(1, 6))]])
+    assert times.in_time == pytest.approx(1 / 3)
+    assert times.ages_s(5) == pytest.approx([0.012, 5e-9])
+    assert times.longest_client_cycle_s == pytest.approx(0.024)
+    assert hop_times([]).in_time == 0.0
+    assert hop_times([]).longest_client_cycle_s is None
+
+
+@pytest.mark.parametrize(("cycle_s", "at_least", "at_most"), [(0.012, 99.9, 24.0), (0.004, 99.5, None)])
+def test_what_is_promised_depends_on_the_cycle(
+    cycle_s: float, at_least: float, at_most: float | None
+) -> None:
+    stamps = RobotStamps()
+    stamp(stamps, 4)
+    times = hop_times([[0, 1, 2, 3, 4, 5]], cycle_s)
+    robots = {"fr": robot_figures(stamps, 0, ns(10), times)}
+    rate, longest, processor = bounded_rows(robots, {"sim": 300.0, "hli": 100.0}, times, 4.0)
+    assert (rate.at_least, longest.at_most) == (at_least, at_most)
+    assert (rate.value, rate.kept) == (100.0, True)
+    assert longest.value is None
+    assert longest.kept is (False if at_most else None)
+    assert (processor.value, processor.ratio, processor.kept) == (400.0, 100.0, None)
+
+
+def test_a_bound_that_is_missed_by_a_little_is_missed() -> None:
+    assert LiveRow.of("rate", 99.89, "%", 100.0, at_least=99.9).kept is False
+    assert LiveRow.of("longest", 24.01, "ms", 12.0, at_most=24.0).kept is False
+    assert LiveRow.of("rate", None, "%", 100.0, at_least=99.9).kept is False
+    assert LiveRow.of("rate", 99.9, "%", 100.0, at_least=99.9).kept is True
+    assert LiveRow.of("processor", 1e9, "µs", 1.0).kept is None
