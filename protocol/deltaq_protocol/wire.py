@@ -91,11 +91,16 @@ class Wire:
         """Call `take` in the loop with the samples of a key; of waiting samples the newest `capacity` are kept."""
         inbox = ClientInbox[zenoh.Sample](self._loop, take, capacity)
         self._inboxes.append(inbox)
-        self._declare(key, inbox.put)
+        self.subscribe_unqueued(key, inbox.put)
 
     def subscribe_newest(self, key: str, newest: Newest[zenoh.Sample, Any]) -> None:
         """Put the samples of a key where the newest is kept, without waking the loop for those that nobody awaits."""
-        self._declare(key, newest.put)
+        self.subscribe_unqueued(key, newest.put)
+
+    def subscribe_unqueued(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
+        """Call `put` with the samples of a key, in a thread of zenoh's."""
+        callback = zenoh.handlers.Callback(put, indirect=False)
+        self._declared.append(self._session.declare_subscriber(key, callback))
 
     def publisher(self, topic: Topic, cell: str, robot: str) -> Any:
         """A publisher of a robot's topic; a session that was closed makes its `put` raise `ZError`."""
@@ -108,7 +113,3 @@ class Wire:
         for inbox in self._inboxes:
             inbox.close()
         self._session.close()
-
-    def _declare(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
-        callback = zenoh.handlers.Callback(put, indirect=False)
-        self._declared.append(self._session.declare_subscriber(key, callback))
