@@ -10,6 +10,7 @@ from deltaq_services.console.settings import Settings
 from deltaq_services.process import run
 
 TOKEN_VARIABLE = "DELTAQ_CONSOLE_TOKEN"
+OPERATOR_TOKEN_VARIABLE = "DELTAQ_OPERATOR_TOKEN"
 
 
 def main() -> None:
@@ -27,9 +28,10 @@ def main() -> None:
         address=options.address or description.console_address,
         port=options.port if options.port is not None else description.console_port,
         token=os.environ.get(TOKEN_VARIABLE, ""),
+        operator_token=os.environ.get(OPERATOR_TOKEN_VARIABLE) or None,
     )
     # after the settings were found good: these imports take seconds
-    from deltaq_services.console.shell import serve
+    from deltaq_services.console.web import serve
 
     serve(settings)
 

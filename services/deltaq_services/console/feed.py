@@ -21,6 +21,9 @@ STALE_S = 0.25
 VERDICT_S = 0.5
 """A verdict that is older is no longer shown: nobody drives."""
 
+CREEP = 0.001
+"""Fraction of the joints' speed limits below which axes count as still: sensors are not without noise."""
+
 
 class RobotFeed:
     """One robot, as heard.
@@ -40,8 +43,10 @@ class RobotFeed:
         self.verdict: Verdict | None = None
         self._home = robot.home
         self._max_dv = robot.max_acceleration * cycle_s**2
+        self._creep = CREEP * robot.max_velocity * cycle_s
         self._bodies = bodies
         self._dq: Array = np.zeros(len(self._home))
+        self._measured: Array = np.full(len(self._home), math.inf)
         self._state_s = self._verdict_s = -math.inf
         self._outcomes: deque[tuple[float, Outcome]] = deque()
         self._gaps: deque[tuple[float, float]] = deque()
@@ -50,15 +55,17 @@ class RobotFeed:
         """The longest time between two states since this was said last was `gap_s` [s]."""
         self._gaps.append((now_s, gap_s))
 
-    def take_state(self, state: RobotState, arrived_s: float) -> None:
-        """A newer state has come."""
-        if len(state.q) != len(self._home):
-            return
+    def take_state(self, state: RobotState, arrived_s: float) -> bool:
+        """A newer state has come; returns whether it is one of this robot."""
+        if len(state.q) != len(self._home) or len(state.q_cmd) != len(self._home):
+            return False
         before = self.state
         if before is not None and state.cycle > before.cycle:
-            step = np.subtract(state.q_cmd, before.q_cmd) / (state.cycle - before.cycle)
-            self._dq = step
+            cycles = state.cycle - before.cycle
+            self._dq = np.subtract(state.q_cmd, before.q_cmd) / cycles
+            self._measured = np.subtract(state.q, before.q) / cycles
         self.state, self._state_s = state, arrived_s
+        return True
 
     def take_verdict(self, verdict: Verdict, arrived_s: float) -> None:
         """A verdict on this robot has come."""
@@ -97,9 +104,9 @@ class RobotFeed:
         )
 
     @property
-    def is_at_rest(self) -> bool:
-        """Whether the setpoint stands still, as far as the two newest states say."""
-        return self.state is None or not self._dq.any()
+    def is_still(self) -> bool:
+        """Whether the setpoint stands still and the axes do not follow it any more, as the two newest states say."""
+        return bool((self._dq == 0.0).all() and (np.abs(self._measured) < self._creep).all())
 
     def _rest(self, state: RobotState | None) -> Array:
         """Where the brake that follows the last increment would end."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deltaq_protocol import topics
-from deltaq_protocol.messages import DescribeRequest, Message
+from deltaq_protocol.messages import Message
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Topic
 from deltaq_protocol.wire import Wire
@@ -111,7 +111,7 @@ class HliLink:
             return self._proximity.pop()
         return None
 
-    async def ask(self, topic: Topic, request: Message = DescribeRequest(), robot: str = "") -> bytes:
+    async def ask(self, topic: Topic, request: Message, robot: str = "") -> bytes:
         """Ask the HLI, and return its answer as it came; raises as `Wire.ask`."""
         assert self._wire is not None  # entered
         return await self._wire.ask(topic, self._cell, request, robot)

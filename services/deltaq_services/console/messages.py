@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from deltaq_protocol.messages import Count, JointValue, Joints, Message, Name, Outcome, Phase
+from deltaq_protocol.driving import Axes, DrivingMode
+from deltaq_protocol.messages import Count, Joints, JointValue, Message, Name, Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
 
 MAX_MESSAGE_BYTES = 4096
@@ -20,19 +21,20 @@ MAX_MESSAGE_BYTES = 4096
 MOST_MESSAGES_S = 120.0
 """Messages that a browser may send in a second; `stop` is not counted among them."""
 
+_MOTION_S, _OTHER_S = 0.5, 2.0
+EXPIRY_S = {
+    "lease": _OTHER_S,
+    "reset": _OTHER_S,
+    "mode": _MOTION_S,
+    "jog": _MOTION_S,
+    "view_distance": _MOTION_S,
+    "output": _MOTION_S,
+    "dry_run": _OTHER_S,
+}
+"""How late a command may come, by its type [s]: later it is not carried out. A stop is, whenever it comes."""
+
 CommandId = Annotated[str, Field(min_length=1, max_length=64)]
 Signal = Annotated[str, Field(min_length=1, max_length=64)]
-
-
-class Mode(StrEnum):
-    """How a robot is driven: the teleoperator's modes, and following with the camera."""
-
-    JOINT = "joint"
-    DECOUPLED = "decoupled"
-    SELF_MOTION = "self-motion"
-    ADVISOR = "advisor"
-    COUPLED = "coupled"
-    FOLLOW = "follow"
 
 
 class Command(Message):
@@ -49,9 +51,11 @@ class Ping(Command):
 
 
 class Stop(Command):
-    """Bring every robot to rest. It never expires, and observers may send it."""
+    """Bring every robot to rest. It never expires, observers may send it, and it needs no field but its type."""
 
     type: Literal["stop"]
+    id: Annotated[str, Field(max_length=64)] = ""
+    sent_ms: FiniteFloat = 0.0
 
 
 class Reset(Command):
@@ -84,8 +88,8 @@ class SetMode(Command):
 
     type: Literal["mode"]
     robot: Name
-    mode: Mode
-    frame: Literal["world", "tool"] = "world"
+    mode: DrivingMode
+    frame: Axes = "world"
 
 
 class Jog(Command):
@@ -210,8 +214,8 @@ class RobotView(Message):
     text: str = ""
     remedy: str = ""
     lease: LeaseView = LeaseView()
-    mode: Mode | None = None
-    frame: Literal["world", "tool"] = "world"
+    mode: DrivingMode | None = None
+    frame: Axes = "world"
     driving: str = ""
     view_distance_m: FiniteFloat | None = None
     bound: Bound | None = None

@@ -26,6 +26,7 @@ class Settings:
         address: it is bound to.
         port: it is bound to.
         token: makes an operator of whoever knows it; empty: whoever is on this machine is one.
+        operator_token: the HLI's, which a reset needs where it was given one.
 
     Raises:
         NoTokenError: another address than this machine's loopback without a token.
@@ -36,6 +37,7 @@ class Settings:
     address: str
     port: int
     token: str = ""
+    operator_token: str | None = None
 
     def __post_init__(self) -> None:
         if not self.is_loopback and not self.token:
@@ -51,6 +53,12 @@ class Settings:
             return ip_address(self.address).is_loopback
         except ValueError:
             return self.address == "localhost"
+
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds it."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.port}"
 
     @property
     def token_needed(self) -> bool:

@@ -1,210 +1,211 @@
-"""The console's process: one event loop with the web server, the HLI's link and the clients' connections."""
+"""The console's process: the clock, the ticks, and what the core wants done."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import time
 from functools import partial
-from typing import Any
-
-import uvicorn
-from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
-from pydantic import ValidationError
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_protocol import messages as open_realm
-from deltaq_protocol import topics
+from deltaq_cell.identity import content_identity
+from deltaq_protocol import driving, topics
 from deltaq_protocol.codec import InvalidMessageError, unpack
-from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
-from deltaq_services.console.feed import RobotFeed
-from deltaq_services.console.frame import NO_BODY, NearestBodies, pack_frame
-from deltaq_services.console.hli_link import HliLink
-from deltaq_services.console.messages import (
-    COMMANDS,
-    Ack,
-    AckOutcome,
-    Hello,
-    LeaseView,
-    Ping,
-    Pong,
-    RobotView,
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+from deltaq_protocol.identity import CellIdentity, mismatch
+from deltaq_protocol.messages import (
+    DescribeRequest,
+    DryRunReply,
+    DryRunRequest,
+    IoReply,
+    IoRequest,
+    Proximity,
+    ResetRequest,
+    RobotState,
     Status,
+    StopRequest,
+    Verdict,
 )
-from deltaq_services.console.scene import MESHES, Scene, scene_of
-from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
+from deltaq_services.console.client import Client
+from deltaq_services.console.connection import Connection
+from deltaq_services.console.core import ConsoleCore
+from deltaq_services.console.driver_process import DriverProcess
+from deltaq_services.console.hli_link import HliLink
+from deltaq_services.console.messages import StopPhase
+from deltaq_services.console.outputs import AskHli, Output, ToDriver
+from deltaq_services.console.scene import Scene, scene_of
 
 FRAME_S = 0.04
 """Time between two frames: 25 a second."""
+_ALONE_S = 0.5
+"""Time between two looks at the cell while nobody looks on."""
+_TOLD_EVERY = 5
+"""Frames from one look at what else browsers have to be told to the next."""
+_POLL_S = 0.5
+_STOP_AGAIN_S = 0.1
+_MOST_STOPS = 50
+_NAME = "console"
 
 
 class Console:
-    """Walking skeleton."""
+    """The console of one cell, as it runs.
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self.cell = CellModel.load(settings.cell)
-        self.scene: Scene = scene_of(self.cell, settings.emulated)
-        places = {name: place for place, name in enumerate(self.scene.bodies)}
-        self.places = places
-        description = self.cell.description
-        self.feeds = {
-            name: RobotFeed(robot, description.cycle_s, places) for name, robot in description.robots.items()
-        }
-        self.nearest = NearestBodies()
-        self.status = Status(hli=False, text="not heard yet", robots={})
-        self.sockets: set[WebSocket] = set()
+    Args:
+        cell: the cell's model.
+        emulated: no robot of it is real.
+        token_needed: whether a client without the token is an observer.
+        operator_token: the HLI's, which a reset needs where it was given one.
 
-    async def run(self, link: HliLink) -> None:
-        """Tick for ever."""
-        asyncio.get_running_loop().create_task(self.poll(link))
-        while True:
-            now = time.monotonic()
-            for name, feed in self.feeds.items():
-                heard = link.heard(name)
-                if heard.states:
-                    feed.arrived(heard.longest_gap_s, now)
-                for payload in heard.states:
-                    with contextlib.suppress(InvalidMessageError):
-                        feed.take_state(unpack(open_realm.RobotState, payload), heard.state_s)
-                for payload in heard.verdicts:
-                    with contextlib.suppress(InvalidMessageError):
-                        feed.take_verdict(unpack(open_realm.Verdict, payload), now)
-            payload = link.proximity()
-            if payload is not None:
-                near = unpack(open_realm.Proximity, payload)
-                if near.pairs:
-                    pair = near.pairs[0]
-                    self.nearest = NearestBodies(
-                        self.places.get(pair.pair[0], NO_BODY),
-                        self.places.get(pair.pair[1], NO_BODY),
-                        pair.distance_m,
-                        pair.points_m,
-                    )
-            frame = pack_frame(
-                time.time(), None, self.nearest, [feed.frame(now) for feed in self.feeds.values()]
+    Attributes:
+        scene: what browsers draw.
+        core: what is decided.
+    """
+
+    def __init__(
+        self, cell: CellModel, emulated: bool, token_needed: bool, operator_token: str | None
+    ) -> None:
+        description = cell.description
+        self.scene: Scene = scene_of(cell, emulated)
+        self.core = ConsoleCore(description, self.scene.bodies, token_needed)
+        self._identity = content_identity(description)
+        self._operator_token = operator_token
+        self._link = HliLink(description.hli, description.cell, tuple(description.robots))
+        self._signalling = [
+            name for name, robot in description.robots.items() if robot.outputs or robot.inputs
+        ]
+        self._connections: dict[int, Connection] = {}
+        self._drivers = {
+            robot: DriverProcess(
+                description.hli, robot, partial(self._driver_said, robot), partial(self._driver_ended, robot)
             )
-            for socket_ in tuple(self.sockets):
-                with contextlib.suppress(Exception):
-                    await socket_.send_bytes(frame)
-            await asyncio.sleep(FRAME_S)
+            for robot in description.robots
+        }
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._epoch_s = time.time() - time.monotonic()
 
-    async def poll(self, link: HliLink) -> None:
-        """Ask for the status."""
+    async def run(self) -> None:
+        """Watch the cell until cancelled; then drivers bring their robots to rest."""
+        async with self._link:
+            polling = asyncio.ensure_future(self._poll())
+            try:
+                await self._tick()
+            finally:
+                polling.cancel()
+                await asyncio.gather(*(driver.end() for driver in self._drivers.values()))
+
+    def now_s(self) -> float:
+        """Time of day as it was at the start, and counted on without steps [s]."""
+        return self._epoch_s + time.monotonic()
+
+    async def serve(self, connection: Connection, name: str, is_operator: bool) -> None:
+        """Serve one browser until it has gone."""
+        client, outputs = self.core.connect(name, is_operator, self.now_s())
+        if client is None:
+            return
+        self._connections[client.number] = connection
+        self._carry_out(outputs)
+        try:
+            await connection.serve(partial(self._take, client))
+        finally:
+            del self._connections[client.number]
+            self._carry_out(self.core.disconnect(client, self.now_s()))
+
+    def _take(self, client: Client, message: str | bytes) -> None:
+        self._carry_out(self.core.take(client, message, self.now_s()))
+
+    def _carry_out(self, outputs: list[Output]) -> None:
+        for output in outputs:
+            if isinstance(output, AskHli):
+                task = asyncio.ensure_future(self._ask(output))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+            elif isinstance(output, ToDriver):
+                self._drivers[output.robot].send(output.request)
+            elif (connection := self._connections.get(output.client)) is not None:
+                connection.put_text(output.message.model_dump_json())
+
+    async def _ask(self, asked: AskHli) -> None:
+        verdict: Verdict | None = None
+        done, text = True, ""
+        try:
+            if asked.kind == "stop":
+                await self._ask_to_stop()
+            elif asked.kind == "reset":
+                reset = ResetRequest(robot=asked.robot, client=_NAME, token=self._operator_token)
+                await self._link.ask(topics.RESET, reset)
+            else:
+                run = DryRunRequest(robot=asked.robot, dq=asked.dq)
+                reply = await self._link.ask(topics.DRY_RUN, run, asked.robot)
+                verdict = unpack(DryRunReply, reply).verdict
+        except DeltaqError as error:
+            done, text = False, str(error)
+        self._carry_out(self.core.answered(asked.request, done, text, self.now_s(), verdict))
+
+    async def _ask_to_stop(self) -> None:
+        """Ask until the HLI has heard it: what it answers then stands."""
+        for attempt in range(1, _MOST_STOPS + 1):
+            try:
+                await self._link.ask(topics.STOP, StopRequest(client=_NAME))
+                return
+            except ServiceUnreachableError:
+                if attempt == _MOST_STOPS or self.core.stop.phase is not StopPhase.ASKED:
+                    raise
+            await asyncio.sleep(_STOP_AGAIN_S)
+
+    def _driver_said(self, robot: str, said: driving.Said) -> None:
+        self._carry_out(self.core.driver_said(robot, said, self.now_s()))
+
+    def _driver_ended(self, robot: str, why: str) -> None:
+        self._carry_out(self.core.driver_ended(robot, why, self.now_s()))
+
+    async def _tick(self) -> None:
+        next_s, ticks = time.monotonic(), 0
+        while True:
+            now_s = self.now_s()
+            self._hear(now_s)
+            if self._connections:
+                frame = self.core.picture.frame(now_s)
+                for connection in self._connections.values():
+                    connection.put_frame(frame)
+            stopping = self.core.stop.phase in (StopPhase.ASKED, StopPhase.STOPPING)
+            if stopping or ticks % _TOLD_EVERY == 0:
+                self._carry_out(self.core.tick(now_s))
+            ticks += 1
+            # what was missed is not made up for
+            next_s = max(next_s + (FRAME_S if self._connections else _ALONE_S), time.monotonic())
+            await asyncio.sleep(next_s - time.monotonic())
+
+    def _hear(self, now_s: float) -> None:
+        picture = self.core.picture
+        for robot, side in self.core.robots.items():
+            heard = self._link.heard(robot)
+            arrived_s = self._epoch_s + heard.state_s
+            if heard.states:
+                side.feed.arrived(heard.longest_gap_s, now_s)
+            for payload in heard.states:
+                with contextlib.suppress(InvalidMessageError):
+                    picture.take_state(unpack(RobotState, payload), arrived_s)
+            for payload in heard.verdicts:
+                with contextlib.suppress(InvalidMessageError):
+                    picture.take_verdict(unpack(Verdict, payload), now_s)
+        near = self._link.proximity()
+        if near is not None:
+            with contextlib.suppress(InvalidMessageError):
+                picture.take_proximity(unpack(Proximity, near))
+
+    async def _poll(self) -> None:
+        """Ask for what is not published: who holds leases, and the digital signals."""
         while True:
             try:
-                status = unpack(open_realm.Status, await link.ask(topics.STATUS))
-                self.status = Status(
-                    hli=True,
-                    robots={
-                        name: RobotView(
-                            phase=robot.phase, reason=robot.reason, lease=LeaseView(holder=robot.lease.holder)
-                        )
-                        for name, robot in status.robots.items()
-                    },
-                )
+                status = unpack(Status, await self._link.ask(topics.STATUS, DescribeRequest()))
+                theirs = CellIdentity.parse(status.identity)
+                if not self._identity.is_same(theirs):
+                    raise RefusedError("cell_mismatch", mismatch("the HLI", theirs, self._identity))
+                for robot in self._signalling:
+                    io = unpack(IoReply, await self._link.ask(topics.IO, IoRequest(robot=robot), robot))
+                    self.core.signals(robot, io.outputs, io.inputs)
+                holders = {name: robot.lease.holder for name, robot in status.robots.items()}
+                self.core.hli_heard(holders, self.now_s())
             except DeltaqError as error:
-                self.status = Status(hli=False, text=str(error), robots=self.status.robots)
-            for socket_ in tuple(self.sockets):
-                with contextlib.suppress(Exception):
-                    await socket_.send_text(self.status.model_dump_json())
-            await asyncio.sleep(0.5)
-
-    async def live(self, websocket: WebSocket) -> None:
-        """One browser."""
-        await websocket.accept()
-        await websocket.send_text(
-            Hello(
-                client="somebody",
-                operator=self.settings.is_operator(websocket.query_params.get("token", "")),
-                token_needed=self.settings.token_needed,
-                server_ms=time.time() * 1000,
-            ).model_dump_json()
-        )
-        self.sockets.add(websocket)
-        try:
-            while True:
-                text = await websocket.receive_text()
-                try:
-                    command = COMMANDS.validate_json(text)
-                except ValidationError as error:
-                    await websocket.send_text(
-                        Ack(id="", outcome=AckOutcome.REFUSED, text=str(error)).model_dump_json()
-                    )
-                    continue
-                if isinstance(command, Ping):
-                    await websocket.send_text(
-                        Pong(
-                            id=command.id, sent_ms=command.sent_ms, server_ms=time.time() * 1000
-                        ).model_dump_json()
-                    )
-                else:
-                    await websocket.send_text(
-                        Ack(
-                            id=command.id, outcome=AckOutcome.REFUSED, text="not served yet"
-                        ).model_dump_json()
-                    )
-        except (WebSocketDisconnect, KeyError):
-            pass
-        finally:
-            self.sockets.discard(websocket)
-
-
-def serve(settings: Settings) -> None:
-    """Serve until a signal ends the process.
-
-    Raises:
-        ServiceUnreachableError: the port is taken.
-    """
-    console = Console(settings)
-    with socket.socket() as listening:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listening.bind((settings.address, settings.port))
-        except OSError as error:
-            raise ServiceUnreachableError(
-                f"the console cannot listen on {settings.address}:{settings.port}: {error.strerror}"
-            ) from error
-        asyncio.run(_serve(console, listening))
-
-
-async def _serve(console: Console, listening: socket.socket) -> None:
-    cell = console.cell.description
-    async with HliLink(cell.hli, cell.cell, tuple(cell.robots)) as link:
-        server = uvicorn.Server(
-            uvicorn.Config(application(console), log_level="warning", access_log=False, lifespan="on")
-        )
-        ticking = asyncio.create_task(console.run(link))
-        print(f"ready: console at http://{console.settings.address}:{console.settings.port}", flush=True)
-        try:
-            await server.serve(sockets=[listening])
-        finally:
-            ticking.cancel()
-
-
-def application(console: Console) -> FastAPI:
-    """The web application: the scene, its meshes, the live WebSocket, and the page."""
-    app = FastAPI(openapi_url=None)
-    if console.settings.is_loopback:
-        app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_HOSTS))
-    app.get("/scene.json")(partial(_scene, console))
-    app.get(MESHES + "/{name}")(partial(_mesh, console))
-    app.websocket("/live")(console.live)
-    try:
-        from deltaq_services.console import page  # type: ignore[attr-defined,unused-ignore]
-    except ImportError:
-        return app
-    if hasattr(page, "build"):
-        page.build(app, console.settings)
-    return app
-
-
-async def _scene(console: Console) -> dict[str, Any]:
-    return console.scene.document
-
-
-async def _mesh(console: Console, name: str) -> Response:
-    text = console.scene.meshes.get(name)
-    return Response(status_code=404) if text is None else Response(text, media_type="model/obj")
+                self.core.hli_silent(str(error), self.now_s())
+            await asyncio.sleep(_POLL_S)
