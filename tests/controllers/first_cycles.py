@@ -24,7 +24,7 @@ from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_command.drive_display import Display
-from deltaq_command.teleoperator import teleoperator_for
+from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart

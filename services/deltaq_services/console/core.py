@@ -165,6 +165,8 @@ class ConsoleCore:
         side = self.robots[robot]
         if isinstance(said, driving.Report):
             side.report = said
+            if said.stage is driving.Stage.FREE and side.seat.lost():
+                self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
             return []
         client, command, asked = self._asked.pop(said.id, (None, "", None))
         outputs: list[Output] = []

@@ -105,6 +105,13 @@ class Seat:
             return Handled(told=f"{self.robot} was released")
         return Handled()
 
+    def lost(self) -> bool:
+        """The driver holds the lease no more; returns whether it was held."""
+        was_held = self._stage is _Stage.HELD
+        if was_held:
+            self._stage, self.holder = _Stage.FREE, None
+        return was_held
+
     def driver_ended(self) -> None:
         """The driver's process is gone, and the lease with it."""
         self._stage, self.holder, self._next = _Stage.FREE, None, None

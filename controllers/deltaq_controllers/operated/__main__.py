@@ -1,0 +1,93 @@
+"""`python -m deltaq_controllers.operated --robot fr`: the lines are those of `deltaq_protocol.driving`."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import signal
+import sys
+from contextlib import ExitStack
+from functools import partial
+
+from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
+from deltaq_controllers.camera.gains import FollowerGains
+from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.live import REFUSED, UNREACHABLE, USAGE, cell_model, settle_memory
+from deltaq_controllers.live_teleoperator import teleoperator_for
+from deltaq_controllers.modes.practice import practise
+from deltaq_controllers.operated.pilot import Pilot
+from deltaq_controllers.operated.shell import OperatedRobot
+from deltaq_protocol import connect
+from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
+from deltaq_protocol.driving import DrivingMode, Report, Said, Stage
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+
+VIEW_M = 1.25
+"""View distance to begin with [m]."""
+
+
+def say(said: Said) -> None:
+    """Send a line."""
+    print(said.model_dump_json(), flush=True)
+
+
+async def operate(options: argparse.Namespace) -> None:
+    """Connect, get ready, and drive until the input ends."""
+    lines = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    say(Report(stage=Stage.STARTING, mode=DrivingMode.JOINT))
+    async with connect(options.url, client=f"driver of {options.robot}") as cell:
+        with ExitStack() as stack:
+            teleoperator = teleoperator_for(cell, options.robot, stack)
+            pilot = Pilot(teleoperator, partial(_follower, cell, options.robot))
+            for mode in DrivingMode:
+                # the advisor is a process of its own, for who asks for it
+                if mode is not DrivingMode.ADVISOR:
+                    with contextlib.suppress(DeltaqError):  # the robot cannot be driven in that mode
+                        pilot.prepare(mode)
+            await asyncio.to_thread(practise, teleoperator)
+            settle_memory()
+            operated = OperatedRobot(cell, options.robot, pilot, say)
+            listening = asyncio.ensure_future(operated.listen(lines))
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.add_signal_handler(number, listening.cancel)
+            await operated.run()
+
+
+def _follower(cell: Cell, robot: str) -> FocusController:
+    """The paper's follower of the first other robot.
+
+    Raises:
+        ControllerError: there is no other robot, or this one carries no camera.
+    """
+    others = [name for name in cell.robots if name != robot]
+    model = cell_model(cell.description)
+    if not others or model.robots[robot].description.camera is None:
+        raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
+    scene = Scene(model, robot, others[0], FollowerGains().latency_s)
+    return camera_controller_named("paper", scene, VIEW_M)
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_controllers.operated",
+        description="Drive a robot for an operator elsewhere: requests come in lines, until the input ends.",
+    )
+    parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
+    parser.add_argument("--robot", required=True, help="robot to drive")
+    try:
+        asyncio.run(operate(parser.parse_args()))
+    except DeltaqError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        if isinstance(error, ServiceUnreachableError):
+            return UNREACHABLE
+        return REFUSED if isinstance(error, RefusedError) else USAGE
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
