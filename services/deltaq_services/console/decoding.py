@@ -64,7 +64,7 @@ def _words(error: dict[str, Any]) -> str:
     if len(shown) > _LONGEST_SHOWN:
         shown = shown[: _LONGEST_SHOWN - 3] + "..."
     text = f"{field or 'message'}: {error['msg'].removeprefix('Input ')}, got {shown}"
-    return text if bound is None or str(bound) in text else f"{text}; bound {bound}"
+    return text if bound is None or error["type"].endswith("tag_invalid") else f"{text}; bound {bound}"
 
 
 def _id_in(message: str) -> str:

@@ -36,11 +36,13 @@ class StopProgress:
     def __init__(self) -> None:
         self.phase = StopPhase.NONE
         self.by: str | None = None
+        self._seen_held = False
 
     def ask(self, name: str) -> None:
         """A client asks for a stop."""
         self.by = name
         self.phase = StopPhase.ASKED
+        self._seen_held = False
 
     def latched(self) -> None:
         """The HLI has replied that every robot is held."""
@@ -54,11 +56,13 @@ class StopProgress:
         at_rest = all(motion.is_still or motion.phase is Phase.OFFLINE for motion in robots.values())
         if self.phase in (StopPhase.NONE, StopPhase.ASKED):
             if held and stopped:
-                self.phase = StopPhase.STOPPING
+                self.phase, self._seen_held = StopPhase.STOPPING, True
         elif held:
+            self._seen_held = True
             self.phase = StopPhase.AT_REST if at_rest else StopPhase.STOPPING
-        elif not any(motion.phase is None for motion in robots.values()):
-            # somebody has reset one of them; of robots that are not heard, nothing new is known
+        elif self._seen_held and not any(motion.phase is None for motion in robots.values()):
+            # somebody has reset one of them. The HLI's reply may come before the states that it speaks of, and of robots
+            # that are not heard nothing new is known
             self.phase, self.by = StopPhase.NONE, None
 
 
