@@ -1,0 +1,142 @@
+// The stage: renderer, floor, orbit and views, and the loop that draws only what has changed.
+
+import { OrbitControls, THREE } from "nicegui-scene";
+import { Floor } from "./floor.js";
+import { ROOMS, Shading } from "./shading.js";
+
+const SHADOW_EVERY_MS = { full: 0, lean: 90 };
+
+/** Whether WebGL is computed by the processor. */
+export function softwareRendered(gl) {
+  const told = gl.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|software/i.test(told ? gl.getParameter(told.UNMASKED_RENDERER_WEBGL) : "");
+}
+
+export class Stage {
+  /**
+   * @param holder element that the canvas fills.
+   * @param floorHeight of the floor [m].
+   * @param quality "full", "lean" or "auto".
+   */
+  constructor(holder, { floorHeight = 0, dark = true, quality = "auto" } = {}) {
+    this.holder = holder;
+    this.renderer = new THREE.WebGLRenderer({ antialias: !location.search.includes("noaa"), powerPreference: "high-performance" });
+    this.software = softwareRendered(this.renderer.getContext());
+    this.full = quality === "full" || (quality === "auto" && !this.software);
+    this.shading = new Shading(this.full);
+    this.renderer.shadowMap.enabled = this.full;
+    this.renderer.shadowMap.type = THREE.PCFSoftShadowMap;
+    this.renderer.shadowMap.autoUpdate = false;
+    this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    this.canvas = this.renderer.domElement;
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "The cell in three dimensions; drag to turn, wheel to zoom");
+    holder.append(this.canvas);
+
+    this.scene = new THREE.Scene(); // everything that is drawn
+    this.solid = new THREE.Scene(); // what casts shadows
+    this.floor = new Floor(floorHeight);
+    this.marks = new THREE.Group(); // lines and volumes that explain
+    this.scene.add(this.solid, this.floor.mesh, this.marks, ...this.shading.lights);
+    this.camera = new THREE.PerspectiveCamera(34, 1, 0.1, 60);
+    this.camera.up.set(0, 0, 1);
+    this.orbit = new OrbitControls(this.camera, this.canvas);
+    Object.assign(this.orbit, { enableDamping: true, dampingFactor: 0.18, maxPolarAngle: Math.PI * 0.51, maxDistance: 22 });
+    this.orbit.addEventListener("change", () => this.ask());
+    this.enter(dark);
+
+    this._before = [];
+    this._after = [];
+    this._wanted = this._moved = true;
+    this._shadowAt = -Infinity;
+    this._size = new THREE.Vector2();
+    this.frames = 0;
+    new ResizeObserver(() => this._fit()).observe(holder);
+    this._fit();
+    this._step = this._step.bind(this);
+    requestAnimationFrame(this._step);
+  }
+
+  /** Ask for a picture; `moved` if something that casts a shadow has moved. */
+  ask(moved = false) {
+    this._wanted = true;
+    this._moved ||= moved;
+  }
+
+  /** Call `action(now_ms)` ahead of every frame of the screen. */
+  beforeEach(action) {
+    this._before.push(action);
+  }
+
+  /** Call `action(renderer, now_ms)` after each picture that was drawn. */
+  afterEach(action) {
+    this._after.push(action);
+  }
+
+  /** Light or dark room. */
+  enter(dark) {
+    const room = ROOMS[dark ? "dark" : "light"];
+    this.air = new THREE.Color(room.air);
+    this.renderer.setClearColor(this.air, 1);
+    this.shading.enter(room);
+    this.floor.enter(room);
+    this.ask(true);
+  }
+
+  /** Let the camera look from `eye` at `target` (both [x, y, z] in m), gliding there. */
+  view(eye, target, glide = true) {
+    this._glide = { eye: new THREE.Vector3(...eye), target: new THREE.Vector3(...target) };
+    if (!glide) this._glideBy(1);
+    this.ask();
+  }
+
+  /** Look at all of the cell from where the camera is. */
+  fit(box, glide = true) {
+    const ball = box.getBoundingSphere(new THREE.Sphere());
+    const narrow = Math.min(1, this.camera.aspect);
+    const distance = (0.8 * ball.radius) / Math.sin(THREE.MathUtils.degToRad(this.camera.fov / 2)) / narrow;
+    const direction = this.camera.position.clone().sub(this.orbit.target).normalize();
+    this.view(ball.center.clone().addScaledVector(direction, distance), ball.center, glide);
+  }
+
+  _glideBy(share) {
+    const { eye, target } = this._glide;
+    this.camera.position.lerp(eye, share);
+    this.orbit.target.lerp(target, share);
+    this.orbit.update();
+    if (this.camera.position.distanceTo(eye) < 0.01) this._glide = null;
+  }
+
+  _fit() {
+    const { clientWidth: width, clientHeight: height } = this.holder;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(this.full ? Math.min(window.devicePixelRatio, 2) : 1);
+    this.renderer.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.ask();
+  }
+
+  _step(now) {
+    requestAnimationFrame(this._step);
+    for (const action of this._before) action(now);
+    if (this._glide) {
+      this._glideBy(0.16);
+      this._wanted = true;
+    }
+    this.orbit.update();
+    if (!this._wanted || document.hidden) return;
+    this._wanted = false;
+    if (this._moved && now - this._shadowAt >= SHADOW_EVERY_MS[this.full ? "full" : "lean"]) {
+      this._moved = false;
+      this._shadowAt = now;
+      this.renderer.shadowMap.needsUpdate = this.full;
+      this.floor.cast(this.renderer, this.solid);
+    }
+    this.renderer.render(this.scene, this.camera);
+    this.frames += 1;
+    for (const action of this._after) action(this.renderer, now);
+    if (this._moved) this._wanted = true;
+  }
+}
