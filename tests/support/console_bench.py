@@ -55,7 +55,7 @@ class ConsoleBench:
         """A state comes, whose first joint has moved on by so much [rad]."""
         self._cycle += 1
         home = CELL.robots[robot].home
-        q = tuple([home[0] + moved, *home[1:]])
+        q = (home[0] + moved, *home[1:])
         state = RobotState(
             robot=robot, cycle=self._cycle, ipoc=self._cycle, time_s=self.now_s, q=q, q_cmd=q, tool=POSE,
             phase=phase, reason=reason,

@@ -49,7 +49,7 @@ class Connection:
             for task in (receiving, sending):
                 task.cancel()
             await asyncio.gather(receiving, sending, return_exceptions=True)
-            with contextlib.suppress(RuntimeError):  # it has gone already
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # it has gone already
                 await self._websocket.close(_TOO_SLOW if len(self._texts) > _MOST_WAITING else 1000)
 
     async def _receive(self, take: Callable[[str | bytes], None]) -> None:

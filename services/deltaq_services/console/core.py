@@ -241,6 +241,15 @@ class ConsoleCore:
                 outputs.append(ToClient(client.number, own))
         return outputs
 
+    def health(self) -> dict[str, object]:
+        """The console's report on itself."""
+        looking = f"{len(self.clients)} browsers"
+        return {
+            "healthy": self._hli,
+            "detail": looking if self._hli else f"{looking}; {self._hli_text}",
+            "counters": dict(self.counters),
+        }
+
     def _stop(self, client: Client, command: Stop, now_s: float) -> list[Output]:
         before = client.answered(command.id)
         if before is not None:

@@ -111,7 +111,10 @@ class Console:
             self._carry_out(self.core.disconnect(client, self.now_s()))
 
     def _take(self, client: Client, message: str | bytes) -> None:
+        before = self.core.stop.phase
         self._carry_out(self.core.take(client, message, self.now_s()))
+        if self.core.stop.phase is not before:
+            self._carry_out(self.core.tick(self.now_s()))
 
     def _carry_out(self, outputs: list[Output]) -> None:
         for output in outputs:
@@ -140,6 +143,8 @@ class Console:
         except DeltaqError as error:
             done, text = False, str(error)
         self._carry_out(self.core.answered(asked.request, done, text, self.now_s(), verdict))
+        if asked.kind == "stop":
+            self._carry_out(self.core.tick(self.now_s()))
 
     async def _ask_to_stop(self) -> None:
         """Ask until the HLI has heard it: what it answers then stands."""

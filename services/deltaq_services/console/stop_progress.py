@@ -61,8 +61,8 @@ class StopProgress:
             self._seen_held = True
             self.phase = StopPhase.AT_REST if at_rest else StopPhase.STOPPING
         elif self._seen_held and not any(motion.phase is None for motion in robots.values()):
-            # somebody has reset one of them. The HLI's reply may come before the states that it speaks of, and of robots
-            # that are not heard nothing new is known
+            # somebody has reset one of them. The HLI's reply may come before the states that it speaks of, and nothing
+            # new is known of robots that are not heard
             self.phase, self.by = StopPhase.NONE, None
 
 

@@ -74,6 +74,10 @@ def application(console: Console, settings: Settings) -> FastAPI:
     async def scene() -> dict[str, Any]:
         return console.scene.document
 
+    @app.get("/health")
+    async def health() -> dict[str, Any]:
+        return console.core.health()
+
     @app.get(MESHES + "/{name}")
     async def mesh(name: str) -> Response:
         text = console.scene.meshes.get(name)
