@@ -1,6 +1,7 @@
 // The live WebSocket. A command is sent now or not at all: nothing waits for a line that is down.
 
 const SILENT_MS = 1500; // frames come every 40 ms: a line that brings nothing for so long is taken for dead
+const OPENING_MS = 5000;
 const PING_MS = 500;
 const ANSWER_MS = 1000;
 const RETRY_MS = [200, 400, 800, 1600];
@@ -55,7 +56,7 @@ export class Connection extends EventTarget {
   /** Ask for the time, and give up a line that is silent. */
   pulse() {
     if (!this._socket) return;
-    if (this.now() - this._heardAt > SILENT_MS) {
+    if (this.now() - this._heardAt > (this.isUp ? SILENT_MS : OPENING_MS)) {
       this._drop();
       return;
     }

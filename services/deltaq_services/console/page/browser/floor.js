@@ -4,7 +4,7 @@
 import { THREE } from "nicegui-scene";
 import { SUN } from "./shading.js";
 
-const SIDE_PX = 512;
+const SIDE_PX = { full: 1024, lean: 256 };
 const REACH_M = 7; // half the side of the region that can have shadows
 
 const VERTEX = `
@@ -21,15 +21,18 @@ const FRAGMENT = `
   varying vec2 place; varying vec2 lit; varying float far;
   void main() {
     vec3 colour = texture2D(tile, place).rgb;
-    vec2 o = vec2(0.0035, 0.0021);
-    float shade = texture2D(shadows, lit, 0.8).r + texture2D(shadows, lit + o.xy, 1.6).r
-      + texture2D(shadows, lit - o.xy, 1.6).r + texture2D(shadows, lit + vec2(-o.y, o.x), 1.6).r;
-    colour *= 1.0 - depth * (1.0 - 0.25 * shade);
+    float shade = texture2D(shadows, lit).r;
+    #ifdef SOFT
+    vec2 o = vec2(0.0032, 0.0018);
+    shade = 0.25 * (texture2D(shadows, lit + o.xy, 1.5).r + texture2D(shadows, lit - o.xy, 1.5).r
+      + texture2D(shadows, lit + vec2(-o.y, o.x), 1.5).r + texture2D(shadows, lit + vec2(o.y, -o.x), 1.5).r);
+    #endif
+    colour *= 1.0 - depth * (1.0 - shade);
     gl_FragColor = vec4(mix(colour, air, smoothstep(4.0, 11.0, far)), 1.0);
   }`;
 
-/** A tile of 1 m: a line around it and a fainter cross at each half metre. */
-function tile(room) {
+/** A tile of 1 m with a line around it. */
+function tile(room, full) {
   const size = 256;
   const canvas = Object.assign(document.createElement("canvas"), { width: size, height: size });
   const pen = canvas.getContext("2d");
@@ -40,26 +43,30 @@ function tile(room) {
   pen.strokeRect(0, 0, size, size);
   const texture = new THREE.CanvasTexture(canvas);
   texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.anisotropy = 4;
+  texture.anisotropy = full ? 8 : 1; // dear where the processor draws
   return texture;
 }
 
 export class Floor {
-  constructor(height) {
+  /** @param height [m]; full as `Shading` has it. */
+  constructor(height, full) {
+    this._full = full;
     this._sun = new THREE.OrthographicCamera(-REACH_M, REACH_M, REACH_M, -REACH_M, 0.1, 30);
     this._sun.up.set(0, 1, 0);
     this._sun.position.copy(SUN).multiplyScalar(15);
     this._sun.lookAt(0, 0, 0);
     this._sun.updateMatrixWorld();
-    this._picture = new THREE.WebGLRenderTarget(SIDE_PX, SIDE_PX, {
-      generateMipmaps: true,
-      minFilter: THREE.LinearMipmapLinearFilter,
+    const side = full ? SIDE_PX.full : SIDE_PX.lean; // coarse is soft too
+    this._picture = new THREE.WebGLRenderTarget(side, side, {
+      generateMipmaps: full,
+      minFilter: full ? THREE.LinearMipmapLinearFilter : THREE.LinearFilter,
       depthBuffer: false,
     });
     this._black = new THREE.MeshBasicMaterial({ color: "#000000", side: THREE.DoubleSide, depthTest: false });
     this.material = new THREE.ShaderMaterial({
       vertexShader: VERTEX,
       fragmentShader: FRAGMENT,
+      defines: full ? { SOFT: 1 } : {},
       uniforms: {
         fromSun: { value: new THREE.Matrix4().multiplyMatrices(this._sun.projectionMatrix, this._sun.matrixWorldInverse) },
         tile: { value: null },
@@ -76,7 +83,7 @@ export class Floor {
   enter(room) {
     const { uniforms } = this.material;
     uniforms.tile.value?.dispose();
-    uniforms.tile.value = tile(room);
+    uniforms.tile.value = tile(room, this._full);
     // shown as written, without the screen's curve
     uniforms.air.value.setStyle(room.air, THREE.LinearSRGBColorSpace);
     uniforms.depth.value = room.shadow;

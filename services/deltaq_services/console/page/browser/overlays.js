@@ -9,7 +9,7 @@ const MARGINS = [[0.1, "#ff3d6e"], [0.3, "#f0d53a"], [Infinity, "#4fb3ea"]];
 const BRAKE = "#39c6d6";
 const MOVES = 0.004; // rad or m to rest, from which on the brake is drawn
 const MARKED_MS = 1500;
-const GHOSTS = [0.5, 1];
+const GHOSTS = { full: [0.34, 0.67, 1], lean: [1] }; // shares of the way to rest at which a robot is drawn
 
 export class Overlays {
   /** @param views RobotView of each robot; structure StructureView; picture FollowerPicture or null. */
@@ -41,7 +41,7 @@ export class Overlays {
   _brakes() {
     const material = new THREE.MeshBasicMaterial({ color: BRAKE, transparent: true, opacity: 0.16, depthWrite: false });
     this._ghosts = this.views.map((view) =>
-      GHOSTS.map((share) => {
+      GHOSTS[this.stage.full ? "full" : "lean"].map((share) => {
         const ghost = view.ghost(material);
         ghost.root.visible = false;
         this.stage.marks.add(ghost.root);

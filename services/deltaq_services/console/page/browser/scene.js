@@ -2,12 +2,16 @@
 
 import { OrbitControls, THREE } from "nicegui-scene";
 import { Floor } from "./floor.js";
+import { Pace } from "./pace.js";
 import { ROOMS, Shading } from "./shading.js";
 
-const SHADOW_EVERY_MS = { full: 0, lean: 90 };
+const SHADOW_EVERY_MS = { full: 0, lean: 120 };
+const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jagged edges
 
 /** Whether WebGL is computed by the processor. */
-export function softwareRendered(gl) {
+export function softwareRendered() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return true;
   const told = gl.getExtension("WEBGL_debug_renderer_info");
   return /swiftshader|llvmpipe|software/i.test(told ? gl.getParameter(told.UNMASKED_RENDERER_WEBGL) : "");
 }
@@ -20,9 +24,10 @@ export class Stage {
    */
   constructor(holder, { floorHeight = 0, dark = true, quality = "auto" } = {}) {
     this.holder = holder;
-    this.renderer = new THREE.WebGLRenderer({ antialias: !location.search.includes("noaa"), powerPreference: "high-performance" });
-    this.software = softwareRendered(this.renderer.getContext());
-    this.full = quality === "full" || (quality === "auto" && !this.software);
+    this.full = quality === "full" || (quality === "auto" && !softwareRendered());
+    this.renderer = new THREE.WebGLRenderer({ antialias: this.full, powerPreference: "high-performance" });
+    const finest = this.full ? Math.min(window.devicePixelRatio, 2) : 1;
+    this.pace = new Pace(this.renderer.getContext(), finest, !this.full);
     this.shading = new Shading(this.full);
     this.renderer.shadowMap.enabled = this.full;
     this.renderer.shadowMap.type = THREE.PCFSoftShadowMap;
@@ -36,7 +41,7 @@ export class Stage {
 
     this.scene = new THREE.Scene(); // everything that is drawn
     this.solid = new THREE.Scene(); // what casts shadows
-    this.floor = new Floor(floorHeight);
+    this.floor = new Floor(floorHeight, this.full);
     this.marks = new THREE.Group(); // lines and volumes that explain
     this.scene.add(this.solid, this.floor.mesh, this.marks, ...this.shading.lights);
     this.camera = new THREE.PerspectiveCamera(34, 1, 0.1, 60);
@@ -111,7 +116,7 @@ export class Stage {
   _fit() {
     const { clientWidth: width, clientHeight: height } = this.holder;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(this.full ? Math.min(window.devicePixelRatio, 2) : 1);
+    this.renderer.setPixelRatio(this.pace.finest);
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
@@ -126,7 +131,14 @@ export class Stage {
       this._wanted = true;
     }
     this.orbit.update();
-    if (!this._wanted || document.hidden) return;
+    if (document.hidden || !this.pace.isFree(now)) return;
+    const ratio = this.renderer.getPixelRatio();
+    if (this._wanted) this._draw(now, this.pace.next());
+    else if (this.pace.isStill(now) && ratio < STILL_FINENESS) this._draw(now, STILL_FINENESS);
+  }
+
+  _draw(now, fineness) {
+    if (this.renderer.getPixelRatio() !== fineness) this.renderer.setPixelRatio(fineness);
     this._wanted = false;
     if (this._moved && now - this._shadowAt >= SHADOW_EVERY_MS[this.full ? "full" : "lean"]) {
       this._moved = false;
@@ -138,5 +150,6 @@ export class Stage {
     this.frames += 1;
     for (const action of this._after) action(this.renderer, now);
     if (this._moved) this._wanted = true;
+    this.pace.begun(now);
   }
 }

@@ -16,8 +16,8 @@ export function viewBar(stage, scene, views) {
   const presets = {
     Operator(glide) {
       const at = work();
-      const wide = Math.max(1, 1.25 / stage.camera.aspect);
-      stage.view([at.x + 4.6 * wide, at.y + 3.5 * wide, at.z + 1.3 * wide], [at.x - 0.15, at.y - 0.35, at.z - 0.35], glide);
+      const wide = Math.max(1, 1.2 / stage.camera.aspect);
+      stage.view([at.x + 4.9 * wide, at.y + 3.8 * wide, at.z + 1.3 * wide], [at.x - 0.35, at.y - 0.2, at.z - 0.32], glide);
     },
     Top(glide) {
       const at = work();
