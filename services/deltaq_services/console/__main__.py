@@ -6,11 +6,16 @@ import argparse
 import os
 
 from deltaq_cell.load import load_cell
+from deltaq_protocol.errors import DeltaqError
 from deltaq_services.console.settings import Settings
 from deltaq_services.process import run
 
 TOKEN_VARIABLE = "DELTAQ_CONSOLE_TOKEN"
 OPERATOR_TOKEN_VARIABLE = "DELTAQ_OPERATOR_TOKEN"
+
+
+class NotInstalledError(DeltaqError):
+    """What the console's page is made with is not there."""
 
 
 def main() -> None:
@@ -30,9 +35,11 @@ def main() -> None:
         token=os.environ.get(TOKEN_VARIABLE, ""),
         operator_token=os.environ.get(OPERATOR_TOKEN_VARIABLE) or None,
     )
-    # after the settings were found good: these imports take seconds
-    from deltaq_services.console.web import serve
-
+    # after the settings were found good: this import takes seconds
+    try:
+        from deltaq_services.console.web import serve
+    except ModuleNotFoundError as error:
+        raise NotInstalledError(f"{error.name} is not installed: pip install 'deltaq[console]'") from error
     serve(settings)
 
 

@@ -7,7 +7,6 @@ only names by which it is called, so that no web site can pretend to be it.
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import socket
 from typing import Any
 from urllib.parse import urlsplit
@@ -18,6 +17,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_services.console import page
 from deltaq_services.console.connection import Connection
 from deltaq_services.console.scene import MESHES
 from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
@@ -35,7 +35,7 @@ def serve(settings: Settings) -> None:
     Raises:
         ServiceUnreachableError: the port is taken.
     """
-    with _listening(settings) as listening:
+    with listening_socket(settings) as listening:
         console = Console(
             CellModel.load(settings.cell), settings.emulated, settings.token_needed, settings.operator_token
         )
@@ -43,18 +43,9 @@ def serve(settings: Settings) -> None:
 
 
 async def _serve(console: Console, settings: Settings, listening: socket.socket) -> None:
-    server = uvicorn.Server(
-        uvicorn.Config(
-            application(console, settings),
-            log_level="warning",
-            access_log=False,
-            ws_max_size=_LONGEST_BYTES,
-            ws_per_message_deflate=False,  # messages are small, and soon old
-            ws_ping_interval=2.0,
-            ws_ping_timeout=5.0,
-            timeout_graceful_shutdown=1,
-        )
-    )
+    app = application(console, settings)
+    page.build(app, settings)
+    server = server_of(app)
     running = asyncio.ensure_future(console.run())
     serving = asyncio.ensure_future(server.serve(sockets=[listening]))
     print(f"ready: console at {settings.url}", flush=True)
@@ -64,8 +55,24 @@ async def _serve(console: Console, settings: Settings, listening: socket.socket)
     await asyncio.gather(running, serving, return_exceptions=True)
 
 
+def server_of(app: FastAPI) -> uvicorn.Server:
+    """The server of an application; it reads no more of a message than is needed to refuse it."""
+    return uvicorn.Server(
+        uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            ws_max_size=_LONGEST_BYTES,
+            ws_per_message_deflate=False,  # messages are small, and soon old
+            ws_ping_interval=2.0,
+            ws_ping_timeout=5.0,
+            timeout_graceful_shutdown=1,
+        )
+    )
+
+
 def application(console: Console, settings: Settings) -> FastAPI:
-    """The web application."""
+    """The web application, without its page."""
     app = FastAPI(openapi_url=None)
     if settings.is_loopback:
         app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_HOSTS))
@@ -95,11 +102,6 @@ def application(console: Console, settings: Settings) -> FastAPI:
         name = websocket.query_params.get("name", "")[:_LONGEST_NAME]
         await console.serve(Connection(websocket), name if name.isprintable() else "", is_operator)
 
-    if importlib.util.find_spec("nicegui") is not None:
-        from deltaq_services.console import page
-
-        if hasattr(page, "build"):
-            page.build(app, settings)
     return app
 
 
@@ -109,7 +111,12 @@ def _is_own(websocket: WebSocket) -> bool:
     return origin is None or urlsplit(origin).netloc == websocket.headers.get("host")
 
 
-def _listening(settings: Settings) -> socket.socket:
+def listening_socket(settings: Settings) -> socket.socket:
+    """The socket that browsers connect to.
+
+    Raises:
+        ServiceUnreachableError: the port is taken.
+    """
     listening = socket.socket(socket.AF_INET6 if ":" in settings.address else socket.AF_INET)
     # a port that was just given up can be taken again at once; one that is in use cannot
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
