@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from deltaq_launch.launcher import Launcher
     from deltaq_protocol.messages import Status
 
+FOLLOWS = "paper"
+"""The follower's default camera controller."""
 TICK_S = 0.25
 TOLD_EVERY_S = 10.0
 
@@ -42,7 +44,7 @@ def demo(
     from deltaq_cell.load import load_cell
     from deltaq_command.console import console, prefixed_log, print_json
     from deltaq_command.progress import shown_compiled_ahead
-    from deltaq_command.up import FOLLOWS, tell_of_console
+    from deltaq_command.up import tell_of_console
     from deltaq_launch.bring_to_rest import bring_to_rest
     from deltaq_launch.launcher import Launcher
     from deltaq_launch.services import cell_services, console_is_installed, console_service, demo_controllers

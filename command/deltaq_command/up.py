@@ -12,9 +12,6 @@ from deltaq_command.options import CellOption, ConsoleOption
 if TYPE_CHECKING:
     from deltaq_launch.launcher import Launcher
 
-FOLLOWS = "paper"
-"""The default camera controller, of the demonstration's follower and of the console's driver."""
-
 
 def up(
     cell: CellOption = "lab",
@@ -61,9 +58,7 @@ def up(
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
     has_gate = any(service.role is Role.SIM for service in services)
-    # the console's driver follows with the camera when it is asked to, and has no time to compile then
-    has_console = any(service.role is Role.CONSOLE for service in services)
-    with shown_compiled_ahead([FOLLOWS] if has_console else []) if has_gate else nullcontext(), launcher:
+    with shown_compiled_ahead([]) if has_gate else nullcontext(), launcher:
         launcher.start()
         log("deltaq", f"cell {description.cell} is up: {', '.join(service.name for service in services)}")
         if "hli" in launcher.ready:

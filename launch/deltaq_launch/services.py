@@ -162,7 +162,8 @@ def demo_controllers(cell: CellDescription) -> tuple[Service, ...]:
 def console_service(cell: CellDescription, cell_name: str, services: Sequence[Service]) -> Service:
     """The operator's console: a client like any other, and nothing needs it.
 
-    It says that the robots are emulated only if emulators for all of them run beside it.
+    It says that the robots are emulated only if emulators for all of them run beside it. It waits for no HLI: it says
+    that there is none until there is one.
 
     Args:
         cell: the cell's description.
@@ -176,7 +177,7 @@ def console_service(cell: CellDescription, cell_name: str, services: Sequence[Se
         name="console",
         role=Role.CONSOLE,
         arguments=(*arguments, "--emulated") if is_emulated else arguments,
-        needs=("hli", *(emulators.values() if is_emulated else ())),
+        needs=tuple(emulators.values()) if is_emulated else (),
         listens=(ListeningSocket("tcp", cell.console_address, cell.console_port, "console_port"),),
         probe=Probe.WEB,
         endpoint=f"http://{_reached_at(cell.console_address)}:{cell.console_port}",

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import os
 import signal
 import sys
+from asyncio.subprocess import DEVNULL
 from contextlib import ExitStack
 from functools import partial
 
@@ -24,6 +26,10 @@ from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
 from deltaq_protocol.driving import DrivingMode, Report, Said, Stage
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
+FOLLOWS = "paper"
+"""The camera's law."""
+_PATIENT = 10
+"""Niceness of the compiler: the cell goes first."""
 VIEW_M = 1.25
 """View distance to begin with [m]."""
 
@@ -42,33 +48,66 @@ async def operate(options: argparse.Namespace) -> None:
     async with connect(options.url, client=f"driver of {options.robot}") as cell:
         with ExitStack() as stack:
             teleoperator = teleoperator_for(cell, options.robot, stack)
-            pilot = Pilot(teleoperator, partial(_follower, cell, options.robot))
+            has_camera = teleoperator.robot.description.camera is not None
+            compiling = asyncio.ensure_future(_compiled_camera() if has_camera else asyncio.sleep(0))
+            pilot = Pilot(teleoperator, partial(_follower, cell, options.robot, compiling))
             for mode in DrivingMode:
                 # the advisor is a process of its own, for who asks for it
-                if mode is not DrivingMode.ADVISOR:
-                    with contextlib.suppress(DeltaqError):  # the robot cannot be driven in that mode
-                        pilot.prepare(mode)
+                if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW):
+                    _prepare(pilot, mode)
             await asyncio.to_thread(practise, teleoperator)
+            if compiling.done():
+                _prepare(pilot, DrivingMode.FOLLOW)
             settle_memory()
             operated = OperatedRobot(cell, options.robot, pilot, say)
             listening = asyncio.ensure_future(operated.listen(lines))
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.add_signal_handler(number, listening.cancel)
-            await operated.run()
+            try:
+                await operated.run()
+            finally:
+                compiling.cancel()
+                await asyncio.gather(compiling, return_exceptions=True)
 
 
-def _follower(cell: Cell, robot: str) -> FocusController:
+def _prepare(pilot: Pilot, mode: DrivingMode) -> None:
+    with contextlib.suppress(
+        DeltaqError
+    ):  # the robot cannot be driven in that mode, and says so when it is asked to
+        pilot.prepare(mode)
+
+
+async def _compiled_camera() -> None:
+    """Have the camera's law compiled by another process: this one could not drive meanwhile. Once is enough."""
+    compiler = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "deltaq_controllers.camera", FOLLOWS, stdin=DEVNULL, stdout=DEVNULL
+    )
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.setpriority(os.PRIO_PROCESS, compiler.pid, _PATIENT)
+    try:
+        await compiler.wait()
+    except asyncio.CancelledError:
+        compiler.kill()
+        await compiler.wait()
+        raise
+
+
+def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> FocusController:
     """The paper's follower of the first other robot.
 
     Raises:
-        ControllerError: there is no other robot, or this one carries no camera.
+        ControllerError: there is no other robot, this one carries no camera, or its law is still being compiled.
     """
+    if not compiling.done():
+        raise ControllerError(
+            "the camera's law is being compiled, which takes a minute, once: try again then"
+        )
     others = [name for name in cell.robots if name != robot]
     model = cell_model(cell.description)
     if not others or model.robots[robot].description.camera is None:
         raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
     scene = Scene(model, robot, others[0], FollowerGains().latency_s)
-    return camera_controller_named("paper", scene, VIEW_M)
+    return camera_controller_named(FOLLOWS, scene, VIEW_M)
 
 
 def main() -> int:
