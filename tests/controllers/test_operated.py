@@ -93,8 +93,13 @@ def test_a_renewed_wish_goes_on(bench):
 
 @pytest.mark.parametrize(
     "wish",
-    [{"joints": (0.1,)}, {"twist": (0.1, 0, 0, 0, 0, 0)}, {"option": 1}, {"joints": (), "hand": "left", "twist": (1,) * 6}],
-)  # fmt: skip
+    [
+        {"joints": (0.1,)},
+        {"twist": (0.1, 0, 0, 0, 0, 0)},
+        {"option": 1},
+        {"hand": "left", "twist": (1, 0, 0, 0, 0, 0)},
+    ],
+)
 def test_a_wish_that_the_mode_does_not_follow_is_refused_and_ends_the_one_before(bench, wish):
     bench.cycles(2)
     bench.wishes(joints=JOG)

@@ -47,21 +47,30 @@ def scene_of(cell: CellModel, emulated: bool) -> Scene:
     meshes: dict[str, str] = {}
     names = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
     names += [body.name for body in cell.structure]
+    robots = [_robot(robot, meshes) for robot in cell.robots.values()]
+    links = [link["name"] for robot in robots for link in robot["links"]]
     document = {
         "cell": cell.description.cell,
         "hash": str(cell.identity),
         "emulated": emulated,
         "cycle_s": cell.description.cycle_s,
-        "robots": [_robot(robot, meshes) for robot in cell.robots.values()],
+        "robots": robots,
         "structure": [
             {"name": body.name, **_shape(body, meshes), "T_world": _columns(body.placement)}
             for body in cell.structure
         ],
         "bodies": names,
+        "body_links": [_drawn_by(name, links) for name in names],
         "phases": list(PHASES),
         "outcomes": list(OUTCOMES),
     }
     return Scene(document, meshes, tuple(names))
+
+
+def _drawn_by(body: str, links: Sequence[str]) -> str:
+    """What shows a body: its link, to whose name each of several bodies adds its own, or a body of the structure."""
+    owners = [link for link in links if body == link or body.startswith(f"{link}_")]
+    return max(owners, key=len, default=body)
 
 
 def _robot(robot: RobotModel, meshes: dict[str, str]) -> dict[str, Any]:

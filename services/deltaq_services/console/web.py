@@ -7,7 +7,9 @@ only names by which it is called, so that no web site can pretend to be it.
 from __future__ import annotations
 
 import asyncio
+import signal
 import socket
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -48,16 +50,28 @@ async def _serve(console: Console, settings: Settings, listening: socket.socket)
     server = server_of(app)
     running = asyncio.ensure_future(console.run())
     serving = asyncio.ensure_future(server.serve(sockets=[listening]))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, running.cancel)
     print(f"ready: console at {settings.url}", flush=True)
     await asyncio.wait((running, serving), return_when=asyncio.FIRST_COMPLETED)
     running.cancel()
     server.should_exit = True
-    await asyncio.gather(running, serving, return_exceptions=True)
+    ended = await asyncio.gather(running, serving, return_exceptions=True)
+    for error in ended:
+        if isinstance(error, Exception):  # neither cancelled nor done
+            raise error
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's server without its handlers of signals, which are the console's: robots come to rest first."""
+
+    def capture_signals(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
 
 def server_of(app: FastAPI) -> uvicorn.Server:
     """The server of an application; it reads no more of a message than is needed to refuse it."""
-    return uvicorn.Server(
+    return _Server(
         uvicorn.Config(
             app,
             log_level="warning",
