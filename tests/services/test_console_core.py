@@ -316,7 +316,7 @@ def test_a_status_is_sent_when_it_changes_and_once_a_second(bench):
     bench.states()
     anna.hears(bench.tick(0.2))
     assert len(anna.got) == count
-    bench.core.hli_heard({"fr": "leader", "gr": None}, bench.now_s)
+    bench.core.board.heard({"fr": "leader", "gr": None}, bench.now_s)
     assert anna.status().robots["fr"].lease.holder == "leader"
     bench.states()
     count = len(anna.got)
@@ -327,14 +327,14 @@ def test_a_status_is_sent_when_it_changes_and_once_a_second(bench):
 def test_a_silent_hli_is_told_and_the_old_view_is_marked(bench):
     bench.states()
     anna = bench.browser()
-    bench.core.hli_heard({}, bench.now_s)
+    bench.core.board.heard({}, bench.now_s)
     assert anna.status().hli
-    bench.core.hli_silent("no answer", bench.now_s)
+    bench.core.board.silent("no answer", bench.now_s)
     status = anna.status(1.0)
     assert not status.hli
     assert status.text == "no answer"
     assert "old" in status.robots["fr"].text
-    bench.core.hli_heard({}, bench.now_s)
+    bench.core.board.heard({}, bench.now_s)
     bench.states()
     assert anna.status().robots["fr"].text == "ready"
     assert anna.events("link") == ["the HLI is heard", "the HLI is silent: no answer", "the HLI is heard"]

@@ -28,17 +28,15 @@ from deltaq_services.console.messages import (
     Ping,
     Pong,
     Reset,
-    Status,
     Stop,
 )
 from deltaq_services.console.outputs import AskHli, Output, ToClient, ToDriver
 from deltaq_services.console.picture import Picture
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.seat import Handled
+from deltaq_services.console.status_board import StatusBoard
 from deltaq_services.console.stop_progress import StopProgress
 
-STATUS_S = 1.0
-"""A status that has not changed is sent again after this."""
 MOST_CLIENTS = 32
 
 
@@ -56,6 +54,7 @@ class ConsoleCore:
         robots: each robot's side.
         picture: what is seen of the cell.
         stop: how far the newest stop is.
+        board: what browsers are told when it changes.
     """
 
     def __init__(self, cell: CellDescription, bodies: tuple[str, ...], token_needed: bool) -> None:
@@ -68,11 +67,10 @@ class ConsoleCore:
         }
         self._log = EventLog()
         self.picture = Picture(cell, bodies, self.robots, self._log)
+        self.board = StatusBoard(self.robots, self._log)
         self._token_needed = token_needed
-        self._hli, self._hli_text = False, "the HLI is not heard yet"
         self._numbers, self._requests = itertools.count(1), itertools.count(1)
         self._asked: dict[str, tuple[Client | None, str, AskHli | ToDriver]] = {}
-        self._told: dict[int, tuple[float, Status]] = {}
 
     def connect(self, name: str, is_operator: bool, now_s: float) -> tuple[Client | None, list[Output]]:
         """A browser has connected; no client if there are too many."""
@@ -99,7 +97,7 @@ class ConsoleCore:
     def disconnect(self, client: Client, now_s: float) -> list[Output]:
         """A browser has gone: what it drove comes to rest and is released."""
         del self.clients[client.number]
-        self._told.pop(client.number, None)
+        self.board.forget(client)
         self._log.add(now_s, "client", f"{client.name} has gone")
         outputs: list[Output] = []
         for side in self.robots.values():
@@ -193,21 +191,6 @@ class ConsoleCore:
                     outputs.append(_ack(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}"))
         return outputs
 
-    def hli_heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
-        """The HLI has said who holds which lease."""
-        if not self._hli:
-            self._log.add(now_s, "link", "the HLI is heard")
-        self._hli, self._hli_text = True, ""
-        for robot, holder in holders.items():
-            if robot in self.robots:
-                self.robots[robot].outside_holder = holder
-
-    def hli_silent(self, text: str, now_s: float) -> None:
-        """The HLI does not answer."""
-        if self._hli:
-            self._log.add(now_s, "link", f"the HLI is silent: {text}")
-        self._hli, self._hli_text = False, text
-
     def signals(self, robot: str, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> None:
         """A robot's digital outputs and inputs."""
         self.robots[robot].outputs |= outputs
@@ -216,37 +199,14 @@ class ConsoleCore:
     def tick(self, now_s: float) -> list[Output]:
         """What browsers have to be told now, besides frames."""
         self.stop.see({name: side.motion(now_s) for name, side in self.robots.items()})
-        news = self._log.news(now_s)
-        status = Status(
-            hli=self._hli,
-            text=self._hli_text,
-            robots={name: side.view(now_s) for name, side in self.robots.items()},
-            stop=self.stop.phase,
-            wanted_by=self.stop.by,
-            clients=len(self.clients),
-        )
-        outputs: list[Output] = []
-        for client in self.clients.values():
-            outputs += [ToClient(client.number, event) for event in news]
-            own = status.model_copy(
-                update={
-                    "robots": {
-                        name: self.robots[name].seen_by(client, view) for name, view in status.robots.items()
-                    }
-                }
-            )
-            told_s, told = self._told.get(client.number, (0.0, None))
-            if own != told or now_s - told_s >= STATUS_S:
-                self._told[client.number] = (now_s, own)
-                outputs.append(ToClient(client.number, own))
-        return outputs
+        return self.board.tell(self.clients.values(), self.stop, now_s)
 
     def health(self) -> dict[str, object]:
         """The console's report on itself."""
         looking = f"{len(self.clients)} browsers"
         return {
-            "healthy": self._hli,
-            "detail": looking if self._hli else f"{looking}; {self._hli_text}",
+            "healthy": self.board.hli,
+            "detail": looking if self.board.hli else f"{looking}; {self.board.text}",
             "counters": dict(self.counters),
         }
 

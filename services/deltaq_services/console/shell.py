@@ -210,7 +210,7 @@ class Console:
                     io = unpack(IoReply, await self._link.ask(topics.IO, IoRequest(robot=robot), robot))
                     self.core.signals(robot, io.outputs, io.inputs)
                 holders = {name: robot.lease.holder for name, robot in status.robots.items()}
-                self.core.hli_heard(holders, self.now_s())
+                self.core.board.heard(holders, self.now_s())
             except DeltaqError as error:
-                self.core.hli_silent(str(error), self.now_s())
+                self.core.board.silent(str(error), self.now_s())
             await asyncio.sleep(_POLL_S)

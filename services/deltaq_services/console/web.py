@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import signal
 import socket
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -65,8 +66,9 @@ async def _serve(console: Console, settings: Settings, listening: socket.socket)
 class _Server(uvicorn.Server):
     """uvicorn's server without its handlers of signals, which are the console's: robots come to rest first."""
 
-    def capture_signals(self) -> AbstractContextManager[None]:
-        return nullcontext()
+    @contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
 
 
 def server_of(app: FastAPI) -> uvicorn.Server:
