@@ -1,12 +1,13 @@
 """What the console's core decides, the bad cases first."""
 
 import json
+import math
 
 import pytest
 from console_bench import ConsoleBench
 
 from deltaq_protocol import driving
-from deltaq_protocol.messages import Outcome, Phase, Reason
+from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.console.messages import EXPIRY_S, AckOutcome, Pong, StopPhase
 
@@ -287,6 +288,19 @@ def test_answers_of_the_hli_reach_who_asked(bench):
     # and who comes back with the same id gets the same answer
     assert anna.send("reset", id="r", robot="fr").outcome is REFUSED
     assert len(bench.asked("reset")) == 1
+
+
+def test_a_dry_run_is_answered_with_its_verdict_in_words(bench):
+    anna = bench.browser()
+    anna.send("dry_run", id="d", robot="fr", dq=[0.1, 0, 0, 0, 0, 0])
+    (asked,) = bench.asked("dry_run")
+    assert (asked.robot, asked.dq) == ("fr", (0.1, 0, 0, 0, 0, 0))
+    near = Reason(code=ReasonCode.POSITION_LIMIT, what="a1", value=3.2, bound=math.pi)
+    verdict = Verdict(robot="fr", cycle=1, seq=0, outcome=Outcome.SCALED, scale=0.5, reasons=(near,))
+    anna.hears(bench.core.answered(asked.request, True, "", bench.now_s, verdict))
+    ack = anna.acks("d")[-1]
+    assert (ack.outcome, ack.verdict, ack.scale) == (DONE, Outcome.SCALED, 0.5)
+    assert ack.text == "scaled to 50%: a1 at its position limit, 180.0°"
 
 
 def test_the_answer_to_who_has_gone_is_dropped(bench):

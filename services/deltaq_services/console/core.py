@@ -36,6 +36,7 @@ from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.seat import Handled
 from deltaq_services.console.status_board import StatusBoard
 from deltaq_services.console.stop_progress import StopProgress
+from deltaq_services.console.words import bound_of
 
 MOST_CLIENTS = 32
 
@@ -154,7 +155,9 @@ class ConsoleCore:
             return []
         ack = Ack(id=command, outcome=outcome, text=text)
         if verdict is not None:
-            told = {"verdict": verdict.outcome, "scale": verdict.scale, "pair": verdict.pair}
+            bound = bound_of(verdict, self.robots[asked.robot].units)
+            text = "" if bound is None else bound.text
+            told = {"text": text, "verdict": verdict.outcome, "scale": verdict.scale, "pair": verdict.pair}
             ack = ack.model_copy(update=told)
         return [ToClient(client.number, client.answer(ack))]
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
+from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.identity import content_identity
@@ -19,6 +20,7 @@ from deltaq_protocol.messages import (
     DryRunRequest,
     IoReply,
     IoRequest,
+    Message,
     Proximity,
     ResetRequest,
     RobotState,
@@ -34,6 +36,8 @@ from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.messages import StopPhase
 from deltaq_services.console.outputs import AskHli, Output, ToDriver
 from deltaq_services.console.scene import Scene, scene_of
+
+M = TypeVar("M", bound=Message)
 
 FRAME_S = 0.04
 """Time between two frames: 25 a second."""
@@ -188,15 +192,18 @@ class Console:
             if heard.states:
                 side.feed.arrived(heard.longest_gap_s, now_s)
             for payload in heard.states:
-                with contextlib.suppress(InvalidMessageError):
-                    picture.take_state(unpack(RobotState, payload), arrived_s)
+                self._understand(RobotState, payload, partial(picture.take_state, arrived_s=arrived_s))
             for payload in heard.verdicts:
-                with contextlib.suppress(InvalidMessageError):
-                    picture.take_verdict(unpack(Verdict, payload), now_s)
+                self._understand(Verdict, payload, partial(picture.take_verdict, arrived_s=now_s))
         near = self._link.proximity()
         if near is not None:
-            with contextlib.suppress(InvalidMessageError):
-                picture.take_proximity(unpack(Proximity, near))
+            self._understand(Proximity, near, picture.take_proximity)
+
+    def _understand(self, message_type: type[M], payload: bytes, take: Callable[[M], object]) -> None:
+        try:
+            take(unpack(message_type, payload))
+        except InvalidMessageError:
+            self.core.counters["malformed_heard"] += 1
 
     async def _poll(self) -> None:
         """Ask for what is not published: who holds leases, and the digital signals."""
