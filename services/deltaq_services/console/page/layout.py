@@ -1,4 +1,4 @@
-"""Where the parts of the page are. What is in them is filled in by the modules of `browser/`, which find them by name."""
+"""Where the parts of the page are. What is in them is filled in by the modules of `browser/`, by their names."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import { bodyShell } from "./robots.js";
 
 // blue, yellow and red-violet are told apart by every kind of colour vision, and none is the robots' orange
 const MARGINS = [[0.1, "#ff3d6e"], [0.3, "#f0d53a"], [Infinity, "#4fb3ea"]];
+const WITHIN_ROBOT = 0.4; // of one robot's own bodies a smaller distance is kept, and is usual
 const BRAKE = "#39c6d6";
 const MOVES = 0.004; // rad or m to rest, from which on the brake is drawn
 const MARKED_MS = 1500;
@@ -80,8 +81,10 @@ export class Overlays {
     this._pair.visible = !!nearest;
     if (nearest) {
       const [a, b] = nearest.points.map((point) => new THREE.Vector3(...point));
-      const colour = MARGINS.find(([bound]) => nearest.distance < bound)[1];
-      const thick = nearest.distance < MARGINS[0][0] ? 0.011 : 0.006;
+      const [from, to] = [this.scene.bodies[nearest.a], this.scene.bodies[nearest.b]];
+      const share = from.split("/")[0] === to.split("/")[0] ? WITHIN_ROBOT : 1;
+      const [, colour] = MARGINS.find(([bound]) => nearest.distance < share * bound);
+      const thick = nearest.distance < share * MARGINS[0][0] ? 0.011 : 0.006;
       this._material.color.set(colour);
       this._tag.style.setProperty("--margin", colour);
       this._rod.position.lerpVectors(a, b, 0.5);
@@ -89,7 +92,6 @@ export class Overlays {
       this._rod.lookAt(b);
       this._ends[0].position.copy(a);
       this._ends[1].position.copy(b);
-      const [from, to] = [this.scene.bodies[nearest.a], this.scene.bodies[nearest.b]];
       say(this._tagTexts[0], `${(100 * nearest.distance).toFixed(nearest.distance < 0.2 ? 1 : 0)} cm`);
       say(this._tagTexts[1], `${from} – ${to}`);
     }

@@ -79,6 +79,11 @@ export class Stage {
     this._after.push(action);
   }
 
+  /** Whether what is shown is as fine as it gets, and nothing is waiting to be drawn. */
+  isFinest() {
+    return !this._wanted && !this._glide && (this.full || this.renderer.getPixelRatio() === STILL_FINENESS);
+  }
+
   /** Light or dark room. */
   enter(dark) {
     const room = ROOMS[dark ? "dark" : "light"];

@@ -17,7 +17,7 @@ export function viewBar(stage, scene, views) {
     Operator(glide) {
       const at = work();
       const wide = Math.max(1, 1.2 / stage.camera.aspect);
-      stage.view([at.x + 4.9 * wide, at.y + 3.8 * wide, at.z + 1.3 * wide], [at.x - 0.35, at.y - 0.2, at.z - 0.32], glide);
+      stage.view([at.x + 4.9 * wide, at.y + 3.8 * wide, at.z + 1.3 * wide], [at.x - 0.14, at.y - 0.45, at.z - 0.32], glide);
     },
     Top(glide) {
       const at = work();

@@ -1,6 +1,7 @@
 // Hold to move: while a button, a key or a stick is held, its wish is sent again and again; when it is let go, or the
 // page loses the focus, one wish for rest is sent and nothing more.
 
+const TOLD_MS = 3000; // a refusal is shown for so long
 const AGAIN_MS = 80; // the driver forgets a wish after 250 ms
 
 export class Wish {
@@ -25,7 +26,7 @@ export class Wish {
   /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}. */
   hold(source, parts) {
     const name = this.target.robot();
-    this.refused = this.live.cannotDrive(name);
+    this._refuse(this.live.cannotDrive(name));
     if (this.refused) return false;
     if (this._robot && this._robot !== name) this.releaseAll();
     const begins = !this._held.size;
@@ -48,6 +49,13 @@ export class Wish {
     this._rest();
   }
 
+  /** Why the last wish came to nothing, in words, for a while. */
+  _refuse(text) {
+    this.refused = text;
+    clearTimeout(this._forget);
+    if (text) this._forget = setTimeout(() => (this.refused = ""), TOLD_MS);
+  }
+
   _sum() {
     const wish = new Array(this.target.length()).fill(0);
     for (const parts of this._held.values()) {
@@ -66,17 +74,15 @@ export class Wish {
   }
 
   _rest() {
-    const robot = this._robot;
     this._put(new Array(this.target.length()).fill(0));
     this._robot = null;
-    return robot;
   }
 
   _put(wish) {
     if (!this._robot) return;
     const hand = this.target.hand();
     this.live.send("jog", { robot: this._robot, wish, ...(hand ? { hand } : {}) }).then((ack) => {
-      if (ack.outcome === "refused") this.refused = ack.text;
+      if (ack.outcome === "refused") this._refuse(ack.text);
     });
   }
 }
