@@ -67,8 +67,8 @@ function basicShape(kind, size) {
   const [radius, length] = size;
   const geometry =
     kind === "capsule"
-      ? new THREE.CapsuleGeometry(radius, length, 10, 32)
-      : new THREE.CylinderGeometry(radius, radius, length, radius < 0.05 ? 20 : 40);
+      ? new THREE.CapsuleGeometry(radius, length, 8, 28)
+      : new THREE.CylinderGeometry(radius, radius, length, radius < 0.05 ? 16 : 32);
   return geometry.rotateX(Math.PI / 2); // three.js has them along y
 }
 

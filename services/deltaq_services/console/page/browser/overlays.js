@@ -8,7 +8,7 @@ import { bodyShell } from "./robots.js";
 const MARGINS = [[0.1, "#ff3d6e"], [0.3, "#f0d53a"], [Infinity, "#4fb3ea"]];
 const WITHIN_ROBOT = 0.4; // of one robot's own bodies a smaller distance is kept, and is usual
 const BRAKE = "#39c6d6";
-const MOVES = 0.004; // rad or m to rest, from which on the brake is drawn
+const MOVES = 0.015; // rad or m to rest, from which on the brake is drawn
 const MARKED_MS = 1500;
 const GHOSTS = { full: [0.34, 0.67, 1], lean: [1] }; // shares of the way to rest at which a robot is drawn
 

@@ -1,7 +1,8 @@
-// How often and how finely pictures are drawn: one at a time, so that a slow machine's page still hears and obeys, and
-// as fine as it can be drawn in time. What stands still is drawn once more as fine as the screen is.
+// How often and how finely pictures are drawn: no more at once than keep the machine busy, so that a slow one's page still
+// hears and obeys, and as fine as can be drawn in time. What stands still is drawn once more as fine as the screen is.
 
-const SLOW_MS = 34;
+const AT_ONCE = 2;
+const SLOW_MS = 30;
 const QUICK_MS = 15;
 const COARSEST = 0.5;
 const STILL_MS = 350;
@@ -9,23 +10,23 @@ const STILL_MS = 350;
 export class Pace {
   /** @param gl WebGL 2; finest pixels of a picture to one of the page. */
   constructor(gl, finest, mayVary) {
-    Object.assign(this, { gl, finest, mayVary, fineness: finest, _took_ms: 25, _fence: null, _lastAt: 0 });
+    Object.assign(this, { gl, finest, mayVary, fineness: finest, _took_ms: 25, _begun: [], _lastAt: 0 });
   }
 
-  /** Whether the last picture is done, so that the next one can be begun. */
+  /** Whether another picture can be begun. */
   isFree(now) {
-    if (!this._fence) return true;
-    if (this.gl.getSyncParameter(this._fence, this.gl.SYNC_STATUS) !== this.gl.SIGNALED) return false;
-    this.gl.deleteSync(this._fence);
-    this._fence = null;
-    this._took_ms += 0.2 * (Math.min(200, now - this._begunAt) - this._took_ms);
-    return true;
+    while (this._begun.length && this.gl.getSyncParameter(this._begun[0].fence, this.gl.SYNC_STATUS) === this.gl.SIGNALED) {
+      const { fence, at } = this._begun.shift();
+      this.gl.deleteSync(fence);
+      this._took_ms += 0.2 * (Math.min(200, (now - at) / AT_ONCE) - this._took_ms);
+    }
+    return this._begun.length < AT_ONCE;
   }
 
   /** A picture was begun at `now`. */
   begun(now) {
-    this._begunAt = this._lastAt = now;
-    this._fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this._lastAt = now;
+    this._begun.push({ fence: this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0), at: now });
     this.gl.flush();
   }
 
