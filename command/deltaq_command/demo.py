@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_command.errors import BAD
-from deltaq_command.options import CellOption, JsonOption
+from deltaq_command.options import CellOption, ConsoleOption, JsonOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,20 +34,28 @@ def demo(
         float,
         typer.Option(min=1.0, envvar="DEMO_S", help="How long the leader moves and the camera follows."),
     ] = 60.0,
+    open_console: Annotated[
+        bool, typer.Option("--open", help="Open the console in this machine's browser.")
+    ] = False,
+    with_console: ConsoleOption = True,
     json: JsonOption = False,
 ) -> None:
     """Start an emulated cell; a scripted leader moves one arm, and the other follows it with its camera."""
+    import webbrowser
     from functools import partial
 
     from deltaq_cell.load import load_cell
     from deltaq_command.console import console, prefixed_log, print_json
     from deltaq_command.progress import shown_compiled_ahead
+    from deltaq_command.up import tell_of_console
     from deltaq_launch.bring_to_rest import bring_to_rest
     from deltaq_launch.launcher import Launcher
-    from deltaq_launch.services import cell_services, demo_controllers
+    from deltaq_launch.services import cell_services, console_is_installed, console_service, demo_controllers
 
     description = load_cell(cell)
     services = (*cell_services(description, cell), *demo_controllers(description))
+    if with_console and console_is_installed():
+        services = (*services, console_service(description, cell, services))
     output = console(sys.stderr)
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq demo"))
@@ -56,6 +64,9 @@ def demo(
         launcher.say(
             f"cell {description.cell} is up; the camera follows for {duration_s:g} s, Ctrl-C ends it"
         )
+        address = tell_of_console(launcher, with_console)
+        if open_console and address is not None:
+            webbrowser.open(address)
         summary, problems = _follow(launcher, description, duration_s, output)
     if json:
         print_json(summary)

@@ -109,7 +109,7 @@ class _Choice:
 
         from deltaq_command.drive_display import Display
         from deltaq_command.drive_summary import summary
-        from deltaq_command.teleoperator import teleoperator_for
+        from deltaq_controllers.live_teleoperator import teleoperator_for
         from deltaq_controllers.modes.motion import Frame, ModeName
         from deltaq_controllers.statistics import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, teleoperate

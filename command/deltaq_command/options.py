@@ -28,6 +28,9 @@ CriterionOption = Annotated[
         help="A criterion and its weight, e.g. clearance=1, in place of the default ones; repeatable.",
     ),
 ]
+ConsoleOption = Annotated[
+    bool, typer.Option("--console/--no-console", help="Start the operator's console, for a browser.")
+]
 TokenOption = Annotated[
     str | None,
     typer.Option(envvar="DELTAQ_OPERATOR_TOKEN", help="The operator's token, if the HLI was given one."),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_command.errors import BAD
-from deltaq_command.options import CellOption
+from deltaq_command.options import CellOption, ConsoleOption
 
 if TYPE_CHECKING:
     from deltaq_launch.launcher import Launcher
@@ -18,6 +18,7 @@ def up(
     only: Annotated[str, typer.Option(help="Only these services or kinds, e.g. hli,sim,robot-server.")] = "",
     real: Annotated[bool, typer.Option("--real", help="Real robots: start no emulator.")] = False,
     record: Annotated[str, typer.Option(metavar="FILE", help="Also record to this MCAP file.")] = "",
+    with_console: ConsoleOption = True,
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from contextlib import nullcontext
@@ -30,14 +31,26 @@ def up(
     from deltaq_launch.bring_to_rest import bring_to_rest
     from deltaq_launch.launcher import Launcher
     from deltaq_launch.real import refuse_unreal
-    from deltaq_launch.services import Role, cell_services, recorder, select
+    from deltaq_launch.services import (
+        Role,
+        cell_services,
+        console_is_installed,
+        console_service,
+        recorder,
+        select,
+    )
 
     description = load_cell(cell)
     services = cell_services(description, cell, real)
     if record:
         services = (*services, recorder(cell, record))
+    if with_console and console_is_installed():
+        services = (*services, console_service(description, cell, services))
     if only:
         services = select(services, [name.strip() for name in only.split(",")])
+        if any(service.role is Role.CONSOLE for service in services):
+            others = tuple(service for service in services if service.role is not Role.CONSOLE)
+            services = (*others, console_service(description, cell, others))
     if real:
         servers = [service for service in services if service.role is Role.ROBOT_SERVER]
         refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
@@ -51,9 +64,23 @@ def up(
         if "hli" in launcher.ready:
             lines = f"{description.tcp_address}:{description.tcp_port}"
             log("deltaq", f"zenoh clients at {description.hli}, JSON lines at {lines}; Ctrl-C ends it")
+        tell_of_console(launcher, with_console)
         ended = watch(launcher, cell)
     if ended:
         raise typer.Exit(BAD)
+
+
+def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:
+    """Say where the console is, or why there is none; returns its address."""
+    for service in launcher.services:
+        if service.name == "console" and service.name in launcher.ready:
+            launcher.say(f"the console is at {service.endpoint}")
+            return service.endpoint
+    from deltaq_launch.services import console_is_installed
+
+    if wanted and not console_is_installed():
+        launcher.say("no console: `pip install 'deltaq[console]'` brings what its page is made with")
+    return None
 
 
 def watch(launcher: Launcher, cell: str) -> list[str]:

@@ -98,10 +98,11 @@ def health(
     from deltaq_cell.load import load_cell
     from deltaq_command.console import print_json
     from deltaq_launch.probes import probe
-    from deltaq_launch.services import cell_services, one
+    from deltaq_launch.services import cell_services, console_service, one
 
     description = load_cell(cell)
-    answer = probe(one(cell_services(description, cell), service), description)
+    services = (*cell_services(description, cell), console_service(description, cell, ()))
+    answer = probe(one(services, service), description)
     if json:
         print_json({"service": service, "healthy": answer.healthy, "detail": answer.detail})
     else:

@@ -13,7 +13,7 @@ import yaml
 
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
-from deltaq_launch.services import Role, Service, cell_services, demo_controllers
+from deltaq_launch.services import Role, Service, cell_services, console_service, demo_controllers
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
 FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
@@ -28,6 +28,7 @@ HEADER = """\
 """
 
 
+CONSOLE_TOKEN, OPERATOR_TOKEN = "DELTAQ_CONSOLE_TOKEN", "DELTAQ_OPERATOR_TOKEN"
 _SECRET = "deltaq-guarded-key"
 _GUARDED = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
 
@@ -39,6 +40,7 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     """
     cell = load_cell(cell_name)
     services = cell_services(cell, cell_name)
+    services = (*services, console_service(cell, cell_name, services))
     document: dict[str, Any] = {service.name: _container(service, cell_name) for service in services}
     for controller in demo_controllers(cell):
         # numba writes to the folder in which it finds machine code
@@ -96,6 +98,13 @@ def _container(service: Service, cell_name: str) -> dict[str, Any]:
             "timeout": "10s",
             "retries": 3,
             "start_period": "60s",
+        }
+    if service.role is Role.CONSOLE:
+        # numba writes to the folder in which it finds machine code
+        container["tmpfs"] = ["/tmp"]
+        container["environment"] = {
+            CONSOLE_TOKEN: f"${{{CONSOLE_TOKEN}:-}}",
+            OPERATOR_TOKEN: f"${{{OPERATOR_TOKEN}:-}}",
         }
     return container
 

@@ -14,7 +14,7 @@ from deltaq_launch.findings import DoctorFinding, Rating
 from deltaq_launch.launcher import LaunchError, check_ports
 from deltaq_launch.rates import percentile
 from deltaq_launch.real_time import examine_real_time
-from deltaq_launch.services import cell_services
+from deltaq_launch.services import cell_services, console_service
 
 NAPS = 100
 NAP_S = 0.001
@@ -72,7 +72,7 @@ def _clock(cycle_s: float) -> DoctorFinding:
 
 def _ports(cell: CellDescription, cell_name: str) -> list[DoctorFinding]:
     findings = []
-    for service in cell_services(cell, cell_name):
+    for service in (*cell_services(cell, cell_name), console_service(cell, cell_name, ())):
         ports = ", ".join(f"{listener.transport} {listener.port}" for listener in service.listens)
         try:
             check_ports([service])

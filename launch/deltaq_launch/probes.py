@@ -6,6 +6,7 @@ import socket
 import time
 from dataclasses import dataclass
 from typing import assert_never
+from urllib.request import urlopen
 
 from pydantic import BaseModel
 
@@ -33,6 +34,13 @@ class _Panel(BaseModel):
     message: str | None = None
 
 
+class _Web(BaseModel):
+    """The part of a web service's health that is used."""
+
+    healthy: bool
+    detail: str
+
+
 @dataclass(frozen=True)
 class ProbeAnswer:
     """A service's report on itself."""
@@ -58,6 +66,8 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
             return _ask_hli(cell)
         case Probe.PANEL:
             return _ask_panel(service.name, service.endpoint)
+        case Probe.WEB:
+            return _ask_web(service.name, service.endpoint)
         case _:
             assert_never(service.probe)
 
@@ -104,6 +114,15 @@ def _ask_panel(name: str, endpoint: str) -> ProbeAnswer:
         except (OSError, ValueError) as error:
             raise _silent(name, endpoint) from error
     return ProbeAnswer(answer.ok, answer.message or answer.state)
+
+
+def _ask_web(name: str, endpoint: str) -> ProbeAnswer:
+    try:
+        with urlopen(f"{endpoint}/health", timeout=TIMEOUT_S) as reply:
+            answer = _Web.model_validate_json(reply.read(65536))
+    except (OSError, ValueError) as error:
+        raise _silent(name, endpoint) from error
+    return ProbeAnswer(answer.healthy, answer.detail)
 
 
 def _silent(name: str, endpoint: str) -> ServiceUnreachableError:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import Literal
 
 from deltaq_cell.description import CellDescription, RsiDescription
@@ -25,6 +26,7 @@ class Role(StrEnum):
     LEADER = "leader"
     FOLLOWER = "follower"
     RECORDER = "recorder"
+    CONSOLE = "console"
 
 
 BRAKING_ROLES = (Role.ROBOT_SERVER, Role.EMULATOR)
@@ -40,6 +42,8 @@ class Probe(StrEnum):
     """It answers `topics.STATUS`, at the endpoint given."""
     PANEL = "panel"
     """It answers `{"op": "status"}` in a UDP datagram, at the endpoint given."""
+    WEB = "web"
+    """It answers `GET /health` with a JSON object, at the endpoint given."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ class Service:
         listens: sockets that must be free before it starts.
         robot: the one it serves; None if it serves the whole cell.
         probe: how to ask for its health; None for controllers, which come and go.
-        endpoint: where to ask, `tcp/HOST:PORT` or `udp/HOST:PORT`.
+        endpoint: where to ask, `tcp/HOST:PORT`, `udp/HOST:PORT` or `http://HOST:PORT`.
     """
 
     name: str
@@ -156,6 +160,36 @@ def demo_controllers(cell: CellDescription) -> tuple[Service, ...]:
     )
 
 
+def console_service(cell: CellDescription, cell_name: str, services: Sequence[Service]) -> Service:
+    """The operator's console: a client like any other, and nothing needs it.
+
+    It says that the robots are emulated only if emulators for all of them run beside it. It waits for no HLI: it says
+    that there is none until there is one.
+
+    Args:
+        cell: the cell's description.
+        cell_name: the name or path that it is told to load it by.
+        services: those that run beside it.
+    """
+    arguments = ("-m", "deltaq_services.console", "--cell", cell_name)
+    emulators = {service.robot: service.name for service in services if service.role is Role.EMULATOR}
+    is_emulated = set(emulators) == set(cell.robots)
+    return Service(
+        name="console",
+        role=Role.CONSOLE,
+        arguments=(*arguments, "--emulated") if is_emulated else arguments,
+        needs=tuple(emulators.values()) if is_emulated else (),
+        listens=(ListeningSocket("tcp", cell.console_address, cell.console_port, "console_port"),),
+        probe=Probe.WEB,
+        endpoint=f"http://{_reached_at(cell.console_address)}:{cell.console_port}",
+    )
+
+
+def console_is_installed() -> bool:
+    """Whether what the console's page is made with is there: the extra `console`."""
+    return find_spec("nicegui") is not None
+
+
 def recorder(cell_name: str, file: str) -> Service:
     """The recorder, for who wants a recording: it only listens, and nothing needs it."""
     arguments = ("-m", "deltaq_services.recorder", "--cell", cell_name, "--file", file)
@@ -189,6 +223,13 @@ def one(services: Sequence[Service], name: str) -> Service:
 def _unknown(services: Sequence[Service], name: str) -> UnknownServiceError:
     allowed = ", ".join(service.name for service in services)
     return UnknownServiceError(f"no service {name!r} in this cell; it has {allowed}")
+
+
+def _reached_at(address: str) -> str:
+    """How this machine reaches what listens on an address."""
+    everywhere = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+    host = everywhere.get(address, address)
+    return f"[{host}]" if ":" in host else host
 
 
 def _tcp(endpoint: str, field: str) -> ListeningSocket:

@@ -92,7 +92,11 @@ class Wire:
 
     def subscribe_newest(self, key: str, newest: Newest[zenoh.Sample, Any]) -> None:
         """Put the samples of a key where the newest is kept, without waking the loop for those that nobody awaits."""
-        self._served.subscribe(key, newest.put)
+        self.subscribe_unqueued(key, newest.put)
+
+    def subscribe_unqueued(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
+        """Call `put` with the samples of a key, in a thread of zenoh's."""
+        self._served.subscribe(key, put)
 
     def publisher(self, topic: Topic, cell: str, robot: str) -> Any:
         """A publisher of a robot's topic; a session that was closed makes its `put` raise `ZError`."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 HLI = "hli"
 SIM = "sim"
 ROBOT_SERVER = "robot_server"
+CONSOLE = "console"
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,5 +129,16 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams skipped because a newer one had come"),
     Counted(ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong"),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
+    Counted(CONSOLE, "clients", "browsers that were let in"),
+    Counted(CONSOLE, "clients_refused", "browsers that came when as many as can be served were there"),
+    Counted(CONSOLE, "turned_away", "WebSockets of a foreign page, or with a wrong token"),
+    Counted(CONSOLE, "messages", "messages of browsers, valid or not"),
+    Counted(CONSOLE, "malformed", "messages of browsers that are no command"),
+    Counted(CONSOLE, "malformed_heard", "messages of the HLI that could not be understood"),
+    Counted(CONSOLE, "too_many", "commands beyond the number that a browser may send in a second"),
+    Counted(CONSOLE, "repeated", "commands whose id had come before"),
+    Counted(CONSOLE, "expired", "commands that came too late to be carried out"),
+    Counted(CONSOLE, "refused", "commands refused for another reason"),
+    Counted(CONSOLE, "stops", "stops that were pressed"),
 )
 """The table."""

@@ -115,7 +115,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         f"robots: {{dawm: {{server: tcp/127.0.0.1:{server}}}}}\n",
         encoding="utf-8",
     )
-    command = [DELTAQ, "up", "--cell", str(file)]
+    command = [DELTAQ, "up", "--no-console", "--cell", str(file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as launcher:
         assert launcher.stdout is not None
         for line in launcher.stdout:

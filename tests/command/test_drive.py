@@ -38,7 +38,10 @@ SCRIPT = """\
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     file = write_private_cell(tmp_path_factory.mktemp("cell"))
     with subprocess.Popen(
-        [DELTAQ, "up", "--cell", str(file)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [DELTAQ, "up", "--no-console", "--cell", str(file)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     ) as launcher:
         assert launcher.stdout is not None
         lines = []

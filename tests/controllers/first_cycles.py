@@ -24,7 +24,6 @@ from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_command.drive_display import Display
-from deltaq_command.teleoperator import teleoperator_for
 from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart
@@ -35,6 +34,7 @@ from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import drive
+from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator

@@ -19,7 +19,7 @@ from private_cell import write_private_cell
 pytestmark = pytest.mark.live
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
-SERVICES = {"robot-server-fr", "robot-server-gr", "emulator-fr", "emulator-gr", "sim", "hli"}
+SERVICES = {"robot-server-fr", "robot-server-gr", "emulator-fr", "emulator-gr", "sim", "hli", "console"}
 
 
 @dataclass

@@ -28,7 +28,10 @@ async def test_a_client_of_json_lines_moves_all_joints_of_the_dual_arm_cell(tmp_
         encoding="utf-8",
     )
     launcher = subprocess.Popen(
-        [DELTAQ, "up", "--cell", str(file)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [DELTAQ, "up", "--no-console", "--cell", str(file)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     )
     assert launcher.stdout is not None
     try:

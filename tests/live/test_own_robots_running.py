@@ -34,7 +34,7 @@ COMMANDS_S = 240
 @contextmanager
 def up(cell: Path) -> Iterator[None]:
     """The cell runs for the length of the block, and ends as Ctrl-C ends it."""
-    command = [DELTAQ, "up", "--cell", str(cell)]
+    command = [DELTAQ, "up", "--no-console", "--cell", str(cell)]
     launcher = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert launcher.stdout is not None
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import deltaq_services
-from deltaq_services.counters import COUNTERS, HLI, ROBOT_SERVER, SIM
+from deltaq_services.counters import CONSOLE, COUNTERS, HLI, ROBOT_SERVER, SIM
 
 SERVICES = Path(deltaq_services.__path__[0])
 COUNTED_BY_VARIABLE = {
@@ -43,7 +43,7 @@ def without_names(template: str) -> str:
     return re.sub(r"\{\w+\}", "{}", template)
 
 
-@pytest.mark.parametrize("service", [HLI, SIM, ROBOT_SERVER])
+@pytest.mark.parametrize("service", [HLI, SIM, ROBOT_SERVER, CONSOLE])
 def test_what_a_service_counts_has_a_row_and_every_row_is_counted(service: str) -> None:
     sources = [file.read_text() for file in (SERVICES / service).glob("*.py")]
     in_code = {name for source in sources for name in counted(source)}

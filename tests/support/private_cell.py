@@ -66,7 +66,7 @@ def _is_free(port: int) -> bool:
 
 def write_private_cell(folder: Path, base: str = "lab", guarded: str = "127.0.0.1") -> Path:
     """Write a cell file that differs from a shipped cell by its ports, and by where the guarded realm listens."""
-    hli, sim, tcp, *robots = free_ports(9)
+    hli, sim, tcp, console, *robots = free_ports(10)
     drivers = {
         name: f"""
   {name}:
@@ -81,6 +81,7 @@ extends: {base}
 hli: tcp/127.0.0.1:{hli}
 sim: tcp/{guarded}:{sim}
 tcp_port: {tcp}
+console_port: {console}
 robots:{"".join(drivers.values())}
 """,
         encoding="utf-8",

@@ -94,5 +94,8 @@ class CellDescription(DescriptionModel):
     tcp_address: str = "127.0.0.1"
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210
     """Where the HLI serves JSON lines."""
+    console_address: str = "127.0.0.1"
+    console_port: Annotated[int, Field(ge=1, le=65535)] = 7480
+    """Where the console serves browsers."""
     lease_s: Positive = 1.0
     """How long a lease lasts while its holder is silent; whatever the holder sends renews it."""

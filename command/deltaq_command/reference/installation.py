@@ -9,7 +9,7 @@ from deltaq_cell import description
 from deltaq_cell.load import load_cell
 from deltaq_command.app import app
 from deltaq_command.reference.markdown import fields, models, table
-from deltaq_launch.services import cell_services, demo_controllers, recorder
+from deltaq_launch.services import cell_services, console_service, demo_controllers, recorder
 
 
 def cell() -> str:
@@ -34,11 +34,16 @@ def services() -> str:
             ", ".join(f"{at.transport} {at.address}:{at.port}" for at in service.listens),
             service.probe,
         )
-        for service in (*cell_services(cell, "lab"), *demo_controllers(cell), recorder("lab", "run.mcap"))
+        for service in (
+            *cell_services(cell, "lab"),
+            console_service(cell, "lab", cell_services(cell, "lab")),
+            *demo_controllers(cell),
+            recorder("lab", "run.mcap"),
+        )
     )
     return (
         "# Services\n\nThe lab cell's, as `deltaq up` starts them; leader and follower belong to `deltaq demo`, the"
-        " recorder to `deltaq up --record`. Each"
+        " console is left out by `--no-console`, the recorder belongs to `deltaq up --record`. Each"
         " prints one line that begins with `ready:` once it serves.\n\n"
         + table(("service", "command", "starts after", "listens on", "asked for health by"), rows)
     )

@@ -14,7 +14,7 @@ ROOMS = (
     ("verification", "virtual cell, faults, impaired wires, model checker, attack, oracle, replay"),
     ("launch", "what starts things: the table of services, the launcher, compose, a connection to what runs"),
     ("deploy", "what an installation is made of: cells, the files of a KRC; beside it the image"),
-    ("services", "HLI, SIM (the gate), Robot Server, recorder: a folder a process"),
+    ("services", "HLI, SIM (the gate), Robot Server, recorder, console: a folder a process"),
     ("emulator", "an emulated KRC that speaks RSI, and its faults"),
     ("controllers", "camera follower, teleoperation, advisor"),
     ("cell", "the model of a cell: description, robots, kinematics, proximity"),

@@ -1,0 +1,132 @@
+"""`python -m deltaq_controllers.operated --robot fr`: the lines are those of `deltaq_protocol.driving`."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+from asyncio.subprocess import DEVNULL
+from contextlib import ExitStack
+from functools import partial
+
+from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
+from deltaq_controllers.camera.gains import FollowerGains
+from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.live import REFUSED, UNREACHABLE, USAGE, cell_model, settle_memory
+from deltaq_controllers.live_teleoperator import teleoperator_for
+from deltaq_controllers.modes.practice import practise
+from deltaq_controllers.operated.pilot import Pilot
+from deltaq_controllers.operated.shell import OperatedRobot
+from deltaq_protocol import connect
+from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
+from deltaq_protocol.driving import DrivingMode, Report, Said, Stage
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+
+FOLLOWS = "paper"
+"""The camera's law."""
+_PATIENT = 10
+"""Niceness of the compiler: the cell goes first."""
+VIEW_M = 1.25
+"""View distance to begin with [m]."""
+
+
+def say(said: Said) -> None:
+    """Send a line."""
+    print(said.model_dump_json(), flush=True)
+
+
+async def operate(options: argparse.Namespace) -> None:
+    """Connect, get ready, and drive until the input ends."""
+    lines = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    say(Report(stage=Stage.STARTING, mode=DrivingMode.JOINT))
+    async with connect(options.url, client=f"driver of {options.robot}") as cell:
+        with ExitStack() as stack:
+            teleoperator = teleoperator_for(cell, options.robot, stack)
+            has_camera = teleoperator.robot.description.camera is not None
+            compiling = asyncio.ensure_future(_compiled_camera() if has_camera else asyncio.sleep(0))
+            pilot = Pilot(teleoperator, partial(_follower, cell, options.robot, compiling))
+            for mode in DrivingMode:
+                # the advisor is a process of its own, for who asks for it
+                if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW):
+                    _prepare(pilot, mode)
+            await asyncio.to_thread(practise, teleoperator)
+            if compiling.done():
+                _prepare(pilot, DrivingMode.FOLLOW)
+            settle_memory()
+            operated = OperatedRobot(cell, options.robot, pilot, say)
+            listening = asyncio.ensure_future(operated.listen(lines))
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.add_signal_handler(number, listening.cancel)
+            try:
+                await operated.run()
+            finally:
+                compiling.cancel()
+                await asyncio.gather(compiling, return_exceptions=True)
+
+
+def _prepare(pilot: Pilot, mode: DrivingMode) -> None:
+    with contextlib.suppress(
+        DeltaqError
+    ):  # the robot cannot be driven in that mode, and says so when it is asked to
+        pilot.prepare(mode)
+
+
+async def _compiled_camera() -> None:
+    """Have the camera's law compiled by another process: this one could not drive meanwhile. Once is enough."""
+    compiler = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "deltaq_controllers.camera", FOLLOWS, stdin=DEVNULL, stdout=DEVNULL
+    )
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.setpriority(os.PRIO_PROCESS, compiler.pid, _PATIENT)
+    try:
+        await compiler.wait()
+    except asyncio.CancelledError:
+        compiler.kill()
+        await compiler.wait()
+        raise
+
+
+def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> FocusController:
+    """The paper's follower of the first other robot.
+
+    Raises:
+        ControllerError: there is no other robot, this one carries no camera, or its law is still being compiled.
+    """
+    if not compiling.done():
+        raise ControllerError(
+            "the camera's law is being compiled, which takes a minute, once: try again then"
+        )
+    others = [name for name in cell.robots if name != robot]
+    model = cell_model(cell.description)
+    if not others or model.robots[robot].description.camera is None:
+        raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
+    scene = Scene(model, robot, others[0], FollowerGains().latency_s)
+    return camera_controller_named(FOLLOWS, scene, VIEW_M)
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_controllers.operated",
+        description="Drive a robot for an operator elsewhere: requests come in lines, until the input ends.",
+    )
+    parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
+    parser.add_argument("--robot", required=True, help="robot to drive")
+    try:
+        asyncio.run(operate(parser.parse_args()))
+    except DeltaqError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        if isinstance(error, ServiceUnreachableError):
+            return UNREACHABLE
+        return REFUSED if isinstance(error, RefusedError) else USAGE
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,198 @@
+"""The shell of an operated robot: requests come in lines, the robot's cycle is answered, reports go out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+
+from pydantic import ValidationError
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_controllers.operated.pilot import Pilot
+from deltaq_protocol.client import Cell
+from deltaq_protocol.driving import (
+    REQUESTS,
+    Answer,
+    ChangeMode,
+    DrivingMode,
+    Release,
+    Report,
+    Request,
+    Said,
+    Stage,
+    Switch,
+    Take,
+    ViewAt,
+    Wish,
+)
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_protocol.leased_robot import LeasedRobot
+from deltaq_protocol.messages import Phase, Verdict
+
+REPORT_S = 0.2
+"""Time between two reports."""
+TOLD_AGAIN_S = 1.0
+"""A report that says the same is sent again after this."""
+_RESTS_WITHIN_S = 2.0
+
+
+class OperatedRobot:
+    """Drives one robot as it is asked to, line by line.
+
+    Args:
+        cell: connection to the cell.
+        robot: its name.
+        pilot: makes the increments.
+        say: sends a line.
+    """
+
+    def __init__(self, cell: Cell, robot: str, pilot: Pilot, say: Callable[[Said], None]) -> None:
+        self._cell, self._robot, self._pilot, self._say = cell, robot, pilot, say
+        self._wanted: asyncio.Queue[Take | None] = asyncio.Queue()
+        self._leased: LeasedRobot | None = None
+        self._leaving = asyncio.Event()
+        self._release: Release | None = None
+        self._is_over = False
+        self._longest_s = 0.0
+        self._told: tuple[float, Report | None] = (0.0, None)
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def listen(self, lines: asyncio.StreamReader) -> None:
+        """Take requests until the input ends; then the robot comes to rest and is released."""
+        try:
+            while line := await lines.readline():
+                try:
+                    self._take(REQUESTS.validate_json(line))
+                except ValidationError as error:
+                    self._say(Answer(id="", done=False, text=f"no request: {error.errors()[0]['msg']}"))
+        finally:
+            self._is_over = True
+            self._leaving.set()
+            self._wanted.put_nowait(None)
+
+    async def run(self) -> None:
+        """Drive whenever the lease is asked for, until the input ends."""
+        reporting = asyncio.ensure_future(self._report())
+        try:
+            while (take := await self._wanted.get()) is not None and not self._is_over:
+                await self._serve(take)
+        finally:
+            reporting.cancel()
+
+    def _take(self, request: Request) -> None:
+        match request:
+            case Wish():
+                with contextlib.suppress(ControllerError):  # the report says in which mode it is driven
+                    self._pilot.wish(request, time.monotonic())
+            case Take():
+                self._wanted.put_nowait(request)
+            case Release():
+                if self._leased is None and self._wanted.empty():
+                    self._say(Answer(id=request.id, done=True))
+                else:
+                    self._release = request
+                    self._leaving.set()
+            case _:
+                task = asyncio.ensure_future(self._do(request))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+
+    async def _do(self, request: ChangeMode | ViewAt | Switch) -> None:
+        text = ""
+        try:
+            if isinstance(request, ChangeMode):
+                await asyncio.to_thread(self._pilot.prepare, request.mode)
+                self._pilot.change_mode(request.mode, request.frame)
+            elif isinstance(request, ViewAt):
+                await asyncio.to_thread(self._pilot.prepare, DrivingMode.FOLLOW)
+                self._pilot.view_at(request.distance_m)
+            elif self._leased is None:
+                text = "the robot's lease is not held"
+            else:
+                await self._leased.io(request.outputs)
+        except DeltaqError as error:
+            text = str(error)
+        self._say(Answer(id=request.id, done=not text, text=text))
+
+    async def _serve(self, take: Take) -> None:
+        """Hold the lease until it is given back, or lost."""
+        self._pilot.rest()
+        answered = False
+        trouble = ""
+        try:
+            async with self._cell.lease(self._robot, take.client) as leased:
+                self._leased = leased
+                self._say(Answer(id=take.id, done=True))
+                answered = True
+                await self._drive_until_left(leased)
+        except DeltaqError as error:
+            trouble = str(error)
+        finally:
+            self._leased = None
+        if not answered:
+            self._say(Answer(id=take.id, done=False, text=trouble))
+        elif trouble:
+            self._say(self._pilot.report(Stage.FREE).model_copy(update={"doing": trouble}))
+        if not self._is_over:
+            self._leaving.clear()
+        if self._release is not None:
+            self._say(Answer(id=self._release.id, done=True))
+            self._release = None
+
+    async def _drive_until_left(self, leased: LeasedRobot) -> None:
+        driving = asyncio.ensure_future(self._drive(leased))
+        leaving = asyncio.ensure_future(self._leaving.wait())
+        try:
+            await asyncio.wait((driving, leaving), return_when=asyncio.FIRST_COMPLETED)
+            if not driving.done():
+                # it ends by itself at rest; where no states come, the gate's brake has done it
+                await asyncio.wait((driving,), timeout=_RESTS_WITHIN_S)
+        finally:
+            leaving.cancel()
+            if not driving.done():
+                driving.cancel()
+        if driving.done() and not driving.cancelled():
+            driving.result()
+
+    async def _drive(self, leased: LeasedRobot) -> None:
+        pilot, before, verdict = self._pilot, None, None
+        async for state in leased.states():
+            began_s = time.monotonic()
+            is_still = before is not None and before.q_cmd == state.q_cmd
+            before = state
+            if state.phase is Phase.HELD:
+                pilot.held()
+                verdict = None
+            if self._leaving.is_set():
+                pilot.held()
+                if is_still:
+                    return
+            increment = pilot.increment(view_of(self._cell, state, verdict), is_still, began_s)
+            if increment is None or state.phase is Phase.HELD:
+                verdict = None
+                continue
+            verdict = await self._verdict(leased, increment.tolist())
+            pilot.take_verdict(verdict)
+            self._longest_s = max(self._longest_s, time.monotonic() - began_s)
+
+    async def _verdict(self, leased: LeasedRobot, dq: list[float]) -> Verdict | None:
+        try:
+            async with asyncio.timeout(PATIENCE_CYCLES * self._cell.description.cycle_s):
+                return await leased.move(dq)
+        except (TimeoutError, ServiceUnreachableError):
+            return None
+
+    async def _report(self) -> None:
+        while True:
+            stage = Stage.FREE if self._leased is None else Stage.LEASED
+            report = self._pilot.report(stage)
+            now_s = time.monotonic()
+            told_s, told = self._told
+            if report != told or now_s - told_s >= TOLD_AGAIN_S:
+                self._told = (now_s, report)
+                self._say(report.model_copy(update={"longest_cycle_s": self._longest_s or None}))
+                self._longest_s = 0.0
+            await asyncio.sleep(REPORT_S)

@@ -1,0 +1,47 @@
+"""`python -m deltaq_services.console --cell lab`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+from deltaq_cell.load import load_cell
+from deltaq_protocol.errors import DeltaqError
+from deltaq_services.console.settings import Settings
+from deltaq_services.process import run
+
+TOKEN_VARIABLE = "DELTAQ_CONSOLE_TOKEN"
+OPERATOR_TOKEN_VARIABLE = "DELTAQ_OPERATOR_TOKEN"
+
+
+class NotInstalledError(DeltaqError):
+    """What the console's page is made with is not there."""
+
+
+def main() -> None:
+    """Serve the console until a signal ends the process."""
+    parser = argparse.ArgumentParser(description="Console: what an operator sees and holds, in a browser")
+    parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
+    parser.add_argument("--address", help="to be reached at (default: the cell's console_address)")
+    parser.add_argument("--port", type=int, help="to be reached at (default: the cell's console_port)")
+    parser.add_argument("--emulated", action="store_true", help="no robot of the cell is real")
+    options = parser.parse_args()
+    description = load_cell(options.cell)
+    settings = Settings(
+        cell=options.cell,
+        emulated=options.emulated,
+        address=options.address or description.console_address,
+        port=options.port if options.port is not None else description.console_port,
+        token=os.environ.get(TOKEN_VARIABLE, ""),
+        operator_token=os.environ.get(OPERATOR_TOKEN_VARIABLE) or None,
+    )
+    # after the settings were found good: this import takes seconds
+    try:
+        from deltaq_services.console.web import serve
+    except ModuleNotFoundError as error:
+        raise NotInstalledError(f"{error.name} is not installed: pip install 'deltaq[console]'") from error
+    serve(settings)
+
+
+if __name__ == "__main__":
+    run(main)

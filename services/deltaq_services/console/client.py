@@ -1,0 +1,47 @@
+"""One browser, as the core knows it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from deltaq_services.console.clock_offset import ClockOffset
+from deltaq_services.console.messages import MOST_MESSAGES_S, Ack
+from deltaq_services.console.rate_limit import RateLimit
+
+_ANSWERS_KEPT = 256
+"""Newest answers that are given again to a command that comes twice."""
+
+
+@dataclass
+class Client:
+    """One browser.
+
+    Attributes:
+        number: of its connection, different from every other.
+        name: by which others see it.
+        is_operator: it may command; one that may not looks, and stops.
+        clocks: its clock against this one.
+        rate: bounds what it sends.
+    """
+
+    number: int
+    name: str
+    is_operator: bool
+    clocks: ClockOffset = field(default_factory=ClockOffset)
+    rate: RateLimit = field(default_factory=lambda: RateLimit(MOST_MESSAGES_S))
+    _answers: OrderedDict[str, Ack] = field(default_factory=OrderedDict)
+
+    def answered(self, command_id: str) -> Ack | None:
+        """The newest answer to a command that came before; None if it did not."""
+        return self._answers.get(command_id)
+
+    def answer(self, ack: Ack) -> Ack:
+        """Keep an answer, for the case that its command comes again; returns it."""
+        if not ack.id:
+            return ack
+        self._answers[ack.id] = ack
+        self._answers.move_to_end(ack.id)
+        while len(self._answers) > _ANSWERS_KEPT:
+            self._answers.popitem(last=False)
+        return ack

@@ -1,0 +1,301 @@
+"""What the console decides: who may ask for what, what goes where, and what browsers are told. No clock, no socket.
+
+Times are handed in: `now_s` of one clock, which frames and pongs show as the server's.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+from deltaq_cell.description import CellDescription
+from deltaq_protocol import driving
+from deltaq_protocol.messages import Message, Verdict
+from deltaq_services.console.client import Client
+from deltaq_services.console.decoding import InvalidCommandError, command_of
+from deltaq_services.console.event_log import EventLog
+from deltaq_services.console.messages import (
+    EXPIRY_S,
+    Ack,
+    AckOutcome,
+    AnyCommand,
+    DryRun,
+    Hello,
+    Jog,
+    Lease,
+    LeaseVerb,
+    Ping,
+    Pong,
+    Reset,
+    Stop,
+)
+from deltaq_services.console.outputs import AskHli, Output, ToClient, ToDriver
+from deltaq_services.console.picture import Picture
+from deltaq_services.console.robot_side import RobotSide
+from deltaq_services.console.seat import Handled
+from deltaq_services.console.status_board import StatusBoard
+from deltaq_services.console.stop_progress import StopProgress
+from deltaq_services.console.words import bound_of
+
+MOST_CLIENTS = 32
+
+
+class ConsoleCore:
+    """The console of one cell.
+
+    Args:
+        cell: its description.
+        bodies: names of its bodies, as the scene lists them.
+        token_needed: whether a client without the token is an observer.
+
+    Attributes:
+        clients: who is connected, by the number of the connection.
+        counters: of what browsers sent.
+        robots: each robot's side.
+        picture: what is seen of the cell.
+        stop: how far the newest stop is.
+        board: what browsers are told when it changes.
+    """
+
+    def __init__(self, cell: CellDescription, bodies: tuple[str, ...], token_needed: bool) -> None:
+        self.clients: dict[int, Client] = {}
+        self.counters: Counter[str] = Counter()
+        self.stop = StopProgress()
+        places = {name: place for place, name in enumerate(bodies)}
+        self.robots = {
+            name: RobotSide(name, robot, cell.cycle_s, places) for name, robot in cell.robots.items()
+        }
+        self._log = EventLog()
+        self.picture = Picture(cell, bodies, self.robots, self._log)
+        self.board = StatusBoard(self.robots, self._log)
+        self._token_needed = token_needed
+        self._numbers, self._requests = itertools.count(1), itertools.count(1)
+        self._asked: dict[str, tuple[Client | None, str, AskHli | ToDriver]] = {}
+
+    def connect(self, name: str, is_operator: bool, now_s: float) -> tuple[Client | None, list[Output]]:
+        """A browser has connected; no client if there are too many."""
+        if len(self.clients) >= MOST_CLIENTS:
+            self.counters["clients_refused"] += 1
+            return None, []
+        number = next(self._numbers)
+        kind = "operator" if is_operator else "observer"
+        taken = {client.name for client in self.clients.values()}
+        client = Client(
+            number, name if name and name not in taken else f"{name or kind} {number}", is_operator
+        )
+        self.clients[number] = client
+        self.counters["clients"] += 1
+        self._log.add(now_s, "client", f"{client.name} has come")
+        hello = Hello(
+            client=client.name,
+            operator=is_operator,
+            token_needed=self._token_needed,
+            server_ms=1000.0 * now_s,
+        )
+        return client, [ToClient(number, message) for message in (hello, *self._log.kept)]
+
+    def disconnect(self, client: Client, now_s: float) -> list[Output]:
+        """A browser has gone: what it drove comes to rest and is released."""
+        del self.clients[client.number]
+        self.board.forget(client)
+        self._log.add(now_s, "client", f"{client.name} has gone")
+        outputs: list[Output] = []
+        for side in self.robots.values():
+            outputs += self._sent(side.seat.leave(client, self._request), None, "")
+        return outputs
+
+    def take(self, client: Client, message: str | bytes, now_s: float) -> list[Output]:
+        """A browser has sent something; whatever it is, it is answered."""
+        self.counters["messages"] += 1
+        allowed = client.rate.take(now_s)
+        try:
+            command = command_of(message)
+        except InvalidCommandError as error:
+            self.counters["malformed"] += 1
+            return [_ack(client, error.id, AckOutcome.REFUSED, str(error))] if allowed else []
+        if isinstance(command, Stop):
+            return self._stop(client, command, now_s)
+        if not allowed:
+            self.counters["too_many"] += 1
+            text = f"messages: more in a second than are allowed; bound {client.rate.most_s:g}"
+            return [ToClient(client.number, Ack(id=command.id, outcome=AckOutcome.REFUSED, text=text))]
+        late_s = client.clocks.hear(command.sent_ms / 1000.0, now_s)
+        if isinstance(command, Ping):
+            pong = Pong(id=command.id, sent_ms=command.sent_ms, server_ms=1000.0 * now_s)
+            return [ToClient(client.number, pong)]
+        before = client.answered(command.id)
+        if before is not None:
+            self.counters["repeated"] += 1
+            return [ToClient(client.number, before)]
+        if late_s > EXPIRY_S[command.type]:
+            self.counters["expired"] += 1
+            text = f"sent_ms: the command came {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s"
+            return [_ack(client, command.id, AckOutcome.EXPIRED, text)]
+        try:
+            return self._obey(client, command, now_s)
+        except ValueError as error:
+            self.counters["refused"] += 1
+            return [_ack(client, command.id, AckOutcome.REFUSED, str(error))]
+
+    def answered(
+        self, request: str, done: bool, text: str, now_s: float, verdict: Verdict | None = None
+    ) -> list[Output]:
+        """The HLI's answer to a request, or why there is none."""
+        client, command, asked = self._asked.pop(request)
+        assert isinstance(asked, AskHli)
+        if asked.kind == "stop":
+            if done:
+                self.stop.latched()
+            self._log.add(
+                now_s, "stop", "every robot is held" if done else f"the stop is not confirmed: {text}"
+            )
+        outcome = AckOutcome.DONE if done else AckOutcome.REFUSED
+        if client is None or client.number not in self.clients:
+            return []
+        ack = Ack(id=command, outcome=outcome, text=text)
+        if verdict is not None:
+            bound = bound_of(verdict, self.robots[asked.robot].units)
+            text = "" if bound is None else bound.text
+            told = {"text": text, "verdict": verdict.outcome, "scale": verdict.scale, "pair": verdict.pair}
+            ack = ack.model_copy(update=told)
+        return [ToClient(client.number, client.answer(ack))]
+
+    def driver_said(self, robot: str, said: driving.Said, now_s: float) -> list[Output]:
+        """A line of a robot's driver."""
+        side = self.robots[robot]
+        if isinstance(said, driving.Report):
+            side.report = said
+            if said.stage is driving.Stage.FREE and side.seat.lost():
+                self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
+            return []
+        client, command, asked = self._asked.pop(said.id, (None, "", None))
+        outputs: list[Output] = []
+        if isinstance(asked, ToDriver):
+            handled = side.seat.answered(asked.request, said, self._request)
+            self._tell(handled, robot, now_s)
+            outputs += self._sent(handled.requests, None, "")
+        if client is not None and client.number in self.clients:
+            outcome = AckOutcome.DONE if said.done else AckOutcome.REFUSED
+            outputs.append(_ack(client, command, outcome, said.text))
+        return outputs
+
+    def driver_ended(self, robot: str, text: str, now_s: float) -> list[Output]:
+        """A robot's driver is gone: what it was asked for did not happen."""
+        side = self.robots[robot]
+        side.seat.driver_ended()
+        side.report = None
+        self._log.add(now_s, "lease", f"the driver has ended: {text}", robot)
+        outputs: list[Output] = []
+        for request, (client, command, asked) in list(self._asked.items()):
+            if isinstance(asked, ToDriver) and asked.robot == robot:
+                del self._asked[request]
+                if client is not None and client.number in self.clients:
+                    outputs.append(_ack(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}"))
+        return outputs
+
+    def signals(self, robot: str, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> None:
+        """A robot's digital outputs and inputs."""
+        self.robots[robot].outputs |= outputs
+        self.robots[robot].inputs |= inputs
+
+    def tick(self, now_s: float) -> list[Output]:
+        """What browsers have to be told now, besides frames."""
+        self.stop.see({name: side.motion(now_s) for name, side in self.robots.items()})
+        return self.board.tell(self.clients.values(), self.stop, now_s)
+
+    def health(self) -> dict[str, object]:
+        """The console's report on itself."""
+        looking = f"{len(self.clients)} browsers"
+        return {
+            "healthy": self.board.hli,
+            "detail": looking if self.board.hli else f"{looking}; {self.board.text}",
+            "counters": dict(self.counters),
+        }
+
+    def _stop(self, client: Client, command: Stop, now_s: float) -> list[Output]:
+        before = client.answered(command.id)
+        if before is not None:
+            self.counters["repeated"] += 1
+            return [ToClient(client.number, before)]
+        self.counters["stops"] += 1
+        self.stop.ask(client.name)
+        self._log.add(now_s, "stop", f"{client.name} pressed STOP")
+        # whom this console drives rests, even if the HLI does not hear of it
+        rest = [
+            ToDriver(side.name, driving.Wish())
+            for side in self.robots.values()
+            if side.seat.holder is not None
+        ]
+        return [*self._ask(client, command.id, AskHli(self._request(), "stop")), *rest]
+
+    def _obey(self, client: Client, command: AnyCommand, now_s: float) -> list[Output]:
+        """Carry a command out, or raise `ValueError` with the reason why not."""
+        if not client.is_operator:
+            raise ValueError(
+                "an observer looks on, and may press STOP; the console's token makes an operator"
+            )
+        assert not isinstance(command, Ping | Stop)  # served before
+        side = self.robots.get(command.robot)
+        if side is None:
+            raise ValueError(
+                f"robot: the cell has no robot {command.robot!r}; it has {', '.join(self.robots)}"
+            )
+        if isinstance(command, Reset):
+            return self._ask(client, command.id, AskHli(self._request(), "reset", side.name))
+        if isinstance(command, DryRun):
+            dq = side.checked(command)
+            return self._ask(client, command.id, AskHli(self._request(), "dry_run", side.name, dq))
+        if isinstance(command, Lease):
+            return self._lease(client, command, side, now_s)
+        if not side.seat.is_held_by(client):
+            holder = side.seat.holder
+            raise ValueError(
+                f"robot: {side.name} is not yours to move: "
+                + ("take it" if holder is None else f"{holder.name} has it")
+            )
+        if isinstance(command, Jog):
+            wish = side.wish_of(command)
+            cannot = side.cannot_move(now_s)
+            if cannot:
+                raise ValueError(cannot)
+            return [ToDriver(side.name, wish), _ack(client, command.id, AckOutcome.DONE, "")]
+        request = side.request_of(command, self._request())
+        sent = self._sent([ToDriver(side.name, request)], client, command.id)
+        return [*sent, _ack(client, command.id, AckOutcome.ASKED, "asked")]
+
+    def _lease(self, client: Client, command: Lease, side: RobotSide, now_s: float) -> list[Output]:
+        handled = side.seat.handle(client, command.action, self._request)
+        if handled.refusal:
+            raise ValueError(f"action: {handled.refusal}")
+        self._tell(handled, side.name, now_s)
+        # who grants a robot is not told when it was taken by another
+        waits = client if command.action in (LeaseVerb.TAKE, LeaseVerb.RELEASE) else None
+        outcome = AckOutcome.ASKED if waits is not None and not handled.is_done else AckOutcome.DONE
+        sent = self._sent(handled.requests, waits, command.id)
+        return [*sent, _ack(client, command.id, outcome, "")]
+
+    def _ask(self, client: Client, command: str, asked: AskHli) -> list[Output]:
+        self._asked[asked.request] = (client, command, asked)
+        return [asked, _ack(client, command, AckOutcome.ASKED, "asked")]
+
+    def _sent(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[Output]:
+        """Requests on their way to drivers, whose answers are awaited."""
+        sent: list[Output] = []
+        for request in requests:
+            sent.append(request)
+            if not isinstance(request.request, driving.Wish):
+                self._asked[request.request.id] = (client, command, request)
+        return sent
+
+    def _request(self) -> str:
+        return f"r{next(self._requests)}"
+
+    def _tell(self, handled: Handled, robot: str, now_s: float) -> None:
+        if handled.told:
+            self._log.add(now_s, "lease", handled.told, robot)
+
+
+def _ack(client: Client, command: str, outcome: AckOutcome, text: str) -> ToClient:
+    ack: Message = client.answer(Ack(id=command, outcome=outcome, text=text))
+    return ToClient(client.number, ack)

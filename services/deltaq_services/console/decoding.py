@@ -1,0 +1,76 @@
+"""From a browser's bytes to a command, or to words that say what is wrong with them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from pydantic import ValidationError
+
+from deltaq_protocol.errors import ProtocolError
+from deltaq_services.console.messages import COMMANDS, MAX_MESSAGE_BYTES, AnyCommand
+
+_LONGEST_SHOWN = 80
+_BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "expected_tags", "pattern")
+
+
+class InvalidCommandError(ProtocolError):
+    """A message that is no command; the text names field, value and bound.
+
+    Attributes:
+        id: of the command, as far as it had one.
+    """
+
+    def __init__(self, text: str, command_id: str = "") -> None:
+        super().__init__(text)
+        self.id = command_id
+
+
+def command_of(message: str | bytes) -> AnyCommand:
+    """The command in a message.
+
+    Raises:
+        InvalidCommandError: there is none in it.
+    """
+    if isinstance(message, bytes):
+        raise InvalidCommandError(f"message: must be text, got {len(message)} bytes")
+    # a browser may send half a surrogate pair, which is no text
+    length = len(message.encode(errors="replace"))
+    if length > MAX_MESSAGE_BYTES:
+        raise InvalidCommandError(f"message: {length} bytes long, at most {MAX_MESSAGE_BYTES} are allowed")
+    try:
+        return COMMANDS.validate_json(message)
+    except ValidationError as error:
+        raise InvalidCommandError(_words(dict(error.errors(include_url=False)[0])), _id_in(message)) from None
+    except UnicodeEncodeError:
+        raise InvalidCommandError("message: is no UTF-8 text") from None
+
+
+def _words(error: dict[str, Any]) -> str:
+    # the first part of a place is the kind of the command
+    field = ".".join(str(part) for part in error["loc"][1:]) or ".".join(str(part) for part in error["loc"])
+    context = error.get("ctx", {})
+    if error["type"].startswith("union_tag"):
+        field = "type"
+    elif error["type"] == "missing":
+        return f"{field}: is missing"
+    elif error["type"] == "extra_forbidden":
+        return f"{field}: is no field of a {error['loc'][0]}"
+    bound = next((context[name] for name in _BOUNDS if name in context), None)
+    given = error["input"]
+    if field == "type" and isinstance(given, dict):
+        given = given.get("type")
+    shown = repr(given)
+    if len(shown) > _LONGEST_SHOWN:
+        shown = shown[: _LONGEST_SHOWN - 3] + "..."
+    text = f"{field or 'message'}: {error['msg'].removeprefix('Input ')}, got {shown}"
+    return text if bound is None or error["type"].endswith("tag_invalid") else f"{text}; bound {bound}"
+
+
+def _id_in(message: str) -> str:
+    try:
+        data = json.loads(message)
+    except (ValueError, RecursionError):
+        return ""
+    command_id = data.get("id") if isinstance(data, dict) else None
+    return command_id if isinstance(command_id, str) and 0 < len(command_id) <= 64 else ""

@@ -1,0 +1,62 @@
+"""The console's log: lines as they come, those that repeat counted instead of told again."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Literal
+
+from deltaq_services.console.messages import Event
+
+KEPT = 200
+"""Newest lines, which a new client is told."""
+QUIET_S = 2.0
+"""A line that comes again within this is counted, and told with its count when the time is over."""
+
+Kind = Literal["verdict", "lease", "stop", "phase", "link", "client"]
+
+
+class EventLog:
+    """Lines of the log; whoever asks gets those that are new."""
+
+    def __init__(self) -> None:
+        self._kept: deque[Event] = deque(maxlen=KEPT)
+        self._new: list[Event] = []
+        self._quiet: dict[tuple[Kind, str, str], tuple[float, int, Event]] = {}
+
+    def add(self, now_s: float, kind: Kind, text: str, robot: str = "") -> None:
+        """A line, told at once."""
+        self._tell(Event(time_s=now_s, kind=kind, robot=robot, text=text))
+
+    def repeat(self, now_s: float, kind: Kind, group: str, text: str, robot: str = "") -> None:
+        """A line that may come every cycle: those of one group count as one while they keep coming."""
+        key = (kind, robot, group)
+        event = Event(time_s=now_s, kind=kind, robot=robot, text=text)
+        if key in self._quiet:
+            until_s, count, _ = self._quiet[key]
+            self._quiet[key] = (until_s, count + 1, event)
+        else:
+            self._quiet[key] = (now_s + QUIET_S, 0, event)
+            self._tell(event)
+
+    def news(self, now_s: float) -> list[Event]:
+        """Lines since this was asked last."""
+        for key, (until_s, count, event) in list(self._quiet.items()):
+            if now_s < until_s:
+                continue
+            if count:
+                self._tell(event.model_copy(update={"count": count}))
+                self._quiet[key] = (now_s + QUIET_S, 0, event)
+            else:
+                del self._quiet[key]
+        new, self._new = self._new, []
+        self._kept.extend(new)
+        return new
+
+    @property
+    def kept(self) -> Iterable[Event]:
+        """The newest lines that were asked for, oldest first."""
+        return tuple(self._kept)
+
+    def _tell(self, event: Event) -> None:
+        self._new.append(event)

@@ -1,0 +1,120 @@
+"""The console's connection to the HLI: what is heard is kept as it came, and read 25 times a second.
+
+zenoh calls back in threads of its own. They only put bytes aside: to decode every state, or to wake the loop for it,
+would take processor time from the cell that is watched.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from deltaq_protocol import topics
+from deltaq_protocol.messages import Message
+from deltaq_protocol.session import open_session
+from deltaq_protocol.topic import Topic
+from deltaq_protocol.wire import Wire
+
+_MOST_VERDICTS = 1000
+"""Verdicts of a robot that may wait to be read: a tick's worth, many times over."""
+
+
+@dataclass
+class Heard:
+    """What came of one robot since it was read last.
+
+    Attributes:
+        states: the newest two, as bytes; two following ones show how fast the setpoint moves.
+        state_s: when the newest came [s].
+        longest_gap_s: the longest time between two states [s].
+        verdicts: as bytes.
+    """
+
+    states: list[bytes] = field(default_factory=list)
+    state_s: float = 0.0
+    longest_gap_s: float = 0.0
+    verdicts: list[bytes] = field(default_factory=list)
+
+
+class _Ear:
+    """Puts aside what comes of one robot; any thread may."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._states: deque[bytes] = deque(maxlen=2)
+        self._verdicts: deque[bytes] = deque(maxlen=_MOST_VERDICTS)
+        self._last_s: float | None = None
+        self._gap_s = 0.0
+
+    def state(self, sample: Any) -> None:
+        now_s, payload = time.monotonic(), sample.payload.to_bytes()
+        with self._lock:
+            if self._last_s is not None:
+                self._gap_s = max(self._gap_s, now_s - self._last_s)
+            self._last_s = now_s
+            self._states.append(payload)
+
+    def verdict(self, sample: Any) -> None:
+        payload = sample.payload.to_bytes()
+        with self._lock:
+            self._verdicts.append(payload)
+
+    def heard(self) -> Heard:
+        with self._lock:
+            heard = Heard(list(self._states), self._last_s or 0.0, self._gap_s, list(self._verdicts))
+            self._states.clear()
+            self._verdicts.clear()
+            self._gap_s = 0.0
+        return heard
+
+
+class HliLink:
+    """Listens to the HLI and asks it; a context manager. The HLI may come, go and come back meanwhile.
+
+    Args:
+        hli: where it serves.
+        cell: name of the cell.
+        robots: names of its robots.
+    """
+
+    def __init__(self, hli: str, cell: str, robots: tuple[str, ...]) -> None:
+        self._hli, self._cell = hli, cell
+        self._ears = {robot: _Ear() for robot in robots}
+        self._proximity: deque[bytes] = deque(maxlen=1)
+        self._wire: Wire | None = None
+
+    async def __aenter__(self) -> HliLink:
+        session = await asyncio.to_thread(open_session, connect=[self._hli])
+        self._wire = wire = Wire(session, asyncio.get_running_loop())
+        for robot, ear in self._ears.items():
+            wire.subscribe_unqueued(topics.STATE.key(self._cell, robot=robot), ear.state)
+            wire.subscribe_unqueued(topics.VERDICT.key(self._cell, robot=robot), ear.verdict)
+        wire.subscribe_unqueued(topics.PROXIMITY.key(self._cell), self._put_proximity)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        if self._wire is not None:
+            await asyncio.to_thread(self._wire.close)
+
+    def heard(self, robot: str) -> Heard:
+        """What came of a robot since this was asked last."""
+        return self._ears[robot].heard()
+
+    def proximity(self) -> bytes | None:
+        """The newest proximity since this was asked last."""
+        with contextlib.suppress(IndexError):
+            return self._proximity.pop()
+        return None
+
+    async def ask(self, topic: Topic, request: Message, robot: str = "") -> bytes:
+        """Ask the HLI, and return its answer as it came; raises as `Wire.ask`."""
+        assert self._wire is not None  # entered
+        return await self._wire.ask(topic, self._cell, request, robot)
+
+    def _put_proximity(self, sample: Any) -> None:
+        self._proximity.append(sample.payload.to_bytes())

@@ -1,0 +1,38 @@
+"""What the core wants done, for its shell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from deltaq_protocol import driving
+from deltaq_protocol.messages import Message
+
+
+@dataclass(frozen=True, slots=True)
+class ToClient:
+    """Send to one browser; `client` is its number."""
+
+    client: int
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class AskHli:
+    """Ask the HLI, and tell the core its answer to `request`."""
+
+    request: str
+    kind: Literal["stop", "reset", "dry_run"]
+    robot: str = ""
+    dq: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ToDriver:
+    """Send to the robot's driver, which is started if none runs."""
+
+    robot: str
+    request: driving.Request
+
+
+Output = ToClient | AskHli | ToDriver

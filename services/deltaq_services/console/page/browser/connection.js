@@ -1,0 +1,124 @@
+// The live WebSocket. A command is sent now or not at all: nothing waits for a line that is down.
+
+const SILENT_MS = 1500; // frames come every 40 ms: a line that brings nothing for so long is taken for dead
+const OPENING_MS = 5000;
+const PING_MS = 500;
+const ANSWER_MS = 1000;
+const RETRY_MS = [200, 400, 800, 1600];
+const MOST_BUFFERED_BYTES = 4096; // more means that the line does not take what is sent
+
+export class Connection extends EventTarget {
+  /**
+   * Events: "frame" (ArrayBuffer), each text message by its type, "up", "down".
+   * @param url of the WebSocket.
+   * @param Socket class to use, now() a clock in ms: others in tests.
+   */
+  constructor(url, { Socket = globalThis.WebSocket, now = () => performance.timeOrigin + performance.now() } = {}) {
+    super();
+    Object.assign(this, { url, Socket, now, isUp: false, roundTrip_ms: NaN });
+    this._session = Math.random().toString(36).slice(2, 10);
+    this._count = 0;
+    this._waiting = new Map();
+    this._attempt = 0;
+  }
+
+  open() {
+    this._connect();
+    this._pulse = setInterval(() => this.pulse(), PING_MS);
+    return this;
+  }
+
+  close() {
+    clearInterval(this._pulse);
+    clearTimeout(this._retry);
+    this._closed = true;
+    this._socket?.close();
+  }
+
+  /**
+   * Send a command. Resolves with the newest answer {outcome, text}: the server's, "lost" if none came in time, or
+   * "not_sent" at once if the line is down. `heard` is called with each answer: "asked" may be followed by "done".
+   */
+  send(type, fields = {}, heard = null) {
+    const id = `${this._session}-${++this._count}`;
+    if (!this.canSend()) return Promise.resolve({ id, outcome: "not_sent", text: "no connection to the console" });
+    this._socket.send(JSON.stringify({ type, id, sent_ms: this.now(), ...fields }));
+    return new Promise((resolve) => {
+      const timer = setTimeout(() => this._answer({ id, outcome: "lost", text: "no answer from the console" }, true), ANSWER_MS);
+      this._waiting.set(id, { resolve, heard, timer });
+    });
+  }
+
+  canSend() {
+    return this.isUp && this._socket.bufferedAmount < MOST_BUFFERED_BYTES;
+  }
+
+  /** Ask for the time, and give up a line that is silent. */
+  pulse() {
+    if (!this._socket) return;
+    if (this.now() - this._heardAt > (this.isUp ? SILENT_MS : OPENING_MS)) {
+      this._drop();
+      return;
+    }
+    if (this.isUp) {
+      this._socket.send(JSON.stringify({ type: "ping", id: `${this._session}-p${++this._count}`, sent_ms: this.now() }));
+    }
+  }
+
+  _connect() {
+    const socket = new this.Socket(this.url);
+    this._socket = socket;
+    this._heardAt = this.now();
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = ({ data }) => socket === this._socket && this._hear(data);
+    socket.onclose = () => socket === this._socket && this._drop();
+  }
+
+  _hear(data) {
+    this._heardAt = this.now();
+    if (typeof data !== "string") {
+      this._tell("frame", data);
+      return;
+    }
+    const message = JSON.parse(data);
+    if (message.type === "hello") {
+      this.isUp = true;
+      this._attempt = 0;
+      this._tell("up", message);
+      this.pulse();
+    } else if (message.type === "ack") {
+      this._answer(message, message.outcome !== "asked");
+    } else if (message.type === "pong") {
+      this.roundTrip_ms = this.now() - message.sent_ms;
+    }
+    this._tell(message.type, message);
+  }
+
+  _answer(ack, isLast) {
+    const waiting = this._waiting.get(ack.id);
+    if (!waiting) return;
+    waiting.heard?.(ack);
+    clearTimeout(waiting.timer);
+    waiting.resolve(ack);
+    if (isLast || !waiting.heard) this._waiting.delete(ack.id);
+  }
+
+  _drop() {
+    const socket = this._socket;
+    this._socket = null;
+    socket.onclose = socket.onmessage = null;
+    socket.close();
+    for (const id of [...this._waiting.keys()]) this._answer({ id, outcome: "lost", text: "the connection was lost" }, true);
+    if (this.isUp) {
+      this.isUp = false;
+      this._tell("down", null);
+    }
+    if (this._closed) return;
+    const wait = RETRY_MS[Math.min(this._attempt++, RETRY_MS.length - 1)];
+    this._retry = setTimeout(() => this._connect(), wait);
+  }
+
+  _tell(kind, detail) {
+    this.dispatchEvent(Object.assign(new Event(kind), { detail }));
+  }
+}

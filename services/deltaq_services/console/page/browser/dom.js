@@ -1,0 +1,57 @@
+// Small helpers for the page's elements.
+
+/** The part of the page of that name, as layout.py has it. */
+export function part(name) {
+  const found = document.querySelector(`[data-part="${name}"]`);
+  if (!found) throw new Error(`the page has no part "${name}"`);
+  return found;
+}
+
+/** A new element: el("button", {class: "plain", onclick: f}, "text", child, ...). */
+export function el(tag, attributes = {}, ...children) {
+  const svg = ["svg", "path", "circle", "line", "rect", "g", "text", "polyline"].includes(tag);
+  const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (value === true) element.setAttribute(name, "");
+    else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value);
+  }
+  element.append(...children.filter((child) => child !== null));
+  return element;
+}
+
+/** Set the text of an element, only if it differs. */
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Offer a file to be saved. */
+export function save(name, content, type) {
+  const url = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type }));
+  el("a", { href: url, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 10000);
+}
+
+/** A key for the page's own settings that outlive a visit. */
+export function remembered(name, fallback) {
+  try {
+    return JSON.parse(localStorage.getItem(`deltaq.${name}`)) ?? fallback;
+  } catch {
+    return fallback;
+  }
+}
+
+export function remember(name, value) {
+  try {
+    localStorage.setItem(`deltaq.${name}`, JSON.stringify(value));
+  } catch {
+    // a private window: the setting lasts as long as the page
+  }
+}
+
+export const degrees = (rad) => (rad * 180) / Math.PI;
+
+/** A joint's position as people read it. */
+export function jointText(value, unit) {
+  return unit === "rad" ? `${degrees(value).toFixed(1)}°` : `${(value * 1000).toFixed(0)} mm`;
+}

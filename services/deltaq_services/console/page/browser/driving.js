@@ -1,0 +1,183 @@
+// The panel on the left: which robot, who has it, how it is driven, and its digital signals.
+
+import { el, part, say } from "./dom.js";
+import { jogPad } from "./jog.js";
+
+export const MODES = [
+  ["joint", "Joint", "each joint by itself; leads out of any limit"],
+  ["decoupled", "Decoupled", "the hand by the arm alone, the base stands"],
+  ["coupled", "Coupled", "the hand by all joints"],
+  ["self-motion", "Self-motion", "any joint, the hand stays"],
+  ["advisor", "Advisor", "to an option of the advisor, the hand stays"],
+  ["follow", "Follow", "the camera keeps the leader's hand in view"],
+];
+
+/** What is driven now; the rest of the page reads it. */
+export class Driven extends EventTarget {
+  constructor(live, scene) {
+    super();
+    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3 });
+  }
+
+  get scenery() {
+    return this.scene.robots.find((robot) => robot.name === this.name);
+  }
+
+  get mode() {
+    return this.live.robot(this.name)?.mode ?? null;
+  }
+
+  get frame() {
+    return this.live.robot(this.name)?.frame ?? "world";
+  }
+
+  /** Whether wishes are speeds of joints in this mode; else they are twists of the hand. */
+  get isByJoints() {
+    return ["joint", "self-motion", null].includes(this.mode);
+  }
+
+  choose(name) {
+    this.name = name;
+    this.dispatchEvent(new Event("change"));
+  }
+
+  // what wish.js asks
+  robot = () => this.name;
+  length = () => (this.isByJoints ? this.scenery.joints.length : 6);
+  hand = () => (this.isByJoints ? "" : this.scenery.tools[0].name);
+}
+
+export function drivingPanel(live, scene, driven, wish) {
+  const panel = part("driving");
+  const tabs = el("div", { class: "tabs", role: "tablist" });
+  const body = el("div", { class: "driving" });
+  panel.append(tabs, body);
+  for (const robot of scene.robots) {
+    tabs.append(
+      el("button", { role: "tab", "data-robot": robot.name, onclick: () => driven.choose(robot.name) },
+        el("b", {}, robot.name),
+        el("small", {}, robot.camera ? "camera" : robot.outputs?.length ? "gripper" : ""),
+      ),
+    );
+  }
+
+  const answer = el("p", { class: "answer", role: "status" });
+  async function ask(type, fields) {
+    say(answer, "");
+    const show = (ack) => ["refused", "expired", "lost", "not_sent"].includes(ack.outcome) && say(answer, ack.text);
+    show(await live.send(type, { robot: driven.name, ...fields }, show));
+  }
+
+  const phase = el("p", { class: "phase" });
+  const remedy = el("p", { class: "remedy" });
+  const reset = el("button", { class: "primary", onclick: () => ask("reset") }, "Reset");
+  const lease = el("p", { class: "lease" });
+  const buttons = {
+    take: ["Take control", "primary"], ask: ["Ask for it", "primary"], release: ["Release", ""],
+    grant: ["Hand over", "primary"], refuse: ["Keep it", ""],
+  };
+  const verbs = Object.fromEntries(
+    Object.entries(buttons).map(([verb, [text, look]]) => [
+      verb, el("button", { class: look, onclick: () => ask("lease", { action: verb }) }, text),
+    ]),
+  );
+  const modes = el("div", { class: "modes", role: "radiogroup", "aria-label": "Mode" });
+  for (const [mode, title, what] of MODES) {
+    modes.append(
+      el("button", { role: "radio", "data-mode": mode, title: what, onclick: () => ask("mode", { mode, frame: driven.frame }) }, title),
+    );
+  }
+  const frames = el("div", { class: "frames", role: "radiogroup", "aria-label": "Axes of the hand" },
+    ...["world", "tool"].map((frame) =>
+      el("button", { role: "radio", "data-frame": frame, onclick: () => ask("mode", { mode: driven.mode ?? "coupled", frame }) }, frame)),
+  );
+  const doing = el("p", { class: "doing" });
+  const share = el("input", { type: "range", min: 5, max: 100, step: 5, value: 30, "aria-label": "Speed" });
+  const shareText = el("output", {}, "30 %");
+  share.addEventListener("input", () => {
+    driven.share = share.value / 100;
+    say(shareText, `${share.value} %`);
+  });
+  const distance = el("input", { type: "range", min: 0.4, max: 2.5, step: 0.05, value: 1, "aria-label": "View distance" });
+  const distanceText = el("output", {}, "");
+  distance.addEventListener("input", () => say(distanceText, `${Number(distance.value).toFixed(2)} m`));
+  distance.addEventListener("change", () => ask("view_distance", { value_m: Number(distance.value) }));
+  const pad = jogPad(live, driven, wish);
+  const zoom = el("div", { class: "field" }, el("label", {}, "View distance"), distanceText, distance);
+  const speed = el("div", { class: "field" }, el("label", {}, "Speed"), shareText, share);
+  const modeBox = el("section", {}, el("h2", {}, "Mode"), modes, frames, doing);
+  const moveBox = el("section", {}, el("h2", {}, "Move"), speed, pad);
+  const signals = el("section", { class: "signals" });
+  body.append(
+    el("section", { class: "card" }, phase, remedy, reset, lease, el("div", { class: "row" }, ...Object.values(verbs)), answer),
+    modeBox, zoom, moveBox, signals,
+  );
+
+  function show() {
+    const robot = live.robot(driven.name);
+    for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab.dataset.robot === driven.name));
+    if (!robot) return;
+    const { holder, mine, wanted_by: wantedBy, text } = robot.lease;
+    const locked = live.locked(driven.name);
+    body.dataset.mine = String(mine);
+    phase.dataset.phase = robot.phase;
+    say(phase, robot.text);
+    say(remedy, robot.remedy);
+    reset.hidden = robot.phase !== "held";
+    reset.disabled = !!locked;
+    const whose = mine ? "You have control." : holder ? `${holder} has control.` : "Nobody has control.";
+    const me = live.hello?.client;
+    say(lease, wantedBy ? `${whose} ${wantedBy === me ? "You have asked for it." : `${wantedBy} asks for it.`}` : text ? `${whose} ${text}` : whose);
+    verbs.take.hidden = mine || !!holder;
+    verbs.ask.hidden = mine || !holder || wantedBy === me;
+    verbs.release.hidden = !mine;
+    verbs.grant.hidden = verbs.refuse.hidden = !mine || !wantedBy;
+    for (const button of Object.values(verbs)) button.disabled = !!locked;
+
+    const has = driven.scenery.camera;
+    const hasBase = driven.scenery.joints.some((joint) => joint.kind === "prismatic") || driven.scenery.tools.length > 1;
+    for (const button of modes.children) {
+      const { mode } = button.dataset;
+      button.hidden = (mode === "follow" && !has) || (["self-motion", "advisor"].includes(mode) && !hasBase);
+      button.setAttribute("aria-checked", String(robot.mode === mode));
+      button.disabled = !!locked || !mine;
+    }
+    frames.hidden = driven.isByJoints || robot.mode === "follow" || robot.mode === "advisor";
+    for (const button of frames.children) {
+      button.setAttribute("aria-checked", String(robot.frame === button.dataset.frame));
+      button.disabled = !!locked || !mine;
+    }
+    say(doing, robot.driving);
+    zoom.hidden = robot.mode !== "follow";
+    distance.disabled = !!live.cannotDrive(driven.name);
+    if (robot.view_distance_m && document.activeElement !== distance) {
+      distance.value = robot.view_distance_m;
+      say(distanceText, `${robot.view_distance_m.toFixed(2)} m`);
+    }
+    moveBox.hidden = !mine || robot.mode === "follow";
+    showSignals(robot, locked || !mine);
+  }
+
+  function showSignals(robot, locked) {
+    const told = JSON.stringify([robot.outputs, robot.inputs, locked]);
+    if (signals.dataset.told === told) return;
+    signals.dataset.told = told;
+    const names = Object.keys(robot.outputs);
+    signals.hidden = !names.length && !Object.keys(robot.inputs).length;
+    signals.replaceChildren(
+      el("h2", {}, "Signals"),
+      ...names.map((name, index) =>
+        el("button", {
+          class: "signal", role: "switch", "aria-checked": String(robot.outputs[name]), disabled: !!locked,
+          onclick: () => ask("output", { index, value: !robot.outputs[name] }),
+        }, el("i"), name.replaceAll("_", " "))),
+      ...Object.entries(robot.inputs).map(([name, isOn]) =>
+        el("span", { class: "signal input", "data-on": String(isOn) }, el("i"), name.replaceAll("_", " "), el("small", {}, isOn ? "on" : "off"))),
+    );
+  }
+  for (const kind of ["status", "line"]) live.addEventListener(kind, show);
+  driven.addEventListener("change", show);
+  setInterval(show, 500);
+  show();
+  return { ask };
+}

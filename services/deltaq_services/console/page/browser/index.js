@@ -1,0 +1,109 @@
+// Brings the page to life: fetches the cell, opens the live WebSocket, and puts the parts together.
+
+import { Connection } from "./connection.js";
+import { part, remembered, say } from "./dom.js";
+import { Driven, drivingPanel, MODES } from "./driving.js";
+import { eventLog } from "./event_log.js";
+import { FollowerPicture } from "./follower.js";
+import { Gamepad } from "./gamepad.js";
+import { jointBars } from "./joints.js";
+import { driveByKeys } from "./keyboard.js";
+import { Live } from "./live.js";
+import { MeshStore } from "./meshes.js";
+import { Motion } from "./motion.js";
+import { Overlays } from "./overlays.js";
+import { padDrawing } from "./pad_drawing.js";
+import { livePlots } from "./plots.js";
+import { RobotView, StructureView } from "./robots.js";
+import { Stage } from "./scene.js";
+import { coverStale, showBar } from "./status_bar.js";
+import { bindStop, Stop } from "./stop.js";
+import { viewBar } from "./views.js";
+import { Wish } from "./wish.js";
+
+/** Address of the live WebSocket; a token in the page's address goes with it. */
+function liveUrl() {
+  const token = new URLSearchParams(location.search).get("token");
+  const query = token ? `?token=${encodeURIComponent(token)}` : "";
+  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live${query}`;
+}
+
+/** Height of the lowest large flat body: what everything stands on [m]. */
+function floorHeight(structure) {
+  const floor = structure.find(({ name }) => name === "structure/floor");
+  return floor ? floor.T_world[14] + floor.size[2] / 2 : 0;
+}
+
+/** Start; returns what stops it. */
+export async function start(holder) {
+  const scene = await (await fetch("/scene.json")).json();
+  const connection = new Connection(liveUrl());
+  const live = new Live(connection, scene);
+
+  // STOP first: it works while the rest is still loading
+  const stop = new Stop(live, (state, title, text) => {
+    part("stop").dataset.state = state;
+    say(part("stop-title"), title);
+    say(part("stop-answer"), text);
+  });
+  bindStop(stop, part("stop"));
+  connection.open();
+
+  const quality = new URLSearchParams(location.search).get("quality") ?? remembered("quality", "auto");
+  const stage = new Stage(holder, { floorHeight: floorHeight(scene.structure), quality });
+  const store = new MeshStore(async (url) => (await fetch(url)).text());
+  const paint = stage.shading.material();
+  const views = await Promise.all(scene.robots.map((robot) => RobotView.make(robot, store, paint)));
+  views.forEach((view) => view.robot.home && view.place(view.robot.home));
+  const standing = scene.structure.filter(({ name }) => name !== "structure/floor");
+  const structure = await StructureView.make(standing, store, stage.shading.material({ roughness: 0.7 }));
+  stage.solid.add(structure.root, ...views.map(({ root }) => root));
+  stage.solid.updateMatrixWorld(true);
+
+  const follower = views.find((view) => view.robot.camera);
+  const picture = follower ? new FollowerPicture(stage, live, follower, views.filter((view) => view !== follower)) : null;
+  part("follower").hidden = !picture;
+  const motion = new Motion(live, views, stage);
+  const overlays = new Overlays(stage, live, scene, views, structure, picture);
+  viewBar(stage, scene, views);
+  showBar(live, scene, (isDark) => stage.enter(isDark));
+  coverStale(live);
+
+  const driven = new Driven(live, scene);
+  const wish = new Wish(live, driven);
+  const { ask } = drivingPanel(live, scene, driven, wish);
+  eventLog(live);
+  const bars = jointBars(live, scene);
+  livePlots(live, scene, picture, bars);
+  const actions = {
+    mode() {
+      const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode);
+      const next = shown[(shown.indexOf(driven.mode) + 1) % shown.length] ?? MODES[0][0];
+      ask("mode", { mode: next, frame: driven.frame });
+    },
+    robot() {
+      const names = scene.robots.map(({ name }) => name);
+      driven.choose(names[(names.indexOf(driven.name) + 1) % names.length]);
+    },
+    picture: () => picture?.toggle(),
+    gripper() {
+      const outputs = Object.entries(live.robot(driven.name)?.outputs ?? {});
+      if (outputs.length) ask("output", { index: 0, value: !outputs[0][1] });
+    },
+    distance(change) {
+      const name = follower?.name;
+      const now = live.robot(name)?.view_distance_m;
+      if (now) live.send("view_distance", { robot: name, value_m: Math.min(2.5, Math.max(0.4, now + change)) });
+    },
+    stop: () => stop.press(),
+  };
+  driveByKeys(driven, wish, actions);
+  const drawing = padDrawing(driven);
+  part("driving").append(drawing.box);
+  const gamepad = new Gamepad(driven, wish, actions, drawing.show);
+
+  // for tests and the curious: what is behind the page
+  window.deltaq = { scene, live, stage, views, stop, wish, driven, picture, overlays, motion, gamepad };
+  part("console").dataset.ready = "true";
+  return () => connection.close();
+}

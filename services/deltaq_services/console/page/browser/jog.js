@@ -1,0 +1,94 @@
+// Buttons that move a robot while they are held: one pair a joint, or a pair for each axis of the hand.
+
+import { el, jointText, say } from "./dom.js";
+
+export const HAND_M_S = 0.25; // of the hand at full speed
+export const HAND_RAD_S = 0.6;
+export const JOINT_SHARE = 0.25; // of a joint's greatest speed
+
+const AXES = [
+  ["X", "x"], ["Y", "y"], ["Z", "z"], ["turn X", "x"], ["turn Y", "y"], ["turn Z", "z"],
+];
+
+/** Speed of one element of the wish at the chosen share [rad/s or m/s]. */
+export function speedOf(driven, index) {
+  if (!driven.isByJoints) return driven.share * (index < 3 ? HAND_M_S : HAND_RAD_S);
+  return driven.share * JOINT_SHARE * driven.scenery.joints[index].max_speed;
+}
+
+/** Let a button hold a wish: by pointer, or by Space and Enter. */
+function holds(button, wish, source, parts) {
+  const begin = () => {
+    if (!wish.hold(source, parts())) return;
+    button.dataset.held = "true";
+  };
+  const end = () => {
+    wish.release(source);
+    delete button.dataset.held;
+  };
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    button.setPointerCapture(event.pointerId);
+    begin();
+  });
+  for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(kind, end);
+  button.addEventListener("keydown", (event) => {
+    if (![" ", "Enter"].includes(event.key)) return;
+    event.preventDefault();
+    if (!event.repeat) begin();
+  });
+  button.addEventListener("keyup", end);
+  button.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+export function jogPad(live, driven, wish) {
+  const pad = el("div", { class: "jog" });
+  const why = el("p", { class: "why", role: "status" });
+  const rows = el("div", { class: "jog-rows" });
+  pad.append(rows, why);
+  let shown = "";
+  let values = [];
+
+  function pair(index, title, axis, value) {
+    const buttons = [-1, 1].map((sign) => {
+      const button = el("button", { class: "hold", "aria-label": `${title} ${sign < 0 ? "minus" : "plus"}, hold to move` }, sign < 0 ? "−" : "+");
+      holds(button, wish, `pad ${index} ${sign}`, () => ({ [index]: sign * speedOf(driven, index) }));
+      return button;
+    });
+    const row = el("div", { class: "jog-row", "data-axis": axis }, buttons[0], el("span", {}, el("b", {}, title), value), buttons[1]);
+    rows.append(row);
+  }
+
+  function build() {
+    const { name, isByJoints, scenery } = driven;
+    const key = `${name} ${isByJoints}`;
+    if (key === shown) return;
+    shown = key;
+    wish.releaseAll();
+    rows.replaceChildren();
+    values = [];
+    if (isByJoints) {
+      scenery.joints.forEach((joint, index) => {
+        values.push(el("small"));
+        pair(index, joint.name.toUpperCase(), "", values[index]);
+      });
+    } else {
+      AXES.forEach(([title, axis], index) => pair(index, title, axis, null));
+    }
+  }
+
+  function show() {
+    build();
+    const cannot = live.cannotDrive(driven.name);
+    pad.dataset.locked = String(!!cannot);
+    for (const button of rows.querySelectorAll("button")) button.disabled = !!cannot;
+    say(why, cannot ? `Locked: ${cannot}.` : wish.refused ? wish.refused : "Hold to move.");
+    const q = live.frame?.robots[live.indexOf(driven.name)]?.q;
+    if (q) values.forEach((value, index) => say(value, jointText(q[index], driven.scenery.joints[index].unit)));
+  }
+  setInterval(show, 150);
+  driven.addEventListener("change", show);
+  show();
+  return pad;
+}
+

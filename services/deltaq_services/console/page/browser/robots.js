@@ -1,0 +1,146 @@
+// The robots and the structure as three.js objects: one merged mesh a link, placed by forward kinematics.
+
+import { THREE } from "nicegui-scene";
+import { Kinematics } from "./kinematics.js";
+import { merge } from "./meshes.js";
+
+const IDENTITY = new THREE.Matrix4().toArray();
+
+/** Colours of scene.json are as a screen shows them. */
+function colourOf(rgba) {
+  return new THREE.Color().setRGB(rgba[0], rgba[1], rgba[2], THREE.SRGBColorSpace);
+}
+
+/** One robot: a group a joint, and one for its base. */
+export class RobotView {
+  /**
+   * @param robot one robot of scene.json.
+   * @param store MeshStore.
+   * @param material of all its links.
+   */
+  static async make(robot, store, material) {
+    const view = new RobotView(robot);
+    const carried = Map.groupBy(robot.links, (link) => link.joint);
+    await Promise.all([...carried].map(([joint, links]) => view._addLinks(joint, links, store, material)));
+    view.place(view.q);
+    return view;
+  }
+
+  constructor(robot) {
+    this.name = robot.name;
+    this.robot = robot;
+    this.kinematics = new Kinematics(robot);
+    this.root = new THREE.Group();
+    this.root.name = robot.name;
+    this._groups = [-1, ...robot.joints.keys()].map((joint) => {
+      const group = new THREE.Group();
+      group.matrixAutoUpdate = false;
+      group.userData.joint = joint;
+      if (joint < 0) group.matrix.fromArray(robot.T_world_base);
+      this.root.add(group);
+      return group;
+    });
+    this.bodies = new Map(); // body's name in the gate -> {geometry, joint, matrix} of its parts
+    this.q = robot.joints.map(() => 0);
+  }
+
+  /** Move all links to the configuration q [rad or m]. */
+  place(q) {
+    this.q = Array.from(q);
+    this.kinematics.place(this.q).forEach((T, joint) => {
+      const group = this._groups[joint + 1];
+      group.matrix.fromArray(T);
+      group.matrixWorldNeedsUpdate = true;
+    });
+  }
+
+  /** The group that joint `index` carries; -1 is the base. */
+  group(index) {
+    return this._groups[index + 1];
+  }
+
+  /** T_world_tool of the first tool, as 16 numbers. */
+  toolPose(index = 0) {
+    const tool = this.robot.tools[index];
+    return tool ? this.kinematics.carried(tool.joint, tool.T_joint_tool) : null;
+  }
+
+  /** T_world_camera, as 16 numbers, or null. */
+  cameraPose() {
+    const camera = this.robot.camera;
+    return camera ? this.kinematics.carried(camera.joint, camera.T_joint_camera) : null;
+  }
+
+  /** Another view of the same robot, of another material and without shadows; it shares the geometry. */
+  ghost(material) {
+    const ghost = new RobotView(this.robot);
+    this._groups.forEach((group, index) => {
+      for (const { geometry } of group.children.filter((child) => child.userData.isLink)) {
+        ghost._groups[index].add(new THREE.Mesh(geometry, material));
+      }
+    });
+    return ghost;
+  }
+
+  /** All links that one joint carries are one mesh; the bodies among them are remembered by name. */
+  async _addLinks(joint, links, store, material) {
+    const meshes = links.flatMap((link) => link.meshes.map((mesh) => ({ ...mesh, body: link.name })));
+    const parts = await Promise.all(
+      meshes.map(async (mesh) => ({
+        geometry: await store.geometry(mesh),
+        matrix: mesh.T_link_mesh,
+        colour: colourOf(mesh.rgba),
+        body: mesh.body,
+      })),
+    );
+    if (!parts.length) return;
+    const mesh = new THREE.Mesh(merge(parts), material);
+    mesh.castShadow = mesh.receiveShadow = true;
+    mesh.userData.isLink = true;
+    this.group(joint).add(mesh);
+    for (const part of parts) {
+      const known = this.bodies.get(part.body) ?? { group: this.group(joint), parts: [] };
+      known.parts.push(part);
+      this.bodies.set(part.body, known);
+    }
+  }
+}
+
+/** What stands in the cell: one merged mesh, its edges, and its bodies by name. */
+export class StructureView {
+  static async make(structure, store, material) {
+    const view = new StructureView();
+    const parts = await Promise.all(
+      structure.map(async (body) => ({
+        geometry: await store.geometry(body),
+        matrix: body.T_world,
+        colour: colourOf(body.rgba),
+        name: body.name,
+      })),
+    );
+    for (const part of parts) view.bodies.set(part.name, { group: view.root, parts: [part] });
+    if (!parts.length) return view;
+    const mesh = new THREE.Mesh(merge(parts), material);
+    mesh.castShadow = mesh.receiveShadow = true;
+    view.root.add(mesh);
+    return view;
+  }
+
+  constructor() {
+    this.root = new THREE.Group();
+    this.root.name = "structure";
+    this.bodies = new Map();
+  }
+}
+
+/** A mesh that lies over one body, to mark it; null where the body has no picture. */
+export function bodyShell(body, material) {
+  if (!body) return null;
+  const white = new THREE.Color(1, 1, 1);
+  const mesh = new THREE.Mesh(
+    merge(body.parts.map(({ geometry, matrix }) => ({ geometry, matrix: matrix ?? IDENTITY, colour: white }))),
+    material,
+  );
+  mesh.renderOrder = 2;
+  return mesh;
+}

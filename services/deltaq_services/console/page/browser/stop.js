@@ -1,0 +1,92 @@
+// STOP: on pointer-down and on Escape, repeated until the console has heard it, and answered only as far as is known.
+
+const AGAIN_MS = 100;
+const GIVE_UP_MS = 10000;
+
+const WORDS = {
+  ready: ["STOP", "Esc · software stop, no safety-rated E-stop"],
+  sending: ["STOP", "sending …"],
+  not_sent: ["NOT SENT", "no connection: use the emergency stop"],
+  asked: ["STOP", "asked: waiting for the gate"],
+  stopping: ["STOPPING", "the gate has latched it"],
+  at_rest: ["STOPPED", "every robot is at rest"],
+};
+
+export class Stop {
+  /**
+   * @param live Live.
+   * @param show called with (state, title, text) whenever what is known changes.
+   */
+  constructor(live, show) {
+    Object.assign(this, { live, show, state: "ready", pressed: false });
+    live.addEventListener("status", () => this.update());
+    live.addEventListener("line", () => this.update());
+    this.update();
+  }
+
+  /** Somebody wants everything to stop. */
+  press() {
+    this._since = performance.now();
+    this.pressed = true;
+    this._send();
+    clearInterval(this._timer);
+    this._timer = setInterval(() => this._send(), AGAIN_MS);
+  }
+
+  update() {
+    const told = this.live.status?.stop ?? "none";
+    let state = "ready";
+    if (this.pressed) state = this.live.connection.isUp ? "sending" : "not_sent";
+    else if (!this.live.connection.isUp) state = this.gaveUp ? "not_sent" : "ready";
+    else if (told !== "none") state = told;
+    if (state === "ready" && this._heard) state = "asked";
+    this.state = state;
+    this.show(state, ...WORDS[state]);
+  }
+
+  _send() {
+    if (performance.now() - this._since > GIVE_UP_MS) {
+      this._end();
+      this.gaveUp = true;
+      this.update();
+      return;
+    }
+    this.gaveUp = false;
+    // each repetition is a command of its own, sent now: none waits for a line that is down
+    this.live.send("stop").then(({ outcome }) => {
+      if (outcome !== "asked" && outcome !== "done") return;
+      this._end();
+      this._heard = true;
+      this.update();
+      setTimeout(() => {
+        this._heard = false; // from here on the status says how far it is
+        this.update();
+      }, 1000);
+    });
+    this.update();
+  }
+
+  _end() {
+    clearInterval(this._timer);
+    this.pressed = false;
+  }
+}
+
+/** Let a button and the Escape key press it, whatever has the focus. */
+export function bindStop(stop, button) {
+  button.addEventListener("pointerdown", (event) => {
+    event.preventDefault();
+    stop.press();
+  });
+  // keyboards and switches that make a click without a pointer
+  button.addEventListener("click", (event) => event.detail === 0 && stop.press());
+  window.addEventListener(
+    "keydown",
+    (event) => {
+      if (event.key !== "Escape" || event.repeat) return;
+      event.stopImmediatePropagation();
+      stop.press();
+    },
+    { capture: true },
+  );
+}

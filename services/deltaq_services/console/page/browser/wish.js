@@ -1,0 +1,88 @@
+// Hold to move: while a button, a key or a stick is held, its wish is sent again and again; when it is let go, or the
+// page loses the focus, one wish for rest is sent and nothing more.
+
+const TOLD_MS = 3000; // a refusal is shown for so long
+const AGAIN_MS = 80; // the driver forgets a wish after 250 ms
+
+export class Wish {
+  /**
+   * @param live Live.
+   * @param target {robot(): name, length(): number of elements, hand(): name or ""} of what is driven now.
+   */
+  constructor(live, target) {
+    Object.assign(this, { live, target, refused: "" });
+    this._held = new Map();
+    window.addEventListener("blur", () => this.releaseAll());
+    document.addEventListener("visibilitychange", () => document.hidden && this.releaseAll());
+    live.addEventListener("line", () => this.releaseAll());
+    live.addEventListener("status", () => this._robot && this.live.cannotDrive(this._robot) && this.releaseAll());
+    this._timer = setInterval(() => this._send(), AGAIN_MS);
+  }
+
+  get isActive() {
+    return this._held.size > 0;
+  }
+
+  /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}. */
+  hold(source, parts) {
+    const name = this.target.robot();
+    this._refuse(this.live.cannotDrive(name));
+    if (this.refused) return false;
+    if (this._robot && this._robot !== name) this.releaseAll();
+    const begins = !this._held.size;
+    this._robot = name;
+    this._held.set(source, parts);
+    if (begins) this._send();
+    return true;
+  }
+
+  release(source) {
+    if (!this._held.delete(source)) return;
+    if (this._held.size) this._send();
+    else this._rest();
+  }
+
+  /** Let everything go; it has to be pressed anew. */
+  releaseAll() {
+    if (!this._held.size) return;
+    this._held.clear();
+    this._rest();
+  }
+
+  /** Why the last wish came to nothing, in words, for a while. */
+  _refuse(text) {
+    this.refused = text;
+    clearTimeout(this._forget);
+    if (text) this._forget = setTimeout(() => (this.refused = ""), TOLD_MS);
+  }
+
+  _sum() {
+    const wish = new Array(this.target.length()).fill(0);
+    for (const parts of this._held.values()) {
+      for (const [index, speed] of Object.entries(parts)) wish[index] += speed;
+    }
+    return wish;
+  }
+
+  _send() {
+    if (!this._held.size) return;
+    if (this.live.cannotDrive(this._robot)) {
+      this.releaseAll();
+      return;
+    }
+    this._put(this._sum());
+  }
+
+  _rest() {
+    this._put(new Array(this.target.length()).fill(0));
+    this._robot = null;
+  }
+
+  _put(wish) {
+    if (!this._robot) return;
+    const hand = this.target.hand();
+    this.live.send("jog", { robot: this._robot, wish, ...(hand ? { hand } : {}) }).then((ack) => {
+      if (ack.outcome === "refused") this._refuse(ack.text);
+    });
+  }
+}

@@ -1,0 +1,29 @@
+"""How many messages a browser may send: so many a second, and as many at once."""
+
+from __future__ import annotations
+
+
+class RateLimit:
+    """A bucket that fills with time and from which each message takes one.
+
+    Args:
+        most_s: messages a second, and the most at once.
+
+    Attributes:
+        most_s: as given.
+    """
+
+    def __init__(self, most_s: float) -> None:
+        self.most_s = most_s
+        self._left = most_s
+        self._at_s: float | None = None
+
+    def take(self, now_s: float) -> bool:
+        """Whether one more is allowed now."""
+        if self._at_s is not None:
+            self._left = min(self.most_s, self._left + (now_s - self._at_s) * self.most_s)
+        self._at_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True

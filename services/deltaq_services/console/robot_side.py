@@ -1,0 +1,176 @@
+"""One robot in the core: what is heard of it, who drives it, and what a browser may ask of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from deltaq_cell.description import RobotDescription
+from deltaq_protocol import driving
+from deltaq_protocol.messages import Phase
+from deltaq_services.console.client import Client
+from deltaq_services.console.feed import RobotFeed
+from deltaq_services.console.messages import (
+    Bound,
+    DryRun,
+    Jog,
+    LeaseView,
+    RobotView,
+    SetMode,
+    SetOutput,
+    ViewDistance,
+)
+from deltaq_services.console.seat import Seat
+from deltaq_services.console.stop_progress import Motion
+from deltaq_services.console.words import phase_words
+
+MOST_M_S, MOST_RAD_S = 0.5, 1.5
+"""Greatest speeds at which a hand is moved by hand [m/s, rad/s]."""
+_TWIST = 6
+
+
+class RobotSide:
+    """One robot.
+
+    Args:
+        name: the robot's.
+        robot: its description.
+        cycle_s: its cycle [s].
+        bodies: place of each body in the scene's list, by name.
+
+    Attributes:
+        feed: what is heard of it.
+        seat: who drives it.
+        report: the newest of its driver; None while there is no driver.
+        outside_holder: who holds its lease as the HLI says.
+        bound: what bound the newest verdict that was not admitted whole.
+    """
+
+    def __init__(self, name: str, robot: RobotDescription, cycle_s: float, bodies: Mapping[str, int]) -> None:
+        self.name = name
+        self.feed = RobotFeed(robot, cycle_s, bodies)
+        self.seat = Seat(name)
+        self.report: driving.Report | None = None
+        self.outside_holder: str | None = None
+        self.bound: Bound | None = None
+        self.outputs: dict[str, bool] = dict.fromkeys(robot.outputs, False)
+        self.inputs: dict[str, bool] = dict.fromkeys(robot.inputs, False)
+        self.units = dict(zip(robot.joint_names, robot.units, strict=True))
+        self._hands = tuple(robot.hands) or ("tool",)
+        self._max_velocity = robot.max_velocity
+        self._has_camera = robot.camera is not None
+
+    def wish_of(self, jog: Jog) -> driving.Wish:
+        """The wish that a jog means.
+
+        Raises:
+            ValueError: it does not fit the robot; with field, value and bound.
+        """
+        if jog.option is not None:
+            return driving.Wish(option=jog.option)
+        if jog.hand:
+            if jog.hand not in self._hands:
+                raise ValueError(
+                    f"hand: {self.name} has no hand {jog.hand!r}; it has {', '.join(self._hands)}"
+                )
+            if len(jog.wish) != _TWIST:
+                raise ValueError(f"wish: a twist has {_TWIST} elements, got {len(jog.wish)}")
+            for what, bound, part in (("m/s", MOST_M_S, jog.wish[:3]), ("rad/s", MOST_RAD_S, jog.wish[3:])):
+                size = float(np.linalg.norm(part))
+                if size > bound * (1.0 + 1e-9):
+                    raise ValueError(f"wish: {size:g} {what} is too fast for a hand; bound {bound:g}")
+            # a robot with one hand calls it by no name
+            hand = jog.hand if len(self._hands) > 1 else ""
+            x, y, z, rx, ry, rz = jog.wish
+            return driving.Wish(twist=(x, y, z, rx, ry, rz), hand=hand)
+        if len(jog.wish) != len(self._max_velocity):
+            raise ValueError(
+                f"wish: {self.name} has {len(self._max_velocity)} joints, got {len(jog.wish)} elements"
+            )
+        for joint, speed, bound in zip(self.units, jog.wish, self._max_velocity, strict=True):
+            if abs(speed) > bound * (1.0 + 1e-9):
+                raise ValueError(f"wish: {joint} at {speed:g} {self.units[joint]}/s; bound {bound:g}")
+        return driving.Wish(joints=jog.wish)
+
+    def request_of(self, command: SetMode | ViewDistance | SetOutput, request: str) -> driving.Request:
+        """The driver's request that a command means.
+
+        Raises:
+            ValueError: it does not fit the robot; with field, value and bound.
+        """
+        if isinstance(command, SetMode):
+            if command.mode is driving.DrivingMode.FOLLOW and not self._has_camera:
+                raise ValueError(f"mode: {self.name} carries no camera to follow with")
+            return driving.ChangeMode(id=request, mode=command.mode, frame=command.frame)
+        if isinstance(command, ViewDistance):
+            if not self._has_camera:
+                raise ValueError(f"value_m: {self.name} carries no camera")
+            return driving.ViewAt(id=request, distance_m=command.value_m)
+        names = tuple(self.outputs)
+        if command.index >= len(names):
+            raise ValueError(f"index: {self.name} has {len(names)} outputs, got {command.index}")
+        return driving.Switch(id=request, outputs={names[command.index]: command.value})
+
+    def checked(self, command: DryRun) -> tuple[float, ...]:
+        """The increment of a dry run.
+
+        Raises:
+            ValueError: it does not fit the robot.
+        """
+        if len(command.dq) != len(self._max_velocity):
+            raise ValueError(
+                f"dq: {self.name} has {len(self._max_velocity)} joints, got {len(command.dq)} elements"
+            )
+        return command.dq
+
+    def cannot_move(self, now_s: float) -> str:
+        """Why a wish to move would come to nothing now; empty if it would not."""
+        state = self.feed.state
+        if state is None or self.feed.is_stale(now_s):
+            return f"no state of {self.name} comes: what is shown is old"
+        if state.phase in (Phase.OFFLINE, Phase.HELD):
+            text, remedy = phase_words(state, is_stale=False)
+            return f"{self.name} is {text}. {remedy}".rstrip()
+        return ""
+
+    def motion(self, now_s: float) -> Motion:
+        """What a stop has to know."""
+        state = self.feed.state
+        if state is None or self.feed.is_stale(now_s):
+            return Motion(None)
+        return Motion(state.phase, state.reason, self.feed.is_still)
+
+    def view(self, now_s: float) -> RobotView:
+        """What a browser is told; whose lease it is, each is told for itself (`seen_by`)."""
+        state, report, seat = self.feed.state, self.report, self.seat
+        text, remedy = phase_words(state, self.feed.is_stale(now_s))
+        holder = seat.holder.name if seat.holder is not None else self.outside_holder
+        lease = LeaseView(
+            holder=holder,
+            wanted_by=seat.wanted_by.name if seat.wanted_by is not None else None,
+            text=seat.text,
+        )
+        said = " · ".join(part for part in (report.doing, report.limit) if part) if report is not None else ""
+        if report is not None and report.stage is driving.Stage.STARTING:
+            said = "the driver starts"
+        return RobotView(
+            phase=Phase.OFFLINE if state is None else state.phase,
+            reason=None if state is None else state.reason,
+            text=text,
+            remedy=remedy,
+            lease=lease,
+            mode=None if report is None else report.mode,
+            frame="world" if report is None else report.frame,
+            driving=said,
+            view_distance_m=None if report is None else report.distance_m,
+            bound=self.bound,
+            outputs=self.outputs,
+            inputs=self.inputs,
+        )
+
+    def seen_by(self, client: Client, view: RobotView) -> RobotView:
+        """The same view for one client."""
+        if not self.seat.is_held_by(client):
+            return view
+        return view.model_copy(update={"lease": view.lease.model_copy(update={"mine": True})})

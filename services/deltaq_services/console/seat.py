@@ -1,0 +1,174 @@
+"""Who drives a robot from this console: one client at a time, and how the seat is handed over.
+
+The robot's driver holds the lease in that client's name. What it was asked for is known to have happened when it has
+answered, so that nobody moves a robot in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from deltaq_protocol import driving
+from deltaq_services.console.client import Client
+from deltaq_services.console.messages import LeaseVerb
+from deltaq_services.console.outputs import ToDriver
+
+_LONGEST_NAME = 64
+
+
+class _Stage(Enum):
+    FREE = auto()
+    TAKING = auto()
+    HELD = auto()
+    RELEASING = auto()
+
+
+@dataclass(frozen=True)
+class Handled:
+    """What became of a request.
+
+    Attributes:
+        requests: for the robot's driver.
+        refusal: why nothing was done; empty if something was, or will be.
+        is_done: nothing is waited for.
+        told: for the log.
+    """
+
+    requests: tuple[ToDriver, ...] = ()
+    refusal: str = ""
+    is_done: bool = False
+    told: str = ""
+
+
+class Seat:
+    """The seat of one robot.
+
+    Args:
+        robot: its name.
+
+    Attributes:
+        holder: the client that drives it, or is about to.
+        wanted_by: the client that asks for it.
+        text: what became of the newest hand-over, in words.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self.robot = robot
+        self.holder: Client | None = None
+        self.wanted_by: Client | None = None
+        self.text = ""
+        self._next: Client | None = None
+        self._stage = _Stage.FREE
+
+    def is_held_by(self, client: Client) -> bool:
+        """Whether this client may move the robot now."""
+        return self.holder is client and self._stage is _Stage.HELD
+
+    def handle(self, client: Client, action: LeaseVerb, request: Callable[[], str]) -> Handled:
+        """Do what a client asks about the lease; `request` makes the id by which the driver's answer is known."""
+        match action:
+            case LeaseVerb.TAKE:
+                return self._take(client, request)
+            case LeaseVerb.RELEASE:
+                return self._released_by(client, request)
+            case LeaseVerb.ASK:
+                return self._asked_by(client)
+            case LeaseVerb.GRANT:
+                return self._granted_by(client, request)
+            case LeaseVerb.REFUSE:
+                return self._refused_by(client)
+
+    def leave(self, client: Client, request: Callable[[], str]) -> tuple[ToDriver, ...]:
+        """A client's connection has ended: what it drove comes to rest and is released."""
+        if self.wanted_by is client:
+            self.wanted_by = None
+        if self._next is client:
+            self._next = None
+        if self.holder is not client or self._stage is _Stage.RELEASING:
+            return ()
+        return self._release(request)
+
+    def answered(self, request: driving.Request, answer: driving.Answer, new: Callable[[], str]) -> Handled:
+        """The driver has taken or released the robot, or could not."""
+        if isinstance(request, driving.Take) and self._stage is _Stage.TAKING:
+            if answer.done and self.holder is not None:
+                self._stage = _Stage.HELD
+                return Handled(told=f"{self.holder.name} drives {self.robot}")
+            self._stage, self.holder = _Stage.FREE, None
+        elif isinstance(request, driving.Release) and self._stage is _Stage.RELEASING:
+            self._stage, self.holder, successor = _Stage.FREE, None, self._next
+            self._next = None
+            if successor is not None:
+                return self._take(successor, new)
+            return Handled(told=f"{self.robot} was released")
+        return Handled()
+
+    def lost(self) -> bool:
+        """The driver holds the lease no more; returns whether it was held."""
+        was_held = self._stage is _Stage.HELD
+        if was_held:
+            self._stage, self.holder = _Stage.FREE, None
+        return was_held
+
+    def driver_ended(self) -> None:
+        """The driver's process is gone, and the lease with it."""
+        self._stage, self.holder, self._next = _Stage.FREE, None, None
+
+    def _take(self, client: Client, request: Callable[[], str]) -> Handled:
+        if self.is_held_by(client):
+            return Handled(is_done=True)
+        if self.holder is not None:
+            return Handled(refusal=f"{self.holder.name} has {self.robot}: ask for it")
+        self.holder, self._stage, self.text = client, _Stage.TAKING, ""
+        if self.wanted_by is client:
+            self.wanted_by = None
+        name = f"{client.name} (console)"[:_LONGEST_NAME]
+        return Handled((ToDriver(self.robot, driving.Take(id=request(), client=name)),))
+
+    def _released_by(self, client: Client, request: Callable[[], str]) -> Handled:
+        if self.holder is not client:
+            return Handled(refusal=f"{self.robot} is not yours to release")
+        if self._stage is _Stage.RELEASING:
+            return Handled(is_done=True)
+        return Handled(self._release(request))
+
+    def _release(self, request: Callable[[], str]) -> tuple[ToDriver, ...]:
+        self._stage = _Stage.RELEASING
+        rest, release = driving.Wish(), driving.Release(id=request())
+        return ToDriver(self.robot, rest), ToDriver(self.robot, release)
+
+    def _asked_by(self, client: Client) -> Handled:
+        if self.holder is None:
+            return Handled(refusal=f"nobody at this console has {self.robot}: take it")
+        if self.holder is client:
+            return Handled(refusal=f"{self.robot} is yours")
+        if self.wanted_by not in (None, client):
+            return Handled(
+                refusal=f"{self.wanted_by.name if self.wanted_by else ''} has asked for {self.robot} already"
+            )
+        self.wanted_by, self.text = client, ""
+        return Handled(told=f"{client.name} asks {self.holder.name} for {self.robot}")
+
+    def _granted_by(self, client: Client, request: Callable[[], str]) -> Handled:
+        refusal = self._nothing_to_answer(client)
+        if refusal:
+            return Handled(refusal=refusal)
+        self._next, self.wanted_by = self.wanted_by, None
+        return Handled(self._release(request), told=f"{client.name} hands {self.robot} over")
+
+    def _refused_by(self, client: Client) -> Handled:
+        refusal = self._nothing_to_answer(client)
+        if refusal:
+            return Handled(refusal=refusal)
+        asked, self.wanted_by = self.wanted_by, None
+        self.text = f"{client.name} keeps {self.robot}"
+        return Handled(
+            is_done=True, told=f"{client.name} keeps {self.robot}; {asked.name if asked else ''} asked for it"
+        )
+
+    def _nothing_to_answer(self, client: Client) -> str:
+        if not self.is_held_by(client):
+            return f"{self.robot} is not yours to hand over"
+        return "" if self.wanted_by is not None else f"nobody has asked for {self.robot}"

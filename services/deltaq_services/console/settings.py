@@ -1,0 +1,70 @@
+"""What a console is told when it is started."""
+
+from __future__ import annotations
+
+import hmac
+from dataclasses import dataclass
+from ipaddress import ip_address
+
+from deltaq_protocol.errors import DeltaqError
+
+LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
+"""Names by which a browser on this machine may call it. Any other is a web site that pretends to live here."""
+
+
+class NoTokenError(DeltaqError):
+    """The console is to be reached from other machines, and nothing tells operators from strangers."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a console is told when it is started.
+
+    Attributes:
+        cell: name of the cell.
+        emulated: no robot of it is real.
+        address: it is bound to.
+        port: it is bound to.
+        token: makes an operator of whoever knows it; empty: whoever is on this machine is one.
+        operator_token: the HLI's, which a reset needs where it was given one.
+
+    Raises:
+        NoTokenError: another address than this machine's loopback without a token.
+    """
+
+    cell: str
+    emulated: bool
+    address: str
+    port: int
+    token: str = ""
+    operator_token: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.is_loopback and not self.token:
+            raise NoTokenError(
+                f"the console would be reached from other machines at {self.address}: set DELTAQ_CONSOLE_TOKEN, which "
+                "its operators then have to know, or bind it to 127.0.0.1"
+            )
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        try:
+            return ip_address(self.address).is_loopback
+        except ValueError:
+            return self.address == "localhost"
+
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds it."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.port}"
+
+    @property
+    def token_needed(self) -> bool:
+        """Whether a client without the token may only look, and stop."""
+        return bool(self.token)
+
+    def is_operator(self, token: str) -> bool:
+        """Whether who shows this token may command."""
+        return not self.token or hmac.compare_digest(token.encode(), self.token.encode())

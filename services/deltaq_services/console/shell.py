@@ -1,0 +1,237 @@
+"""The console's process: the clock, the ticks, and what the core wants done."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import traceback
+from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.identity import content_identity
+from deltaq_protocol import driving, topics
+from deltaq_protocol.codec import InvalidMessageError, unpack
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+from deltaq_protocol.identity import CellIdentity, mismatch
+from deltaq_protocol.messages import (
+    DescribeRequest,
+    DryRunReply,
+    DryRunRequest,
+    IoReply,
+    IoRequest,
+    Message,
+    Proximity,
+    ResetRequest,
+    RobotState,
+    Status,
+    StopRequest,
+    Verdict,
+)
+from deltaq_services.console.client import Client
+from deltaq_services.console.connection import Connection
+from deltaq_services.console.core import ConsoleCore
+from deltaq_services.console.driver_process import DriverProcess
+from deltaq_services.console.hli_link import HliLink
+from deltaq_services.console.messages import StopPhase
+from deltaq_services.console.outputs import AskHli, Output, ToDriver
+from deltaq_services.console.scene import Scene, scene_of
+
+M = TypeVar("M", bound=Message)
+
+FRAME_S = 0.04
+"""Time between two frames: 25 a second."""
+_ALONE_S = 0.5
+"""Time between two looks at the cell while nobody looks on."""
+_TOLD_EVERY = 5
+"""Frames from one look at what else browsers have to be told to the next."""
+_POLL_S = 0.5
+_NO_ANSWER_S = 5.0
+"""Longer than a query takes to fail by itself."""
+_STOP_AGAIN_S = 0.1
+_MOST_STOPS = 50
+_NAME = "console"
+
+
+class Console:
+    """The console of one cell, as it runs.
+
+    Args:
+        cell: the cell's model.
+        emulated: no robot of it is real.
+        token_needed: whether a client without the token is an observer.
+        operator_token: the HLI's, which a reset needs where it was given one.
+
+    Attributes:
+        scene: what browsers draw.
+        core: what is decided.
+    """
+
+    def __init__(
+        self, cell: CellModel, emulated: bool, token_needed: bool, operator_token: str | None
+    ) -> None:
+        description = cell.description
+        self.scene: Scene = scene_of(cell, emulated)
+        self.core = ConsoleCore(description, self.scene.bodies, token_needed)
+        self._identity = content_identity(description)
+        self._operator_token = operator_token
+        self._link = HliLink(description.hli, description.cell, tuple(description.robots))
+        self._signalling = [
+            name for name, robot in description.robots.items() if robot.outputs or robot.inputs
+        ]
+        self._connections: dict[int, Connection] = {}
+        self._drivers = {
+            robot: DriverProcess(
+                description.hli, robot, partial(self._driver_said, robot), partial(self._driver_ended, robot)
+            )
+            for robot in description.robots
+        }
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._epoch_s = time.time() - time.monotonic()
+
+    async def run(self) -> None:
+        """Watch the cell until cancelled; then drivers bring their robots to rest."""
+        async with self._link:
+            polling = asyncio.ensure_future(self._poll())
+            try:
+                await self._tick()
+            finally:
+                polling.cancel()
+                await asyncio.gather(*(driver.end() for driver in self._drivers.values()))
+
+    def now_s(self) -> float:
+        """Time of day as it was at the start, and counted on without steps [s]."""
+        return self._epoch_s + time.monotonic()
+
+    async def serve(self, connection: Connection, name: str, is_operator: bool) -> None:
+        """Serve one browser until it has gone."""
+        client, outputs = self.core.connect(name, is_operator, self.now_s())
+        if client is None:
+            return
+        self._connections[client.number] = connection
+        self._carry_out(outputs)
+        try:
+            await connection.serve(partial(self._take, client))
+        finally:
+            del self._connections[client.number]
+            self._carry_out(self.core.disconnect(client, self.now_s()))
+
+    def _take(self, client: Client, message: str | bytes) -> None:
+        before = self.core.stop.phase
+        self._carry_out(self.core.take(client, message, self.now_s()))
+        if self.core.stop.phase is not before:
+            self._carry_out(self.core.tick(self.now_s()))
+
+    def _carry_out(self, outputs: list[Output]) -> None:
+        for output in outputs:
+            if isinstance(output, AskHli):
+                task = asyncio.ensure_future(self._ask(output))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+            elif isinstance(output, ToDriver):
+                self._drivers[output.robot].send(output.request)
+            elif (connection := self._connections.get(output.client)) is not None:
+                connection.put_text(output.message.model_dump_json())
+
+    async def _ask(self, asked: AskHli) -> None:
+        verdict: Verdict | None = None
+        done, text = True, ""
+        try:
+            if asked.kind == "stop":
+                await self._ask_to_stop()
+            elif asked.kind == "reset":
+                reset = ResetRequest(robot=asked.robot, client=_NAME, token=self._operator_token)
+                await self._link.ask(topics.RESET, reset)
+            else:
+                run = DryRunRequest(robot=asked.robot, dq=asked.dq)
+                reply = await self._link.ask(topics.DRY_RUN, run, asked.robot)
+                verdict = unpack(DryRunReply, reply).verdict
+        except DeltaqError as error:
+            done, text = False, str(error)
+        self._carry_out(self.core.answered(asked.request, done, text, self.now_s(), verdict))
+        if asked.kind == "stop":
+            self._carry_out(self.core.tick(self.now_s()))
+
+    async def _ask_to_stop(self) -> None:
+        """Ask until the HLI has heard it: what it answers then stands."""
+        for attempt in range(1, _MOST_STOPS + 1):
+            try:
+                await self._link.ask(topics.STOP, StopRequest(client=_NAME))
+                return
+            except ServiceUnreachableError:
+                if attempt == _MOST_STOPS or self.core.stop.phase is not StopPhase.ASKED:
+                    raise
+            await asyncio.sleep(_STOP_AGAIN_S)
+
+    def _driver_said(self, robot: str, said: driving.Said) -> None:
+        self._carry_out(self.core.driver_said(robot, said, self.now_s()))
+
+    def _driver_ended(self, robot: str, why: str) -> None:
+        self._carry_out(self.core.driver_ended(robot, why, self.now_s()))
+
+    async def _tick(self) -> None:
+        next_s, ticks = time.monotonic(), 0
+        while True:
+            now_s = self.now_s()
+            self._hear(now_s)
+            if self._connections:
+                frame = self.core.picture.frame(now_s)
+                for connection in self._connections.values():
+                    connection.put_frame(frame)
+            stopping = self.core.stop.phase in (StopPhase.ASKED, StopPhase.STOPPING)
+            if stopping or ticks % _TOLD_EVERY == 0:
+                self._carry_out(self.core.tick(now_s))
+            ticks += 1
+            # what was missed is not made up for
+            next_s = max(next_s + (FRAME_S if self._connections else _ALONE_S), time.monotonic())
+            await asyncio.sleep(next_s - time.monotonic())
+
+    def _hear(self, now_s: float) -> None:
+        picture = self.core.picture
+        for robot, side in self.core.robots.items():
+            heard = self._link.heard(robot)
+            arrived_s = self._epoch_s + heard.state_s
+            if heard.states:
+                side.feed.arrived(heard.longest_gap_s, now_s)
+            for payload in heard.states:
+                self._understand(RobotState, payload, partial(picture.take_state, arrived_s=arrived_s))
+            for payload in heard.verdicts:
+                self._understand(Verdict, payload, partial(picture.take_verdict, arrived_s=now_s))
+        near = self._link.proximity()
+        if near is not None:
+            self._understand(Proximity, near, picture.take_proximity)
+
+    def _understand(self, message_type: type[M], payload: bytes, take: Callable[[M], object]) -> None:
+        try:
+            take(unpack(message_type, payload))
+        except InvalidMessageError:
+            self.core.counters["malformed_heard"] += 1
+
+    async def _poll(self) -> None:
+        """Ask for what is not published, again and again, whatever becomes of it."""
+        while True:
+            try:
+                async with asyncio.timeout(_NO_ANSWER_S):
+                    await self._look()
+            except DeltaqError as error:
+                self.core.board.silent(str(error), self.now_s())
+            except TimeoutError:
+                self.core.board.silent(f"no answer within {_NO_ANSWER_S:g} s", self.now_s())
+            except Exception as error:
+                # of what nobody foresaw everything is told, and the next look may do better: an operator looks on
+                traceback.print_exc()
+                self.core.board.silent(repr(error), self.now_s())
+            await asyncio.sleep(_POLL_S)
+
+    async def _look(self) -> None:
+        """Ask who holds leases, and for the digital signals."""
+        status = unpack(Status, await self._link.ask(topics.STATUS, DescribeRequest()))
+        theirs = CellIdentity.parse(status.identity)
+        if not self._identity.is_same(theirs):
+            raise RefusedError("cell_mismatch", mismatch("the HLI", theirs, self._identity))
+        for robot in self._signalling:
+            io = unpack(IoReply, await self._link.ask(topics.IO, IoRequest(robot=robot), robot))
+            self.core.signals(robot, io.outputs, io.inputs)
+        holders = {name: robot.lease.holder for name, robot in status.robots.items()}
+        self.core.board.heard(holders, self.now_s())

@@ -1,0 +1,73 @@
+"""What browsers are told when it changes: the cell's status, each with its own leases marked, and the log's lines."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from deltaq_services.console.client import Client
+from deltaq_services.console.event_log import EventLog
+from deltaq_services.console.messages import Status
+from deltaq_services.console.outputs import Output, ToClient
+from deltaq_services.console.robot_side import RobotSide
+from deltaq_services.console.stop_progress import StopProgress
+
+STATUS_S = 1.0
+"""A status that has not changed is sent again after this."""
+
+
+class StatusBoard:
+    """The status of one cell, and what of it each browser has been told.
+
+    Args:
+        robots: each robot's side.
+        log: whose lines are told too.
+
+    Attributes:
+        hli: whether the HLI is heard.
+        text: why it is not.
+    """
+
+    def __init__(self, robots: Mapping[str, RobotSide], log: EventLog) -> None:
+        self.hli, self.text = False, "the HLI is not heard yet"
+        self._robots, self._log = robots, log
+        self._told: dict[int, tuple[float, Status]] = {}
+
+    def heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
+        """The HLI has said who holds which lease."""
+        if not self.hli:
+            self._log.add(now_s, "link", "the HLI is heard")
+        self.hli, self.text = True, ""
+        for robot, holder in holders.items():
+            if robot in self._robots:
+                self._robots[robot].outside_holder = holder
+
+    def silent(self, text: str, now_s: float) -> None:
+        """The HLI does not answer."""
+        if self.hli:
+            self._log.add(now_s, "link", f"the HLI is silent: {text}")
+        self.hli, self.text = False, text
+
+    def forget(self, client: Client) -> None:
+        """A browser has gone."""
+        self._told.pop(client.number, None)
+
+    def tell(self, clients: Collection[Client], stop: StopProgress, now_s: float) -> list[Output]:
+        """What is to be sent now."""
+        news = self._log.news(now_s)
+        views = {name: side.view(now_s) for name, side in self._robots.items()}
+        outputs: list[Output] = []
+        for client in clients:
+            outputs += [ToClient(client.number, event) for event in news]
+            status = Status(
+                hli=self.hli,
+                text=self.text,
+                robots={name: self._robots[name].seen_by(client, view) for name, view in views.items()},
+                stop=stop.phase,
+                wanted_by=stop.by,
+                clients=len(clients),
+            )
+            told_s, told = self._told.get(client.number, (0.0, None))
+            if status != told or now_s - told_s >= STATUS_S:
+                self._told[client.number] = (now_s, status)
+                outputs.append(ToClient(client.number, status))
+        return outputs

@@ -1,0 +1,87 @@
+"""A running cell with its console, and Chromium to look at it; both are started once for all tests here."""
+
+import os
+import shutil
+
+import pytest
+from private_cell import write_private_cell
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_launch.launcher import Launcher
+from deltaq_launch.services import cell_services, console_service
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+TIMEOUT_MS = 60_000
+"""For what has to happen some time; a machine may be busy, and nothing here judges how long it takes."""
+
+
+class ServedCell:
+    """A cell that runs, and where its console is."""
+
+    def __init__(self, cell, url):
+        self.model = cell
+        self.url = url
+
+
+@pytest.fixture(scope="session")
+def served_cell(tmp_path_factory):
+    file = write_private_cell(tmp_path_factory.mktemp("cell"))
+    cell = CellModel.load(file)
+    services = cell_services(cell.description, str(file))
+    console = console_service(cell.description, str(file), services)
+    with Launcher([*services, console], lambda name, line: print(name, line)) as launcher:
+        launcher.start()
+        yield ServedCell(cell, console.endpoint)
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed: the page was not looked at")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: the page was not looked at"
+    )
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(
+            executable_path=os.environ.get("DELTAQ_CHROMIUM", CHROMIUM), args=FLAGS
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(served_cell, chromium):
+    """Opens pages of the console; each in a browser of its own, closed with the test."""
+    contexts = []
+
+    def open_page(prepare=lambda page: None):
+        # small, so that a machine without graphics draws it quickly
+        context = chromium.new_context(viewport={"width": 1000, "height": 560})
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(TIMEOUT_MS)
+        page.errors = []
+        page.on("pageerror", lambda error: page.errors.append(error))
+        prepare(page)
+        page.goto(served_cell.url)
+        page.wait_for_selector("[data-ready=true]", state="attached")
+        page.wait_for_function("deltaq.live.status?.hli")
+        return page
+
+    yield open_page
+    errors = [error for context in contexts for page in context.pages for error in page.errors]
+    for context in contexts:
+        context.close()
+    assert not errors

@@ -1,0 +1,252 @@
+// The page's modules that need no browser. Run by test_modules.py.
+
+import assert from "node:assert/strict";
+import { mock, test } from "node:test";
+
+const folder = process.env.DELTAQ_BROWSER_MODULES;
+const load = (name) => import(`${folder}/${name}.js`);
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log"].map(load),
+);
+
+// what wish.js and stop.js hear from a page
+const page = new EventTarget();
+globalThis.window = page;
+globalThis.document = Object.assign(new EventTarget(), { hidden: false });
+
+/** The far end of a WebSocket, in the hands of the test. */
+class Socket {
+  static last = null;
+  constructor() {
+    Object.assign(this, { sent: [], bufferedAmount: 0 });
+    Socket.last = this;
+  }
+  send(text) {
+    this.sent.push(JSON.parse(text));
+  }
+  close() {
+    this.onclose?.();
+  }
+  says(message) {
+    this.onmessage?.({ data: message instanceof ArrayBuffer ? message : JSON.stringify(message) });
+  }
+  commands(type) {
+    return this.sent.filter((command) => command.type === type);
+  }
+}
+
+function connected(t) {
+  mock.timers.enable({ apis: ["setInterval", "setTimeout", "Date"], now: 1_000_000 });
+  const connection = new Connection("ws://cell/live", { Socket, now: () => Date.now() }).open();
+  Socket.last.says({ type: "hello", client: "anna", operator: true, token_needed: false, server_ms: 0 });
+  t.after(() => {
+    connection.close();
+    mock.timers.reset();
+  });
+  return connection;
+}
+
+/** A frame of one robot with one joint, as frame.py packs it. */
+function frame({ server_s = 0, age_s = 0.01, q = 0.25, version = 1 } = {}) {
+  const view = new DataView(new ArrayBuffer(88));
+  const write = { u8: (at, value) => view.setUint8(at, value), u16: (at, value) => view.setUint16(at, value, true), f32: (at, value) => view.setFloat32(at, value, true) };
+  write.u8(0, version);
+  write.u8(1, 1);
+  view.setFloat64(4, server_s, true);
+  for (const at of [12, 16, 20, 28, 32, 36, 40, 44, 48, 52, 64]) write.f32(at, NaN);
+  for (const at of [24, 26, 68, 70]) write.u16(at, 65535);
+  [1, 2, 255, 0].forEach((value, k) => write.u8(56 + k, value));
+  [[60, age_s], [72, 0.5], [76, 0.012], [80, q], [84, q]].forEach(([at, value]) => write.f32(at, value));
+  return view.buffer;
+}
+
+const SCENE = { robots: [{ name: "fr" }] };
+const status = (more = {}) => ({ type: "status", hli: true, stop: "none", robots: { fr: { phase: "engaged", lease: { mine: true } } }, ...more });
+
+function driving(t) {
+  const connection = connected(t);
+  const live = new Live(connection, SCENE);
+  live.hello = { operator: true };
+  Socket.last.says(frame({ server_s: Date.now() / 1000 }));
+  Socket.last.says(status());
+  const wish = new Wish(live, { robot: () => "fr", length: () => 1, hand: () => "" });
+  return { connection, live, wish, socket: Socket.last };
+}
+
+/** In small steps, so that timers that timers set come in their turn. */
+function pass(ms) {
+  for (let k = 0; k < ms; k += 20) mock.timers.tick(20);
+}
+/** Time passes while the cell goes on telling. */
+function passWithNews(socket, ms) {
+  for (let k = 0; k < ms; k += 40) {
+    pass(40);
+    socket.says(frame({ server_s: Date.now() / 1000 }));
+  }
+}
+
+test("a command on a line that is down is not sent, then or later", async (t) => {
+  const connection = connected(t);
+  Socket.last.close();
+  assert.equal((await connection.send("mode", { robot: "fr" })).outcome, "not_sent");
+  pass(10_000);
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  assert.deepEqual(Socket.last.commands("mode"), []);
+});
+
+test("a command on a line that takes nothing any more is not sent", async (t) => {
+  const connection = connected(t);
+  Socket.last.bufferedAmount = 100_000;
+  assert.equal((await connection.send("jog", {})).outcome, "not_sent");
+});
+
+test("a line that brings nothing is given up, and what was asked on it is lost", async (t) => {
+  const connection = connected(t);
+  const dead = Socket.last;
+  const answer = connection.send("reset", { robot: "fr" });
+  pass(2500);
+  assert.equal((await answer).outcome, "lost");
+  assert.notEqual(Socket.last, dead);
+  assert.equal(connection.isUp, false);
+});
+
+test("an answer that is only asked may be followed by done", async (t) => {
+  const connection = connected(t);
+  const heard = [];
+  const first = connection.send("lease", { robot: "fr" }, (ack) => heard.push(ack.outcome));
+  const { id } = Socket.last.commands("lease")[0];
+  Socket.last.says({ type: "ack", id, outcome: "asked", text: "" });
+  Socket.last.says({ type: "ack", id, outcome: "refused", text: "b has it" });
+  assert.equal((await first).outcome, "asked");
+  assert.deepEqual(heard, ["asked", "refused"]);
+});
+
+test("STOP is repeated until it is heard, each time as a command of its own, and then no more", async (t) => {
+  const { live, socket } = driving(t);
+  const stop = new Stop(live, () => {});
+  mock.method(performance, "now", () => Date.now());
+  stop.press();
+  passWithNews(socket, 320);
+  const sent = socket.commands("stop");
+  assert.ok(sent.length >= 3);
+  assert.equal(new Set(sent.map(({ id }) => id)).size, sent.length);
+  assert.equal(stop.state, "sending");
+  socket.says({ type: "ack", id: sent[0].id, outcome: "asked", text: "" });
+  await Promise.resolve();
+  const count = socket.commands("stop").length;
+  passWithNews(socket, 400);
+  assert.equal(socket.commands("stop").length, count);
+  assert.equal(stop.state, "asked");
+  socket.says(status({ stop: "stopping" }));
+  assert.equal(stop.state, "stopping");
+  socket.says(status({ stop: "at_rest" }));
+  assert.equal(stop.state, "at_rest");
+});
+
+test("STOP without a line says that it is not sent, and is given up after ten seconds", async (t) => {
+  const { connection, live, socket } = driving(t);
+  const stop = new Stop(live, () => {});
+  mock.method(performance, "now", () => Date.now());
+  socket.close();
+  stop.press();
+  assert.equal(stop.state, "not_sent");
+  for (let k = 0; k < 105; k++) pass(100);
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  pass(500);
+  assert.equal(connection.isUp, true);
+  assert.deepEqual(Socket.last.commands("stop"), []);
+});
+
+test("a wish is renewed while it is held, and its end is one wish for rest", (t) => {
+  const { wish, socket } = driving(t);
+  assert.equal(wish.hold("button", { 0: 0.2 }), true);
+  passWithNews(socket, 400);
+  const held = socket.commands("jog").length;
+  assert.ok(held >= 4);
+  wish.release("button");
+  passWithNews(socket, 400);
+  const all = socket.commands("jog");
+  assert.equal(all.length, held + 1);
+  assert.deepEqual(all.at(-1).wish, [0]);
+});
+
+test("a page that loses the focus moves nothing, and what was held has to be pressed anew", (t) => {
+  const { wish, socket } = driving(t);
+  wish.hold("button", { 0: 0.2 });
+  page.dispatchEvent(new Event("blur"));
+  passWithNews(socket, 400);
+  assert.deepEqual(socket.commands("jog").map(({ wish: [speed] }) => speed), [0.2, 0]);
+});
+
+test("nothing is driven by a picture that is old", (t) => {
+  const { live, wish, socket } = driving(t);
+  wish.hold("button", { 0: 0.2 });
+  pass(700);
+  assert.equal(live.isStale(), true);
+  assert.equal(wish.isActive, false);
+  assert.equal(wish.hold("button", { 0: 0.2 }), false);
+  assert.match(wish.refused, /old/);
+  const count = socket.commands("jog").length;
+  pass(300);
+  assert.equal(socket.commands("jog").length, count);
+});
+
+test("a picture that comes late is old, whatever time the server's clock shows", (t) => {
+  const { live, socket } = driving(t);
+  const hour = 3600;
+  socket.says(frame({ server_s: Date.now() / 1000 + hour }));
+  passWithNews(socket, 80);
+  live._offsets = []; // the console's clock was set: a new line measures anew
+  socket.says(frame({ server_s: Date.now() / 1000 + hour }));
+  assert.equal(live.isStale(), false);
+  socket.says(frame({ server_s: Date.now() / 1000 + hour - 2 }));
+  assert.equal(live.isStale(), true);
+});
+
+test("an observer, a lease of somebody else's and a held robot cannot be driven", (t) => {
+  const { live, wish, socket } = driving(t);
+  socket.says(status({ robots: { fr: { phase: "held", lease: { mine: true } } } }));
+  assert.equal(wish.hold("button", { 0: 1 }), false);
+  socket.says(status({ robots: { fr: { phase: "ready", lease: { mine: false } } } }));
+  assert.equal(wish.hold("button", { 0: 1 }), false);
+  socket.says(status());
+  live.hello = { operator: false };
+  assert.equal(wish.hold("button", { 0: 1 }), false);
+  assert.deepEqual(socket.commands("jog"), []);
+});
+
+test("a frame of another version is told, not guessed at", () => {
+  assert.throws(() => readFrame(frame({ version: 9 })), /version 9/);
+  const { robots, focus, nearest } = readFrame(frame({ q: 0.25 }));
+  assert.equal(robots[0].phase, "engaged");
+  assert.equal(robots[0].outcome, null);
+  assert.deepEqual([...robots[0].q], [0.25]);
+  assert.equal(focus, null);
+  assert.equal(nearest, null);
+});
+
+test("a series keeps two minutes and knows their range", () => {
+  const series = new Series();
+  for (let k = 0; k < 2000; k++) series.add(k * 0.125, k === 1500 ? NaN : k);
+  assert.equal([...series].length, 1200);
+  assert.deepEqual(series.range(200), [1600, 1999]);
+});
+
+test("a stick rests in its dead zone and reaches full speed at its end", () => {
+  assert.equal(shaped(0.11), 0);
+  assert.equal(shaped(-1), -1);
+  assert.ok(shaped(0.3) < 0.3 && shaped(0.3) > 0);
+});
+
+test("sticks count only while a shoulder button is held", () => {
+  const pad = (lb) => ({ axes: [0, -1, 0, 0], buttons: Array.from({ length: 16 }, (_, k) => ({ pressed: k === 4 && lb })) });
+  const driven = { isByJoints: false, share: 1 };
+  assert.equal(wishOf(pad(false), driven, 0), null);
+  assert.ok(wishOf(pad(true), driven, 0)[0] > 0);
+});
+
+test("a saved event cannot become a formula of a spreadsheet", () => {
+  assert.equal(csvCell("=1+1"), "'=1+1");
+  assert.equal(csvCell(-0.5), "-0.5");
+  assert.equal(csvCell('say "a, b"'), '"say ""a, b"""');
+});

@@ -1,0 +1,128 @@
+"""The page in Chromium, before a running cell: what it shows, what it drives, and how it stops."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
+
+Q = "Array.from(deltaq.live.frame.robots[deltaq.live.indexOf('gr')].q)"
+AT_REST = (
+    "(() => { const {q, rest} = deltaq.live.frame.robots[deltaq.live.indexOf('gr')];"
+    " return q.every((value, k) => Math.abs(value - rest[k]) < 1e-4); })()"
+)
+
+
+def take_control(page):
+    """Take gr, which is held after a stop, and drive it joint by joint."""
+    page.locator("[data-robot=gr]").click()
+    page.wait_for_function("deltaq.live.locked('gr') === ''")
+    if page.evaluate("deltaq.live.robot('gr').phase") == "held":
+        for robot in ("fr", "gr"):
+            page.evaluate("robot => deltaq.live.send('reset', {robot})", robot)
+        page.wait_for_function("deltaq.live.robot('gr').phase !== 'held'")
+    page.get_by_role("button", name="Take control").click()
+    page.wait_for_function("deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode === 'joint'")
+
+
+def hold_until_it_moves(page):
+    """Press and hold a jog button; the button is pressed anew if the picture was old for a moment."""
+    before = page.evaluate(Q)
+    page.get_by_role("button", name="A6 plus, hold to move").hover()
+    page.mouse.down()
+    page.evaluate(
+        """() => { window.pressing = setInterval(() => deltaq.wish.isActive
+             || deltaq.wish.hold("test", {[deltaq.driven.length() - 1]: 0.2}), 50); }"""
+    )
+    page.wait_for_function(
+        f"before => {Q}.some((value, k) => Math.abs(value - before[k]) > 0.02)", arg=before
+    )
+
+
+def test_the_browser_places_links_where_pinocchio_does(opened, served_cell):
+    page = opened()
+    generator = np.random.default_rng(3)
+    for robot in served_cell.model.robots.values():
+        data = robot.model.createData()
+        for q in generator.uniform(robot.lower, robot.upper, (20, robot.n)):
+            told = page.evaluate(
+                """([name, q]) => {
+                    const kinematics = deltaq.views.find((view) => view.name === name).kinematics;
+                    return kinematics.place(q).map((T) => Array.from(T));
+                }""",
+                [robot.name, q.tolist()],
+            )
+            pin.forwardKinematics(robot.model, data, q)
+            for index, columns in enumerate(told, start=1):
+                expected = data.oMi[index].homogeneous
+                np.testing.assert_allclose(np.reshape(columns, (4, 4)).T, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("way", ["pointer", "escape"])
+def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
+    page = opened()
+    take_control(page)
+    hold_until_it_moves(page)
+    if way == "pointer":
+        page.evaluate(
+            "document.querySelector('[data-part=stop]').dispatchEvent(new PointerEvent('pointerdown'))"
+        )
+    else:
+        page.keyboard.press("Escape")
+    page.wait_for_function("deltaq.stop.state === 'at_rest'")
+    assert page.locator("[data-part=stop-answer]").text_content() == "every robot is at rest"
+    assert page.evaluate("deltaq.live.robot('gr').reason") == "operator_stop"
+    assert page.evaluate(AT_REST)
+
+
+def test_a_page_that_is_loaded_again_in_motion_leaves_the_robot_at_rest_and_free(opened):
+    page = opened()
+    take_control(page)
+    hold_until_it_moves(page)
+    page.reload()
+    page.wait_for_selector("[data-ready=true]", state="attached")
+    page.wait_for_function(f"deltaq.live.robot('gr') && !deltaq.live.robot('gr').lease.mine && {AT_REST}")
+    page.wait_for_function("deltaq.live.robot('gr').lease.holder === null")
+
+
+def test_a_line_that_is_cut_locks_the_page_and_nothing_is_sent_when_it_is_back(opened):
+    line = {"cut": False, "sent": []}
+
+    def route(websocket):
+        server = websocket.connect_to_server()
+
+        def to_server(message):
+            if not line["cut"]:
+                line["sent"].append(message)
+                server.send(message)
+
+        websocket.on_message(to_server)
+        server.on_message(lambda message: None if line["cut"] else websocket.send(message))
+
+    page = opened(lambda page: page.route_web_socket("**/live**", route))
+    take_control(page)
+    hold_until_it_moves(page)
+    line["cut"] = True
+    page.wait_for_function("document.documentElement.dataset.stale === 'true' && !deltaq.wish.isActive")
+    page.evaluate("clearInterval(window.pressing)")
+    assert page.evaluate("deltaq.live.cannotDrive('gr')") != ""
+    assert page.evaluate("getComputedStyle(document.querySelector('[data-part=cover]')).display") == "block"
+    line["sent"].clear()
+    line["cut"] = False
+    page.wait_for_function("document.documentElement.dataset.stale === 'false'")
+    page.wait_for_function(AT_REST)
+    assert not [message for message in line["sent"] if '"jog"' in message]
+
+
+def test_of_two_operators_one_drives_and_the_other_sees_who_and_asks(opened):
+    first, second = opened(), opened()
+    take_control(first)
+    second.locator("[data-robot=gr]").click()
+    name = first.evaluate("deltaq.live.hello.client")
+    second.wait_for_function("name => deltaq.live.robot('gr').lease.holder === name", arg=name)
+    assert name in second.locator(".lease").text_content()
+    assert second.evaluate("deltaq.live.cannotDrive('gr')") != ""
+    second.get_by_role("button", name="Ask for it").click()
+    first.get_by_role("button", name="Hand over").click()
+    second.wait_for_function("deltaq.live.robot('gr').lease.mine")
+    first.wait_for_function("!deltaq.live.robot('gr').lease.mine")

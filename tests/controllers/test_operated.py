@@ -1,0 +1,171 @@
+"""What an operated robot does with wishes, modes and a follower; the bad case first."""
+
+import numpy as np
+import pytest
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.modes.motion import ModeName
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operated.pilot import Pilot
+from deltaq_protocol.driving import DrivingMode, Stage, Wish
+
+CYCLE_S = 0.012
+
+
+class Follower:
+    """A camera controller that creeps along one joint."""
+
+    desired_distance_m = 1.0
+
+    def __init__(self, n):
+        self.dq = np.zeros(n)
+        self.dq[0] = 1e-4
+
+    def increment(self, view):
+        return self.dq
+
+
+def no_camera():
+    raise ControllerError("fr carries no camera")
+
+
+class Bench:
+    """A robot that does what it is asked to, in virtual time."""
+
+    def __init__(self, make_follower=no_camera):
+        self.robot = CellModel.load("lab").robots["fr"]
+        self.pilot = Pilot(Teleoperator(self.robot, CYCLE_S), make_follower)
+        self.q, self.before, self.cycle = self.robot.home.copy(), None, 0
+
+    @property
+    def now_s(self):
+        return self.cycle * CYCLE_S
+
+    def cycles(self, count):
+        """The increments of so many cycles; None where none was asked for. Then the robot stands."""
+        made = []
+        for _ in range(count):
+            self.cycle += 1
+            is_still = self.before is not None and bool((self.before == self.q).all())
+            self.before = self.q
+            view = View(RobotView(self.cycle, self.now_s, self.q, self.q))
+            made.append(self.pilot.increment(view, is_still, self.now_s))
+            if made[-1] is not None:
+                self.q = self.q + made[-1]
+        return made
+
+    def wishes(self, **wish):
+        self.pilot.wish(Wish(**wish), self.now_s)
+
+
+JOG = (0.0, 0.0, 0.0, 0.0, 0.0, 0.2)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_without_a_wish_nothing_is_asked_for(bench):
+    assert bench.cycles(30)[2:] == [None] * 28
+
+
+def test_a_wish_moves_that_joint_and_ends_when_it_is_not_renewed(bench):
+    bench.cycles(2)
+    bench.wishes(joints=JOG)
+    moved = bench.cycles(20)
+    assert max(dq[5] for dq in moved if dq is not None) == pytest.approx(0.2 * CYCLE_S)
+    assert 19 * CYCLE_S < 0.25 < 25 * CYCLE_S
+    assert bench.cycles(30)[-1] is None
+    stands = bench.q
+    bench.cycles(10)
+    assert (bench.q == stands).all()
+
+
+def test_a_renewed_wish_goes_on(bench):
+    bench.cycles(2)
+    for _ in range(10):
+        bench.wishes(joints=JOG)
+        bench.cycles(15)
+    assert bench.q[5] - bench.robot.home[5] > 9 * 15 * 0.2 * CYCLE_S
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [
+        {"joints": (0.1,)},
+        {"twist": (0.1, 0, 0, 0, 0, 0)},
+        {"option": 1},
+        {"hand": "left", "twist": (1, 0, 0, 0, 0, 0)},
+    ],
+)
+def test_a_wish_that_the_mode_does_not_follow_is_refused_and_ends_the_one_before(bench, wish):
+    bench.cycles(2)
+    bench.wishes(joints=JOG)
+    bench.cycles(5)
+    with pytest.raises(ControllerError):
+        bench.wishes(**wish)
+    assert bench.cycles(30)[-1] is None
+
+
+def test_a_held_robot_does_not_go_on_after_the_reset(bench):
+    bench.cycles(2)
+    bench.wishes(joints=JOG)
+    bench.cycles(3)
+    bench.pilot.held()
+    assert bench.cycles(30)[-1] is None
+    assert bench.q[5] - bench.robot.home[5] < 0.02
+
+
+def test_a_hand_is_moved_in_a_mode_that_drives_hands(bench):
+    bench.pilot.prepare(DrivingMode.DECOUPLED)
+    bench.pilot.change_mode(DrivingMode.DECOUPLED, "world")
+    before = bench.robot.forward(bench.q)[:3, 3]
+    for _ in range(6):
+        bench.wishes(twist=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0))
+        bench.cycles(15)
+    moved = bench.robot.forward(bench.q)[:3, 3] - before
+    assert moved[2] > 0.02
+    assert np.abs(moved[:2]).max() < 1e-3
+    assert bench.pilot.report(Stage.LEASED).mode is DrivingMode.DECOUPLED
+
+
+def test_without_a_camera_there_is_no_following(bench):
+    with pytest.raises(ControllerError, match="no camera"):
+        bench.pilot.prepare(DrivingMode.FOLLOW)
+
+
+def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
+    bench = Bench(lambda: Follower(6))
+    bench.cycles(2)
+    bench.wishes(joints=JOG)
+    bench.cycles(10)
+    bench.pilot.prepare(DrivingMode.FOLLOW)
+    bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    # nothing is asked for: the gate's brake ends the motion
+    assert bench.cycles(1) == [None]
+    followed = bench.cycles(10)
+    assert followed[-1][0] == 1e-4
+    with pytest.raises(ControllerError, match="another mode"):
+        bench.wishes(joints=JOG)
+    bench.pilot.view_at(1.7)
+    assert bench.pilot.report(Stage.LEASED).distance_m == 1.7
+    bench.pilot.change_mode(DrivingMode.JOINT, "tool")
+    assert bench.cycles(1) == [None]
+    bench.wishes(joints=JOG)
+    moved = [dq for dq in bench.cycles(15) if dq is not None]
+    assert all(dq[0] == 0.0 for dq in moved)
+    assert moved[-1][5] > 0.0
+    assert bench.pilot.report(Stage.LEASED).frame == "tool"
+
+
+def test_a_stop_ends_the_following():
+    bench = Bench(lambda: Follower(6))
+    bench.pilot.prepare(DrivingMode.FOLLOW)
+    bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    bench.cycles(5)
+    assert bench.pilot.is_following
+    bench.pilot.held()
+    assert bench.cycles(5)[-1] is None
+    assert bench.pilot.report(Stage.LEASED).mode is DrivingMode(ModeName.JOINT.value)

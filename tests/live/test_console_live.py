@@ -1,0 +1,154 @@
+"""The console on a running cell: driving, STOP, and whatever dies meanwhile; one cell for all of it."""
+
+import json
+import os
+import signal
+import socket
+import time
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import pytest
+from private_cell import write_private_cell
+from websockets.sync.client import connect as open_websocket
+
+from deltaq_cell.load import load_cell
+from deltaq_launch.cell_connection import connect
+from deltaq_launch.launcher import Launcher
+from deltaq_launch.services import cell_services, console_service
+from deltaq_protocol.messages import Phase
+
+pytestmark = pytest.mark.live
+
+TIMEOUT_S = 20.0
+SPEED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
+
+
+class Browser:
+    """What a browser does, and what it is told."""
+
+    def __init__(self, socket):
+        self.socket = socket
+        self.status = {}
+        self._acks = {}
+        self._ids = 0
+        self.send("ping")
+        self.until(lambda: self.status.get("hli"))
+
+    def send(self, kind, **fields):
+        self._ids += 1
+        command = {"type": kind, "id": f"c{self._ids}", "sent_ms": 1000.0 * time.monotonic(), **fields}
+        self.socket.send(json.dumps(command))
+        return command["id"]
+
+    def until(self, reached):
+        """Read what comes until this holds."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while not reached():
+            assert time.monotonic() < deadline, (self.status, self._acks)
+            message = self.socket.recv(timeout=TIMEOUT_S)
+            if isinstance(message, bytes):
+                continue
+            message = json.loads(message)
+            if message["type"] == "status":
+                self.status = message
+            elif message["type"] == "ack":
+                self._acks[message["id"]] = message
+
+    def does(self, kind, **fields):
+        """Send a command, and wait until it is done."""
+        command = self.send(kind, **fields)
+        self.until(lambda: self._acks.get(command, {}).get("outcome") not in (None, "asked"))
+        assert self._acks[command]["outcome"] == "done", self._acks[command]
+
+    def robot(self):
+        return self.status["robots"]["fr"]
+
+    def moves(self, cell):
+        """Take fr, and wish to move until it does."""
+        self.does("lease", robot="fr", action="take")
+        before = cell.q()
+        deadline = time.monotonic() + TIMEOUT_S
+        while abs(cell.q()[5] - before[5]) < 0.05:
+            assert time.monotonic() < deadline
+            self.does("jog", robot="fr", wish=SPEED)
+
+
+@contextmanager
+def browser(cell, name):
+    with open_websocket(f"{cell.url.replace('http', 'ws')}/live?name={name}") as opened:
+        yield Browser(opened)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    file = write_private_cell(tmp_path_factory.mktemp("cell"))
+    description = load_cell(file)
+    services = cell_services(description, str(file))
+    console = console_service(description, str(file), services)
+    with Launcher((*services, console), lambda *line: print(*line)) as launcher:
+        launcher.start()
+
+        def robot():
+            with connect(description, "test") as running:
+                return running.status().robots["fr"]
+
+        def until(reached):
+            deadline = time.monotonic() + TIMEOUT_S
+            while not reached(seen := robot()):
+                assert time.monotonic() < deadline, seen
+
+        yield SimpleNamespace(
+            launcher=launcher, url=console.endpoint, robot=robot, until=until, q=lambda: robot().q
+        )
+
+
+def at_rest_and_free(robot):
+    """Neither moved nor held: it was brought to rest and released, and nobody was lost."""
+    return robot.phase is Phase.READY and robot.lease.holder is None
+
+
+def test_a_stop_in_motion_ends_at_rest_and_a_reset_ends_it(cell):
+    with browser(cell, "anna") as anna:
+        anna.moves(cell)
+        anna.does("stop")
+        anna.until(lambda: anna.status["stop"] == "at_rest")
+        q = cell.q()
+        assert cell.robot().phase is Phase.HELD
+        assert (anna.status["wanted_by"], anna.robot()["reason"]) == ("anna", "operator_stop")
+        for robot in ("fr", "gr"):
+            anna.does("reset", robot=robot)
+        anna.until(lambda: anna.status["stop"] == "none")
+        assert cell.q() == pytest.approx(q, abs=1e-4)
+        anna.does("lease", robot="fr", action="release")
+    cell.until(at_rest_and_free)
+
+
+def test_a_page_that_goes_in_motion_leaves_the_robot_at_rest_and_free(cell):
+    with browser(cell, "anna") as anna:
+        anna.moves(cell)
+        anna.socket.socket.shutdown(socket.SHUT_RDWR)
+    cell.until(at_rest_and_free)
+    with browser(cell, "bo") as bo:
+        bo.does("lease", robot="fr", action="take")
+        assert cell.robot().lease.holder == "bo (console)"
+
+
+def test_the_hli_goes_and_comes_back_and_the_console_stays(cell):
+    with browser(cell, "anna") as anna:
+        os.killpg(cell.launcher.children["hli"].pid, signal.SIGKILL)
+        anna.until(lambda: not anna.status["hli"])
+        assert "old" in anna.robot()["text"]
+        cell.launcher.restart("hli")
+        anna.until(lambda: anna.status["hli"] and "old" not in anna.robot()["text"])
+        if anna.robot()["phase"] == "held":
+            anna.does("reset", robot="fr")
+        anna.moves(cell)
+
+
+def test_a_console_that_is_killed_in_motion_leaves_the_robot_at_rest_and_free(cell):
+    cell.until(at_rest_and_free)
+    with browser(cell, "anna") as anna:
+        anna.moves(cell)
+        os.killpg(cell.launcher.children["console"].pid, signal.SIGKILL)
+        cell.until(at_rest_and_free)

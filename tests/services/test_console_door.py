@@ -1,0 +1,150 @@
+"""The console's door: who is let in, and what is answered to whoever is not; without a running cell."""
+
+import asyncio
+import json
+from contextlib import asynccontextmanager
+from dataclasses import replace
+
+import pytest
+import websockets
+from private_cell import free_ports, write_private_cell
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_services.console.settings import NoTokenError, Settings
+from deltaq_services.console.shell import Console
+from deltaq_services.console.web import application, listening_socket, server_of
+
+
+@asynccontextmanager
+async def served(folder, token=""):
+    """A console whose HLI is not there."""
+    cell = CellModel.load(write_private_cell(folder))
+    settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, token)
+    console = Console(cell, True, settings.token_needed, None)
+    server = server_of(application(console, settings))
+    with listening_socket(settings) as listening:
+        running = asyncio.ensure_future(console.run())
+        serving = asyncio.ensure_future(server.serve(sockets=[listening]))
+        try:
+            yield console, f"127.0.0.1:{settings.port}"
+        finally:
+            server.should_exit = True
+            running.cancel()
+            await asyncio.gather(running, serving, return_exceptions=True)
+
+
+def live(host, **query):
+    return f"ws://{host}/live?" + "&".join(f"{name}={value}" for name, value in query.items())
+
+
+async def told(websocket, kind):
+    """The next text message of that type."""
+    while True:
+        message = await websocket.recv()
+        if isinstance(message, str) and json.loads(message)["type"] == kind:
+            return json.loads(message)
+
+
+async def answered(host, head):
+    """The first line of the answer to a request with these lines."""
+    address, port = host.split(":")
+    reader, writer = await asyncio.open_connection(address, int(port))
+    writer.write(("\r\n".join(head) + "\r\nConnection: close\r\n\r\n").encode())
+    line = await reader.readline()
+    writer.close()
+    return line.decode()
+
+
+@pytest.mark.parametrize(
+    "origin", ["https://evil.example", "http://127.0.0.1:1", "http://localhost.evil.example", "null"]
+)
+async def test_a_page_from_elsewhere_opens_no_websocket(tmp_path, origin):
+    async with served(tmp_path) as (console, host):
+        with pytest.raises(websockets.InvalidStatus) as refused:
+            await websockets.connect(live(host), origin=origin)
+        assert refused.value.response.status_code == 403
+        assert console.core.counters["turned_away"] == 1
+        assert not console.core.clients
+
+
+async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_path):
+    async with served(tmp_path) as (_, host):
+        for path in ("/scene.json", "/health"):
+            status = await answered(host, [f"GET {path} HTTP/1.1", "Host: rebound.example"])
+            assert " 400 " in status
+        assert " 200 " in await answered(host, ["GET /scene.json HTTP/1.1", f"Host: {host}"])
+
+
+async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path):
+    async with served(tmp_path, token="s3cret") as (console, host):
+        with pytest.raises(websockets.InvalidStatus):
+            await websockets.connect(live(host, token="guessed"))
+        assert console.core.counters["turned_away"] == 1
+        async with websockets.connect(live(host)) as observer:
+            hello = await told(observer, "hello")
+            assert (hello["operator"], hello["token_needed"]) == (False, True)
+            await observer.send(
+                json.dumps({"type": "lease", "id": "1", "sent_ms": 0, "robot": "fr", "action": "take"})
+            )
+            assert "observer" in (await told(observer, "ack"))["text"]
+        async with websockets.connect(live(host, token="s3cret", name="anna")) as operator:
+            hello = await told(operator, "hello")
+            assert (hello["operator"], hello["client"]) == (True, "anna")
+
+
+async def test_garbage_ends_neither_the_connection_nor_the_service(tmp_path):
+    async with served(tmp_path) as (console, host):
+        async with websockets.connect(live(host), origin=f"http://{host}") as browser:
+            for garbage in ("", "{", b"\xff\x00", '{"type": "jog"}', "x" * 60_000):
+                await browser.send(garbage)
+                assert (await told(browser, "ack"))["outcome"] == "refused"
+            await browser.send(json.dumps({"type": "ping", "id": "p", "sent_ms": 5.0}))
+            assert (await told(browser, "pong"))["sent_ms"] == 5.0
+        assert console.core.counters["malformed"] == 5
+
+
+async def test_a_message_beyond_all_bounds_ends_its_connection_and_no_other(tmp_path):
+    async with (
+        served(tmp_path) as (_, host),
+        websockets.connect(live(host)) as other,
+        websockets.connect(live(host)) as browser,
+    ):
+        await browser.send("x" * 200_000)
+        with pytest.raises(websockets.ConnectionClosed):
+            await told(browser, "never")
+        assert await told(other, "status")
+
+
+async def test_a_stop_without_an_hli_is_asked_for_and_not_said_to_have_happened(tmp_path):
+    async with served(tmp_path) as (_, host), websockets.connect(live(host)) as browser:
+        await browser.send('{"type": "stop", "id": "s"}')
+        assert (await told(browser, "ack"))["outcome"] == "asked"
+        status = await told(browser, "status")
+        assert (status["stop"], status["hli"]) == ("asked", False)
+
+
+async def test_a_browser_that_has_gone_is_forgotten(tmp_path):
+    async with served(tmp_path) as (console, host):
+        async with websockets.connect(live(host)) as browser:
+            await told(browser, "hello")
+            assert len(console.core.clients) == 1
+        async with websockets.connect(live(host)) as browser:
+            assert (await told(browser, "status"))["clients"] == 1
+
+
+async def test_a_port_that_is_taken_is_an_error_and_no_other_is_chosen(tmp_path):
+    async with served(tmp_path) as (_, host):
+        settings = Settings("lab", True, "127.0.0.1", int(host.split(":")[1]))
+        with pytest.raises(ServiceUnreachableError, match=f"{host}: .*in use"):
+            listening_socket(settings)
+
+
+def test_an_address_beyond_this_machine_needs_a_token():
+    here = Settings("lab", True, "127.0.0.1", free_ports(1)[0])
+    for address in ("0.0.0.0", "192.168.1.5", "::", "plant.example"):
+        with pytest.raises(NoTokenError, match=address):
+            replace(here, address=address)
+        assert replace(here, address=address, token="t").token_needed
+    for address in ("127.0.0.2", "::1", "localhost"):
+        assert not replace(here, address=address).token_needed

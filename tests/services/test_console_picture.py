@@ -1,0 +1,184 @@
+"""What a browser is shown: the frame's bytes, the scene's kinematics, how far away a robot would come to rest."""
+
+import math
+import struct
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from console_bench import BODIES, CELL, ConsoleBench
+
+from deltaq_cell.cell_model import CellModel, robots_told
+from deltaq_cell.load import parse_cell
+from deltaq_protocol.brake import brake_cycles, brake_increment
+from deltaq_protocol.messages import NearestPair, Outcome, Phase, Proximity
+from deltaq_services.console.frame import BRAKING, OUTCOMES, PHASES, STALE
+from deltaq_services.console.scene import scene_of
+
+HEAD = struct.Struct("<BBHd3fHHf6f")
+ROBOT = struct.Struct("<BBBBffHHff")
+
+
+def decoded(frame):
+    """Head and robots of a frame, read as its description says."""
+    head, at, robots = HEAD.unpack_from(frame), HEAD.size, []
+    for _ in range(head[1]):
+        fields = ROBOT.unpack_from(frame, at)
+        at += ROBOT.size
+        q, q_rest = np.frombuffer(frame, "<f4", 2 * fields[0], at).reshape(2, -1)
+        at += 8 * fields[0]
+        robots.append((fields, q, q_rest))
+    assert at == len(frame)
+    return head, robots
+
+
+@pytest.fixture
+def bench():
+    return ConsoleBench()
+
+
+def test_before_anything_is_heard_a_frame_says_so(bench):
+    head, robots = decoded(bench.core.picture.frame(bench.now_s))
+    assert (head[0], head[1], head[3]) == (1, 2, bench.now_s)
+    assert all(math.isnan(number) for number in head[4:7])
+    assert head[7:9] == (65535, 65535)
+    for fields, _, _ in robots:
+        _, phase, outcome, flags, age_s, clearance_m, *_ = fields
+        assert (PHASES[phase], outcome, flags) == (Phase.OFFLINE, 255, STALE)
+        assert age_s == math.inf
+        assert math.isnan(clearance_m)
+    assert [fields[0] for fields, _, _ in robots] == [6, 9]
+
+
+def test_a_frame_holds_what_was_heard(bench):
+    bench.states(Phase.ENGAGED)
+    bench.verdict(Outcome.SCALED, clearance_m=0.125, pair=("fr/link_5", "structure/tank_1"))
+    bench.verdict(Outcome.ADMITTED, robot="gr", clearance_m=0.25, pair=("gr/link_3", "somewhere/else"))
+    bench.core.robots["fr"].feed.arrived(0.02, bench.now_s)
+    near = NearestPair(pair=BODIES[:2], distance_m=0.5, points_m=((1, 2, 3), (4, 5, 6)))
+    bench.core.picture.take_proximity(Proximity(time_s=0.0, pairs=(near,)))
+    bench.now_s += 0.015625
+    head, robots = decoded(bench.core.picture.frame(bench.now_s))
+    assert head[4:7] == pytest.approx((0.1, 0.2, 0.3))  # the leader's tool
+    assert head[7:] == (0, 1, 0.5, 1, 2, 3, 4, 5, 6)
+    joints, phase, outcome, flags, age_s, clearance_m, a, b, admission, longest_s = robots[0][0]
+    assert (joints, PHASES[phase], OUTCOMES[outcome], flags) == (6, Phase.ENGAGED, Outcome.SCALED, 0)
+    assert (age_s, clearance_m, a, b, admission) == (0.015625, 0.125, 0, 2, 0.0)
+    assert longest_s == pytest.approx(0.02)
+    assert robots[1][0][6:9] == (1, 65535, 1.0)
+    assert robots[0][1] == pytest.approx(CELL.robots["fr"].home, abs=1e-6)
+    assert (robots[0][1] == robots[0][2]).all()
+
+
+def test_a_moving_robot_is_shown_where_its_brake_would_end(bench):
+    step = 0.02
+    bench.state(Phase.ENGAGED)
+    bench.state(Phase.ENGAGED, moved=step)
+    _, q, q_rest = decoded(bench.core.picture.frame(bench.now_s))[1][0]
+    max_dv = CELL.robots["fr"].max_acceleration * CELL.cycle_s**2
+    dq = np.array([step, 0, 0, 0, 0, 0])
+    cycles = brake_cycles(dq, max_dv)
+    travel = sum(brake_increment(dq, cycles, k)[0] for k in range(1, cycles + 1))
+    assert travel > step
+    assert q_rest[0] - q[0] == pytest.approx(travel, abs=1e-5)
+
+
+def test_braking_and_old_states_are_flagged(bench):
+    bench.state(Phase.BRAKING)
+    assert decoded(bench.core.picture.frame(bench.now_s))[1][0][0][3] == BRAKING
+    bench.now_s += 0.3
+    assert decoded(bench.core.picture.frame(bench.now_s))[1][0][0][3] == BRAKING | STALE
+
+
+def test_rates_are_those_of_the_last_second(bench):
+    bench.states(Phase.ENGAGED)
+    for _ in range(3):
+        bench.verdict(Outcome.HELD)
+    bench.core.robots["fr"].feed.arrived(0.5, bench.now_s)
+    bench.now_s += 1.1
+    bench.states(Phase.ENGAGED)
+    bench.verdict(Outcome.ADMITTED)
+    fields = decoded(bench.core.picture.frame(bench.now_s))[1][0][0]
+    assert fields[8] == 1.0
+    assert fields[9] == 0.0
+
+
+def matrix(numbers):
+    return np.array(numbers).reshape(4, 4, order="F")
+
+
+def placed(robot, q):
+    """Poses of the joints from the scene alone, as its description says."""
+    poses = {-1: matrix(robot["T_world_base"])}
+    for index, joint in enumerate(robot["joints"]):
+        motion, axis = np.eye(4), np.array(joint["axis"])
+        if joint["kind"] == "revolute":
+            motion[:3, :3] = pin.exp3(axis * q[index])
+        else:
+            motion[:3, 3] = axis * q[index]
+        poses[index] = poses[joint["parent"]] @ matrix(joint["parent_T_joint"]) @ motion
+    return poses
+
+
+@pytest.mark.parametrize("name", ["lab", "dawm"])
+def test_the_scene_places_tools_cameras_and_every_visual_body_as_pinocchio_does(name):
+    cell = CellModel.load(name)
+    scene = scene_of(cell, emulated=True)
+    random = np.random.default_rng(0)
+    for robot, model in zip(scene.document["robots"], cell.robots.values(), strict=True):
+        data, visual = model.model.createData(), model.visual
+        geometry = visual.createData()
+        for _ in range(5):
+            q = random.uniform(model.lower, model.upper)
+            poses = placed(robot, q)
+            for tool in robot["tools"]:
+                T_world_tool = poses[tool["joint"]] @ matrix(tool["T_joint_tool"])
+                assert T_world_tool == pytest.approx(model.forward(q, tool["name"]), abs=1e-9)
+            if robot["camera"] is not None:
+                camera = robot["camera"]
+                T_world_camera = poses[camera["joint"]] @ matrix(camera["T_joint_camera"])
+                assert T_world_camera == pytest.approx(model.camera_pose(q), abs=1e-9)
+            pin.updateGeometryPlacements(model.model, data, visual, geometry, q)
+            expected = sorted(
+                tuple(np.round(place.homogeneous.flatten(order="F"), 6)) for place in geometry.oMg
+            )
+            meshes = [(link["joint"], mesh) for link in robot["links"] for mesh in link["meshes"]]
+            drawn = sorted(
+                tuple(np.round((poses[joint] @ matrix(mesh["T_link_mesh"])).flatten(order="F"), 6))
+                for joint, mesh in meshes
+            )
+            assert np.array(drawn) == pytest.approx(np.array(expected), abs=2e-6)
+
+
+def test_the_scene_names_every_body_that_the_gate_measures_and_every_mesh_that_it_serves():
+    cell = CellModel.load("lab")
+    scene = scene_of(cell, emulated=False)
+    robots = scene.document["robots"]
+    assert scene.document["emulated"] is False
+    links = {link["name"] for robot in robots for link in robot["links"]}
+    structure = {body["name"] for body in scene.document["structure"]}
+    shown_by = scene.document["body_links"]
+    assert len(shown_by) == len(scene.bodies)
+    assert set(shown_by) <= links | structure
+    assert shown_by[scene.bodies.index("gr/portal_leg_1")] == "gr/portal"
+    assert shown_by[scene.bodies.index("fr/link_5")] == "fr/link_5"
+    urls = {mesh["url"] for robot in robots for link in robot["links"] for mesh in link["meshes"]} - {None}
+    assert urls == {f"/meshes/{name}" for name in scene.meshes}
+    assert all(text.startswith("v ") and "\nf " in text for text in scene.meshes.values())
+    assert next(robot for robot in robots if robot["name"] == "fr")["camera"]["baseline_m"] == pytest.approx(
+        0.12
+    )
+
+
+def test_a_robot_without_its_visual_meshes_is_drawn_by_its_hulls():
+    description = CellModel.load("lab").description_message()
+    cell = parse_cell(description.yaml)
+    nowhere = {name: text.replace("/visual/", "/nowhere/") for name, text in description.urdf.items()}
+    told = CellModel.of(cell, robots_told(cell, nowhere, description.hulls), description.yaml)
+    scene = scene_of(told, emulated=True)
+    assert scene.meshes
+    for text in scene.meshes.values():
+        corners = text.count("v ")
+        faces = [line.split()[1:] for line in text.splitlines() if line.startswith("f ")]
+        assert faces
+        assert all(1 <= int(corner) <= corners for face in faces for corner in face)

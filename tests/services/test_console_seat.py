@@ -1,0 +1,164 @@
+"""Two operators and one robot: who has it, who asks for it, and how it changes hands."""
+
+import pytest
+from console_bench import ConsoleBench
+
+from deltaq_protocol import driving
+from deltaq_services.console.messages import AckOutcome
+
+REFUSED, DONE, ASKED = AckOutcome.REFUSED, AckOutcome.DONE, AckOutcome.ASKED
+JOG = {"robot": "fr", "wish": [0.1, 0, 0, 0, 0, 0]}
+
+
+@pytest.fixture
+def bench():
+    bench = ConsoleBench()
+    bench.states()
+    return bench
+
+
+@pytest.fixture
+def anna(bench):
+    anna = bench.browser("anna")
+    anna.takes()
+    return anna
+
+
+@pytest.fixture
+def bo(bench):
+    return bench.browser("bo")
+
+
+def lease(browser, action, **fields):
+    return browser.send("lease", robot="fr", action=action, **fields)
+
+
+def test_nobody_moves_a_robot_before_its_lease_is_granted(bench):
+    anna = bench.browser()
+    assert lease(anna, "take", id="t").outcome is ASKED
+    assert anna.send("jog", **JOG).outcome is REFUSED
+    anna.hears(bench.driver_answers())
+    assert anna.acks("t")[-1].outcome is DONE
+    assert anna.send("jog", **JOG).outcome is DONE
+    assert anna.status().robots["fr"].lease.mine
+
+
+def test_a_lease_that_somebody_outside_holds_is_refused_with_the_drivers_words(bench):
+    anna = bench.browser()
+    lease(anna, "take", id="t")
+    anna.hears(bench.driver_answers(done=False, text="lease_taken: scripted-leader holds it"))
+    assert anna.acks("t")[-1].text == "lease_taken: scripted-leader holds it"
+    assert anna.send("jog", **JOG).outcome is REFUSED
+    assert not anna.status().robots["fr"].lease.mine
+    assert lease(anna, "take").outcome is ASKED
+
+
+def test_the_second_operator_sees_who_has_it_and_cannot_move_it(bench, anna, bo):
+    seen = bo.status().robots["fr"].lease
+    assert (seen.holder, seen.mine) == ("anna", False)
+    assert "anna has fr: ask for it" in lease(bo, "take").text
+    assert "anna has it" in bo.send("jog", **JOG).text
+    for action in ("release", "grant", "refuse"):
+        assert "not yours" in lease(bo, action).text
+
+
+def test_it_is_handed_over_when_it_is_asked_for_and_granted(bench, anna, bo):
+    assert lease(anna, "grant").outcome is REFUSED
+    assert lease(bo, "ask").outcome is DONE
+    assert anna.status().robots["fr"].lease.wanted_by == "bo"
+    assert lease(anna, "grant").outcome is DONE
+    # it comes to rest first, and in between nobody moves it
+    assert isinstance(bench.driver_requests()[-1], driving.Release)
+    assert bench.driver_requests()[-2] == driving.Wish()
+    for browser in (anna, bo):
+        assert browser.send("jog", **JOG).outcome is REFUSED
+    bench.driver_answers()
+    assert bench.driver_requests()[-1].client == "bo (console)"
+    bench.driver_answers()
+    assert bo.status().robots["fr"].lease.mine
+    assert bo.send("jog", **JOG).outcome is DONE
+    assert anna.send("jog", **JOG).outcome is REFUSED
+
+
+def test_a_hand_over_can_be_refused(bench, anna, bo):
+    lease(bo, "ask")
+    assert lease(anna, "refuse").outcome is DONE
+    told = bo.status().robots["fr"].lease
+    assert (told.wanted_by, told.text) == (None, "anna keeps fr")
+    assert anna.send("jog", **JOG).outcome is DONE
+
+
+def test_only_one_asks_at_a_time(bench, anna, bo):
+    lease(bo, "ask")
+    assert "bo has asked" in lease(bench.browser("cleo"), "ask").text
+    assert lease(bo, "ask").outcome is DONE
+    assert "is yours" in lease(anna, "ask").text
+
+
+def test_what_a_browser_drove_rests_and_is_released_when_it_has_gone(bench, anna, bo):
+    bench.done(bench.core.disconnect(anna.client, bench.now_s))
+    rest, release = bench.driver_requests()[-2:]
+    assert rest == driving.Wish()
+    assert isinstance(release, driving.Release)
+    assert lease(bo, "take").outcome is REFUSED
+    bench.driver_answers()
+    assert lease(bo, "take").outcome is ASKED
+
+
+def test_who_has_gone_is_not_handed_a_robot(bench, anna, bo):
+    lease(bo, "ask")
+    lease(anna, "grant")
+    bench.done(bench.core.disconnect(bo.client, bench.now_s))
+    count = len(bench.driver_requests())
+    bench.driver_answers()
+    assert len(bench.driver_requests()) == count
+    assert anna.status().robots["fr"].lease.holder is None
+
+
+def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
+    anna = bench.browser()
+    lease(anna, "take")
+    take = bench.driver_requests()[-1]
+    bench.done(bench.core.disconnect(anna.client, bench.now_s))
+    bench.done(bench.core.driver_said("fr", driving.Answer(id=take.id, done=True), bench.now_s))
+    bench.driver_answers()
+    assert lease(bench.browser("bo"), "take").outcome is ASKED
+
+
+def test_a_driver_that_ended_leaves_nobody_waiting(bench, anna):
+    anna.send("mode", id="m", robot="fr", mode="decoupled")
+    anna.hears(bench.core.driver_ended("fr", "signal 9", bench.now_s))
+    assert "signal 9" in anna.acks("m")[-1].text
+    assert anna.send("jog", **JOG).outcome is REFUSED
+    assert anna.status().robots["fr"].lease.holder is None
+    assert lease(anna, "take").outcome is ASKED
+
+
+def test_a_lease_that_was_lost_is_told(bench, anna):
+    lost = driving.Report(stage=driving.Stage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another")
+    bench.core.driver_said("fr", lost, bench.now_s)
+    assert anna.send("jog", **JOG).outcome is REFUSED
+    assert not anna.status().robots["fr"].lease.mine
+    assert any("taken by another" in text for text in anna.events("lease"))
+
+
+def test_an_answer_that_nobody_waits_for_changes_nothing(bench, anna):
+    bench.core.driver_said("fr", driving.Answer(id="r999", done=False), bench.now_s)
+    assert anna.send("jog", **JOG).outcome is DONE
+
+
+def test_mode_view_distance_and_outputs_reach_the_driver(bench):
+    anna = bench.browser()
+    anna.takes("fr")
+    anna.takes("gr")
+    anna.send("mode", id="m", robot="fr", mode="follow", frame="tool")
+    anna.send("view_distance", robot="fr", value_m=1.5)
+    anna.send("output", id="o", robot="gr", index=1, value=True)
+    change, view = bench.driver_requests()[-2:]
+    assert (change.mode, change.frame, view.distance_m) == ("follow", "tool", 1.5)
+    assert bench.driver_requests("gr")[-1].outputs == {"tool_changer": True}
+    assert anna.acks("o")[-1].outcome is ASKED
+    anna.hears(bench.driver_answers("gr", done=False, text="held"))
+    assert anna.acks("o")[-1].text == "held"
+    anna.send("jog", robot="gr", hand="tool", wish=[0, 0, 0.1, 0, 0, 0])
+    assert bench.driver_requests("gr")[-1].twist == (0, 0, 0.1, 0, 0, 0)
