@@ -88,11 +88,11 @@ class Switch(Message):
     outputs: Annotated[dict[str, bool], Field(max_length=64)]
 
 
-Request = Take | Release | ChangeMode | Wish | ViewAt | Switch
-REQUESTS: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="type")])
+DriverRequest = Take | Release | ChangeMode | Wish | ViewAt | Switch
+REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 
-class Answer(Message):
+class DriverAnswer(Message):
     """What became of the request `id`; `text` says why not, if it was not done."""
 
     type: Literal["answer"] = "answer"
@@ -101,7 +101,7 @@ class Answer(Message):
     text: str = ""
 
 
-class Stage(StrEnum):
+class DriverStage(StrEnum):
     """How far the driver is."""
 
     STARTING = "starting"
@@ -109,7 +109,7 @@ class Stage(StrEnum):
     LEASED = "leased"
 
 
-class Report(Message):
+class DriverReport(Message):
     """How the driver is doing, some times a second while it changes.
 
     `limit` says what limits the operator now, `doing` what the mode is about, both in words. `longest_cycle_s` is the
@@ -117,7 +117,7 @@ class Report(Message):
     """
 
     type: Literal["report"] = "report"
-    stage: Stage
+    stage: DriverStage
     mode: DrivingMode
     frame: Axes = "world"
     limit: str = ""
@@ -126,5 +126,5 @@ class Report(Message):
     longest_cycle_s: FiniteFloat | None = None
 
 
-Said = Answer | Report
-SAID: TypeAdapter[Said] = TypeAdapter(Annotated[Said, Field(discriminator="type")])
+DriverMessage = DriverAnswer | DriverReport
+SAID: TypeAdapter[DriverMessage] = TypeAdapter(Annotated[DriverMessage, Field(discriminator="type")])

@@ -29,7 +29,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.stamps import Station, stamps_if_asked
+from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.wire import Wire
 
 VERDICT_DEADLINE_S = 0.25
@@ -89,7 +89,7 @@ class LeasedRobot:
         async for state in self._states():
             self.lease.check()
             if self._stamps is not None:
-                self._stamps.add(Station.STATE_AT_CLIENT, self.name, state.cycle)
+                self._stamps.add(StampStation.STATE_AT_CLIENT, self.name, state.cycle)
             yield state
 
     async def move(self, dq: Iterable[float]) -> Verdict:
@@ -260,7 +260,7 @@ class LeasedRobot:
             lease=self.lease.token,
         )
         if self._stamps is not None:
-            self._stamps.add(Station.INCREMENT_OUT, self.name, state.cycle, seq)
+            self._stamps.add(StampStation.INCREMENT_OUT, self.name, state.cycle, seq)
         try:
             self._publisher.put(pack(increment))
         except zenoh.ZError as error:

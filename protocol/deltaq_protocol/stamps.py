@@ -34,7 +34,7 @@ _STAMP = struct.Struct("=5q")  # station, index of the robot, cycle, detail, tim
 _COLUMNS = 5
 
 
-class Station(IntEnum):
+class StampStation(IntEnum):
     """Where a stamp is taken. What `cycle` and `detail` of it are, each member says."""
 
     TELEGRAM = 0
@@ -94,15 +94,15 @@ class Stamps:
         self._numbers = itertools.count()  # each number is given out once, whatever thread asks
 
     def add(
-        self, station: Station, robot: str, cycle: int, detail: int = 0, time_ns: int | None = None
+        self, station: StampStation, robot: str, cycle: int, detail: int = 0, time_ns: int | None = None
     ) -> None:
         """Stamp now, or with a time that was taken before; any thread may.
 
         Args:
             station: where.
             robot: whose increment or state it is.
-            cycle: which cycle's, see `Station`.
-            detail: see `Station`.
+            cycle: which cycle's, see `StampStation`.
+            detail: see `StampStation`.
             time_ns: of CLOCK_MONOTONIC [ns].
         """
         now_ns = time.monotonic_ns() if time_ns is None else time_ns

@@ -8,7 +8,7 @@ from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.pilot import Pilot
-from deltaq_protocol.driving import DrivingMode, Stage, Wish
+from deltaq_protocol.driving import DriverStage, DrivingMode, Wish
 
 CYCLE_S = 0.012
 
@@ -128,7 +128,7 @@ def test_a_hand_is_moved_in_a_mode_that_drives_hands(bench):
     moved = bench.robot.forward(bench.q)[:3, 3] - before
     assert moved[2] > 0.02
     assert np.abs(moved[:2]).max() < 1e-3
-    assert bench.pilot.report(Stage.LEASED).mode is DrivingMode.DECOUPLED
+    assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode.DECOUPLED
 
 
 def test_without_a_camera_there_is_no_following(bench):
@@ -150,14 +150,14 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
     with pytest.raises(ControllerError, match="another mode"):
         bench.wishes(joints=JOG)
     bench.pilot.view_at(1.7)
-    assert bench.pilot.report(Stage.LEASED).distance_m == 1.7
+    assert bench.pilot.report(DriverStage.LEASED).distance_m == 1.7
     bench.pilot.change_mode(DrivingMode.JOINT, "tool")
     assert bench.cycles(1) == [None]
     bench.wishes(joints=JOG)
     moved = [dq for dq in bench.cycles(15) if dq is not None]
     assert all(dq[0] == 0.0 for dq in moved)
     assert moved[-1][5] > 0.0
-    assert bench.pilot.report(Stage.LEASED).frame == "tool"
+    assert bench.pilot.report(DriverStage.LEASED).frame == "tool"
 
 
 def test_a_stop_ends_the_following():
@@ -168,4 +168,4 @@ def test_a_stop_ends_the_following():
     assert bench.pilot.is_following
     bench.pilot.held()
     assert bench.cycles(5)[-1] is None
-    assert bench.pilot.report(Stage.LEASED).mode is DrivingMode(ModeName.JOINT.value)
+    assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode(ModeName.JOINT.value)

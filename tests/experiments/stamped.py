@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from deltaq_experiments.bench.journeys import OF_DECISION, OF_INCREMENT, RobotStamps
-from deltaq_protocol.stamps import CycleOutcome, Station
+from deltaq_protocol.stamps import CycleOutcome, StampStation
 
 MS = 1_000_000
 CYCLE_MS = 12.0
 WAY_MS = {
-    Station.TELEGRAM: 0.0,
-    Station.STATE_OUT: 1.0,
-    Station.STATE_AT_CLIENT: 2.0,
-    Station.INCREMENT_OUT: 3.0,
-    Station.INCREMENT_AT_HLI: 4.0,
-    Station.REQUEST_AT_GATE: 5.0,
-    Station.DECISION_BEGUN: 6.0,
-    Station.DECIDED: 7.0,
-    Station.ADMISSION_OUT: 8.0,
-    Station.ADMISSION_AT_SERVER: 9.0,
+    StampStation.TELEGRAM: 0.0,
+    StampStation.STATE_OUT: 1.0,
+    StampStation.STATE_AT_CLIENT: 2.0,
+    StampStation.INCREMENT_OUT: 3.0,
+    StampStation.INCREMENT_AT_HLI: 4.0,
+    StampStation.REQUEST_AT_GATE: 5.0,
+    StampStation.DECISION_BEGUN: 6.0,
+    StampStation.DECIDED: 7.0,
+    StampStation.ADMISSION_OUT: 8.0,
+    StampStation.ADMISSION_AT_SERVER: 9.0,
 }
 
 
@@ -27,8 +27,8 @@ def stamp(
     *,
     seq: int | None = None,
     outcome: CycleOutcome = CycleOutcome.FRESH,
-    without: tuple[Station, ...] = (),
-    later_ms: dict[Station, float] | None = None,
+    without: tuple[StampStation, ...] = (),
+    later_ms: dict[StampStation, float] | None = None,
     decided_on: int | None = None,
 ) -> None:
     """The stamps of a cycle and of the increment that answers it, without some, and with some later than usual."""
@@ -37,7 +37,7 @@ def stamp(
             continue
         at_ms = CYCLE_MS * cycle + usual_ms + (later_ms or {}).get(station, 0.0)
         named = cycle
-        if station in (*OF_DECISION, Station.ADMISSION_OUT, Station.ADMISSION_AT_SERVER):
+        if station in (*OF_DECISION, StampStation.ADMISSION_OUT, StampStation.ADMISSION_AT_SERVER):
             named = cycle if decided_on is None else decided_on
         numbered = station in (*OF_INCREMENT, *OF_DECISION)
         detail = (cycle if seq is None else seq) if numbered else int(outcome)

@@ -13,7 +13,7 @@ from deltaq_experiments.bench.hop_reference import HopTimes
 from deltaq_experiments.bench.journeys import RobotStamps, by_robot, journeys
 from deltaq_experiments.bench.live_figures import LiveRow, bounded_rows, robot_figures
 from deltaq_experiments.bench.quantiles import Quantiles, ratio
-from deltaq_protocol.stamps import CycleOutcome, Station, WrittenStamps
+from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
 
 BRAKED = CycleOutcome.BRAKED
 
@@ -61,12 +61,12 @@ def test_an_increment_is_joined_through_all_stations() -> None:
     stamp(stamps, 4)
     [one] = journeys(stamps, 0, ns(10))
     assert (one.cycle, one.seq, one.decided_on) == (4, 4, 4)
-    assert one.age_ns(Station.ADMISSION_AT_SERVER) == 9 * MS
-    assert set(one.at_ns) == set(Station)
+    assert one.age_ns(StampStation.ADMISSION_AT_SERVER) == 9 * MS
+    assert set(one.at_ns) == set(StampStation)
 
 
-@pytest.mark.parametrize("lost", [s for s in Station if s is not Station.TELEGRAM])
-def test_a_lost_stamp_leaves_out_its_station_and_keeps_the_others_before_it(lost: Station) -> None:
+@pytest.mark.parametrize("lost", [s for s in StampStation if s is not StampStation.TELEGRAM])
+def test_a_lost_stamp_leaves_out_its_station_and_keeps_the_others_before_it(lost: StampStation) -> None:
     stamps = RobotStamps()
     stamp(stamps, 4, without=(lost,))
     stamp(stamps, 5)
@@ -74,7 +74,10 @@ def test_a_lost_stamp_leaves_out_its_station_and_keeps_the_others_before_it(lost
     missing = {station.station: station.missing for station in figures.stations}
     assert figures.increments == 2
     assert max(missing.values()) == 1
-    if lost in (Station.REQUEST_AT_GATE, Station.DECISION_BEGUN):  # what joins an increment with its decision
+    if lost in (
+        StampStation.REQUEST_AT_GATE,
+        StampStation.DECISION_BEGUN,
+    ):  # what joins an increment with its decision
         assert missing["decided"] == missing["admission at the Robot Server"] == 1
     else:
         assert sum(missing.values()) == 1
@@ -82,16 +85,18 @@ def test_a_lost_stamp_leaves_out_its_station_and_keeps_the_others_before_it(lost
 
 def test_an_increment_whose_telegram_has_no_stamp_is_left_out() -> None:
     stamps = RobotStamps()
-    stamp(stamps, 4, without=(Station.TELEGRAM,))
+    stamp(stamps, 4, without=(StampStation.TELEGRAM,))
     assert journeys(stamps, 0, ns(10)) == []
 
 
 def test_an_increment_decided_one_cycle_later_takes_that_cycles_admission() -> None:
     stamps = RobotStamps()
-    stamp(stamps, 4, decided_on=5, later_ms={s: 8.0 for s in Station if s >= Station.DECISION_BEGUN})
+    stamp(
+        stamps, 4, decided_on=5, later_ms={s: 8.0 for s in StampStation if s >= StampStation.DECISION_BEGUN}
+    )
     [one] = journeys(stamps, 0, ns(10))
     assert one.decided_on == 5
-    assert one.age_ns(Station.ADMISSION_AT_SERVER) == 17 * MS
+    assert one.age_ns(StampStation.ADMISSION_AT_SERVER) == 17 * MS
 
 
 def test_sequence_numbers_of_a_second_lease_are_not_those_of_the_first() -> None:
@@ -104,8 +109,8 @@ def test_sequence_numbers_of_a_second_lease_are_not_those_of_the_first() -> None
 def test_of_two_stamps_of_one_kind_the_first_counts() -> None:
     stamps = RobotStamps()
     stamp(stamps, 4)
-    stamps.add(Station.TELEGRAM, 4, 0, ns(4) + 5 * MS)
-    assert journeys(stamps, 0, ns(10))[0].age_ns(Station.DECIDED) == 7 * MS
+    stamps.add(StampStation.TELEGRAM, 4, 0, ns(4) + 5 * MS)
+    assert journeys(stamps, 0, ns(10))[0].age_ns(StampStation.DECIDED) == 7 * MS
 
 
 def test_only_cycles_of_the_window_count() -> None:
@@ -122,14 +127,14 @@ def test_stamps_of_all_processes_are_sorted_by_robot() -> None:
 
     found = by_robot(
         [
-            written("robot-server-gr", ("gr",), [[Station.TELEGRAM, 0, 7, 0, 100]]),
-            written("sim", ("fr", "gr"), [[Station.ADMISSION_OUT, 1, 7, 0, 200]]),
+            written("robot-server-gr", ("gr",), [[StampStation.TELEGRAM, 0, 7, 0, 100]]),
+            written("sim", ("fr", "gr"), [[StampStation.ADMISSION_OUT, 1, 7, 0, 200]]),
             written("hli", ("fr", "gr"), []),
         ]
     )
     assert set(found) == {"gr"}
-    assert found["gr"].states[Station.TELEGRAM] == {7: 100}
-    assert found["gr"].admissions[Station.ADMISSION_OUT] == {7: 200}
+    assert found["gr"].states[StampStation.TELEGRAM] == {7: 100}
+    assert found["gr"].admissions[StampStation.ADMISSION_OUT] == {7: 200}
 
 
 # --- braked cycles ------------------------------------------------------------------------------------------
@@ -140,23 +145,38 @@ LATE_MS = 12.5
 @pytest.mark.parametrize(
     ("before", "cause"),
     [
-        ({"without": tuple(s for s in Station if s >= Station.STATE_AT_CLIENT)}, BrakeCause.STATE_MISSED),
-        ({"without": tuple(s for s in Station if s >= Station.INCREMENT_OUT)}, BrakeCause.NO_INCREMENT),
+        (
+            {"without": tuple(s for s in StampStation if s >= StampStation.STATE_AT_CLIENT)},
+            BrakeCause.STATE_MISSED,
+        ),
+        (
+            {"without": tuple(s for s in StampStation if s >= StampStation.INCREMENT_OUT)},
+            BrakeCause.NO_INCREMENT,
+        ),
         (
             {
-                "without": tuple(s for s in Station if s >= Station.INCREMENT_AT_HLI),
-                "later_ms": {Station.INCREMENT_OUT: LATE_MS},
+                "without": tuple(s for s in StampStation if s >= StampStation.INCREMENT_AT_HLI),
+                "later_ms": {StampStation.INCREMENT_OUT: LATE_MS},
             },
             BrakeCause.CLIENT_LATE,
         ),
-        ({"without": tuple(s for s in Station if s >= Station.INCREMENT_AT_HLI)}, BrakeCause.ON_WAY_TO_HLI),
-        ({"without": tuple(s for s in Station if s >= Station.REQUEST_AT_GATE)}, BrakeCause.ON_WAY_TO_GATE),
-        ({"without": tuple(s for s in Station if s >= Station.DECISION_BEGUN)}, BrakeCause.NOT_DECIDED),
-        ({"without": (Station.ADMISSION_OUT, Station.ADMISSION_AT_SERVER)}, BrakeCause.GATE_HELD),
-        ({"without": (Station.ADMISSION_AT_SERVER,)}, BrakeCause.ADMISSION_LOST),
-        ({"later_ms": {Station.ADMISSION_AT_SERVER: LATE_MS}}, BrakeCause.ADMISSION_LATE),
         (
-            {"later_ms": {s: LATE_MS for s in Station if s >= Station.DECIDED}},
+            {"without": tuple(s for s in StampStation if s >= StampStation.INCREMENT_AT_HLI)},
+            BrakeCause.ON_WAY_TO_HLI,
+        ),
+        (
+            {"without": tuple(s for s in StampStation if s >= StampStation.REQUEST_AT_GATE)},
+            BrakeCause.ON_WAY_TO_GATE,
+        ),
+        (
+            {"without": tuple(s for s in StampStation if s >= StampStation.DECISION_BEGUN)},
+            BrakeCause.NOT_DECIDED,
+        ),
+        ({"without": (StampStation.ADMISSION_OUT, StampStation.ADMISSION_AT_SERVER)}, BrakeCause.GATE_HELD),
+        ({"without": (StampStation.ADMISSION_AT_SERVER,)}, BrakeCause.ADMISSION_LOST),
+        ({"later_ms": {StampStation.ADMISSION_AT_SERVER: LATE_MS}}, BrakeCause.ADMISSION_LATE),
+        (
+            {"later_ms": {s: LATE_MS for s in StampStation if s >= StampStation.DECIDED}},
             BrakeCause.GATE_LATE,
         ),
         ({}, BrakeCause.ADMISSION_REFUSED),
@@ -182,7 +202,7 @@ def test_a_held_robot_and_a_missed_reply_are_causes_of_their_own() -> None:
 def test_every_braked_cycle_has_one_cause() -> None:
     stamps = RobotStamps()
     for cycle in range(20):
-        lost = (Station.ADMISSION_AT_SERVER,) if cycle % 3 == 1 else ()
+        lost = (StampStation.ADMISSION_AT_SERVER,) if cycle % 3 == 1 else ()
         stamp(stamps, cycle, without=lost, outcome=BRAKED if cycle % 3 == 2 else CycleOutcome.FRESH)
     figures = robot_figures(stamps, 0, ns(20), even_hops(20))
     assert (figures.cycles, figures.fresh) == (20, 14)

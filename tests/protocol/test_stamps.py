@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from deltaq_protocol import stamps as module
-from deltaq_protocol.stamps import FOLDER, StampError, Stamps, Station, read_stamps, stamps_if_asked
+from deltaq_protocol.stamps import FOLDER, StampError, Stamps, StampStation, read_stamps, stamps_if_asked
 
 
 def filled(count: int, capacity: int) -> Stamps:
     stamps = Stamps("sim", ["fr", "gr"], capacity)
     for number in range(count):
-        stamps.add(Station.DECIDED, "gr", number, 10 * number, time_ns=100 + number)
+        stamps.add(StampStation.DECIDED, "gr", number, 10 * number, time_ns=100 + number)
     return stamps
 
 
@@ -40,12 +40,12 @@ def test_a_full_ring_keeps_the_newest_in_order_and_counts_what_it_lost(tmp_path:
 def test_a_ring_that_is_not_too_full_loses_nothing(tmp_path: Path, count: int) -> None:
     written = read_stamps(filled(count, capacity=4).write(tmp_path))
     assert (written.process, written.robots, written.overwritten) == ("sim", ("fr", "gr"), 0)
-    assert written.rows.tolist() == [[Station.DECIDED, 1, n, 10 * n, 100 + n] for n in range(count)]
+    assert written.rows.tolist() == [[StampStation.DECIDED, 1, n, 10 * n, 100 + n] for n in range(count)]
 
 
 def test_a_robot_that_the_cell_does_not_have_leaves_no_stamp(tmp_path: Path) -> None:
     stamps = Stamps("hli", ["fr"], 4)
-    stamps.add(Station.INCREMENT_AT_HLI, "not-here", 1)
+    stamps.add(StampStation.INCREMENT_AT_HLI, "not-here", 1)
     assert len(read_stamps(stamps.write(tmp_path)).rows) == 0
 
 
@@ -54,7 +54,7 @@ def test_no_stamp_of_several_threads_takes_the_place_of_another(tmp_path: Path) 
 
     def work(first: int) -> None:
         for number in range(first, first + 2000):
-            stamps.add(Station.STATE_OUT, "fr", number)
+            stamps.add(StampStation.STATE_OUT, "fr", number)
 
     threads = [threading.Thread(target=work, args=(2000 * number,)) for number in range(4)]
     for thread in threads:
@@ -98,4 +98,4 @@ def test_a_process_that_was_asked_writes_its_stamps_when_it_ends(tmp_path: Path)
     )
     assert done.returncode == 3, done.stderr
     [file] = tmp_path.glob("*.stamps")
-    assert read_stamps(file).rows[:, :4].tolist() == [[Station.DECIDED, 0, 5, 6]]
+    assert read_stamps(file).rows[:, :4].tolist() == [[StampStation.DECIDED, 0, 5, 6]]

@@ -120,7 +120,7 @@ def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
     lease(anna, "take")
     take = bench.driver_requests()[-1]
     bench.done(bench.core.disconnect(anna.client, bench.now_s))
-    bench.done(bench.core.driver_said("fr", driving.Answer(id=take.id, done=True), bench.now_s))
+    bench.done(bench.core.driver_said("fr", driving.DriverAnswer(id=take.id, done=True), bench.now_s))
     bench.driver_answers()
     assert lease(bench.browser("bo"), "take").outcome is ASKED
 
@@ -135,7 +135,9 @@ def test_a_driver_that_ended_leaves_nobody_waiting(bench, anna):
 
 
 def test_a_lease_that_was_lost_is_told(bench, anna):
-    lost = driving.Report(stage=driving.Stage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another")
+    lost = driving.DriverReport(
+        stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another"
+    )
     bench.core.driver_said("fr", lost, bench.now_s)
     assert anna.send("jog", **JOG).outcome is REFUSED
     assert not anna.status().robots["fr"].lease.mine
@@ -143,7 +145,7 @@ def test_a_lease_that_was_lost_is_told(bench, anna):
 
 
 def test_an_answer_that_nobody_waits_for_changes_nothing(bench, anna):
-    bench.core.driver_said("fr", driving.Answer(id="r999", done=False), bench.now_s)
+    bench.core.driver_said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
     assert anna.send("jog", **JOG).outcome is DONE
 
 

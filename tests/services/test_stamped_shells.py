@@ -9,7 +9,7 @@ import pytest
 
 from deltaq_protocol.guarded import Request, ServerState
 from deltaq_protocol.messages import Message, Phase
-from deltaq_protocol.stamps import CycleOutcome, Stamps, Station, read_stamps
+from deltaq_protocol.stamps import CycleOutcome, Stamps, StampStation, read_stamps
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.cycle_stamps import outcome_of
 from deltaq_services.sim.gate_stamps import GateStamps
@@ -65,16 +65,20 @@ def test_a_watched_gate_decides_as_it_did(lab: LoadedCell, tmp_path: Path) -> No
     assert watched.outputs == plain.outputs
     rows = read_stamps(stamps.write(tmp_path)).rows
 
-    def of(station: Station) -> list[list[int]]:
+    def of(station: StampStation) -> list[list[int]]:
         return rows[rows[:, 0] == station][:, 2:].tolist()
 
     asked = CYCLES - 1
-    requests, begun, decided = of(Station.REQUEST_AT_GATE), of(Station.DECISION_BEGUN), of(Station.DECIDED)
+    requests, begun, decided = (
+        of(StampStation.REQUEST_AT_GATE),
+        of(StampStation.DECISION_BEGUN),
+        of(StampStation.DECIDED),
+    )
     assert len(requests) == len(begun) == len(decided) == asked
     assert [row[1] for row in requests] == [row[1] for row in decided] == list(range(1, asked + 1))
     for request, begin, end in zip(requests, begun, decided, strict=True):
         assert request[2] <= begin[2] < end[2]
-    assert {row[0] for row in of(Station.ADMISSION_OUT)} <= {row[0] for row in decided}
+    assert {row[0] for row in of(StampStation.ADMISSION_OUT)} <= {row[0] for row in decided}
 
 
 def test_a_heartbeat_and_a_refused_request_are_no_decisions(lab: LoadedCell, tmp_path: Path) -> None:
@@ -84,7 +88,7 @@ def test_a_heartbeat_and_a_refused_request_are_no_decisions(lab: LoadedCell, tmp
     stack.gate_takes(Request(robot="fr", cycle=1, lease_epoch=0))
     stack.gate_takes(Request(robot="fr", cycle=1, lease_epoch=1, seq=9, dq=(0.0,) * 5))
     rows = read_stamps(stamps.write(tmp_path)).rows
-    assert rows[:, 0].tolist() == [Station.REQUEST_AT_GATE]
+    assert rows[:, 0].tolist() == [StampStation.REQUEST_AT_GATE]
 
 
 def test_each_cycle_of_a_robot_server_has_its_outcome(lab: LoadedCell) -> None:

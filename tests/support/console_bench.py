@@ -6,7 +6,7 @@ from deltaq_cell.load import load_cell
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Outcome, Phase, RobotState, ToolPose, Verdict
 from deltaq_services.console.core import ConsoleCore
-from deltaq_services.console.messages import Ack, Event, Status
+from deltaq_services.console.messages import Ack, ConsoleEvent, ConsoleStatus
 from deltaq_services.console.outputs import AskHli, ToClient, ToDriver
 
 CELL = load_cell("lab")
@@ -48,7 +48,7 @@ class ConsoleBench:
     def driver_answers(self, robot="fr", done=True, text=""):
         """The driver answers the newest request that has an id."""
         request = [each for each in self.driver_requests(robot) if not isinstance(each, driving.Wish)][-1]
-        answer = driving.Answer(id=request.id, done=done, text=text)
+        answer = driving.DriverAnswer(id=request.id, done=done, text=text)
         return self.done(self.core.driver_said(robot, answer, self.now_s))
 
     def state(self, phase=Phase.READY, reason=None, moved=0.0, robot="fr"):
@@ -109,13 +109,15 @@ class Browser:
 
     def status(self, seconds=0.0):
         self._keep(self.bench.tick(seconds))
-        return [message for message in self.got if isinstance(message, Status)][-1]
+        return [message for message in self.got if isinstance(message, ConsoleStatus)][-1]
 
     def acks(self, command_id):
         return [message for message in self.got if isinstance(message, Ack) and message.id == command_id]
 
     def events(self, kind):
-        return [message.text for message in self.got if isinstance(message, Event) and message.kind == kind]
+        return [
+            message.text for message in self.got if isinstance(message, ConsoleEvent) and message.kind == kind
+        ]
 
     def _keep(self, outputs):
         self.got += [

@@ -23,7 +23,7 @@ from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.shell import OperatedRobot
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
-from deltaq_protocol.driving import DrivingMode, Report, Said, Stage
+from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
 FOLLOWS = "paper"
@@ -34,7 +34,7 @@ VIEW_M = 1.25
 """View distance to begin with [m]."""
 
 
-def say(said: Said) -> None:
+def say(said: DriverMessage) -> None:
     """Send a line."""
     print(said.model_dump_json(), flush=True)
 
@@ -44,7 +44,7 @@ async def operate(options: argparse.Namespace) -> None:
     lines = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
-    say(Report(stage=Stage.STARTING, mode=DrivingMode.JOINT))
+    say(DriverReport(stage=DriverStage.STARTING, mode=DrivingMode.JOINT))
     async with connect(options.url, client=f"driver of {options.robot}") as cell:
         with ExitStack() as stack:
             teleoperator = teleoperator_for(cell, options.robot, stack)

@@ -12,7 +12,7 @@ from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Operator
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import DrivingMode, Report, Stage, Wish
+from deltaq_protocol.driving import DriverReport, DriverStage, DrivingMode, Wish
 from deltaq_protocol.messages import Outcome, Verdict
 
 _REST = OperatorCommand()
@@ -121,10 +121,10 @@ class Pilot:
         if self._teleoperator.limitation is not None:
             self._limit = self._teleoperator.limitation.text
 
-    def report(self, stage: Stage, longest_cycle_s: float | None = None) -> Report:
+    def report(self, stage: DriverStage, longest_cycle_s: float | None = None) -> DriverReport:
         """How the robot is driven."""
         distance_m = None if self._follower is None else self._follower.desired_distance_m
-        return Report(
+        return DriverReport(
             stage=stage,
             mode=self._mode,
             frame=self._teleoperator.frame.value,

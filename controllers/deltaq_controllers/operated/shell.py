@@ -15,14 +15,14 @@ from deltaq_controllers.operated.pilot import Pilot
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import (
     REQUESTS,
-    Answer,
     ChangeMode,
+    DriverAnswer,
+    DriverMessage,
+    DriverReport,
+    DriverRequest,
+    DriverStage,
     DrivingMode,
     Release,
-    Report,
-    Request,
-    Said,
-    Stage,
     Switch,
     Take,
     ViewAt,
@@ -49,7 +49,7 @@ class OperatedRobot:
         say: sends a line.
     """
 
-    def __init__(self, cell: Cell, robot: str, pilot: Pilot, say: Callable[[Said], None]) -> None:
+    def __init__(self, cell: Cell, robot: str, pilot: Pilot, say: Callable[[DriverMessage], None]) -> None:
         self._cell, self._robot, self._pilot, self._say = cell, robot, pilot, say
         self._wanted: asyncio.Queue[Take | None] = asyncio.Queue()
         self._leased: LeasedRobot | None = None
@@ -57,7 +57,7 @@ class OperatedRobot:
         self._release: Release | None = None
         self._is_over = False
         self._longest_s = 0.0
-        self._told: tuple[float, Report | None] = (0.0, None)
+        self._told: tuple[float, DriverReport | None] = (0.0, None)
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def listen(self, lines: asyncio.StreamReader) -> None:
@@ -67,7 +67,7 @@ class OperatedRobot:
                 try:
                     self._take(REQUESTS.validate_json(line))
                 except ValidationError as error:
-                    self._say(Answer(id="", done=False, text=f"no request: {error.errors()[0]['msg']}"))
+                    self._say(DriverAnswer(id="", done=False, text=f"no request: {error.errors()[0]['msg']}"))
         finally:
             self._is_over = True
             self._leaving.set()
@@ -82,7 +82,7 @@ class OperatedRobot:
         finally:
             reporting.cancel()
 
-    def _take(self, request: Request) -> None:
+    def _take(self, request: DriverRequest) -> None:
         match request:
             case Wish():
                 with contextlib.suppress(ControllerError):  # the report says in which mode it is driven
@@ -91,7 +91,7 @@ class OperatedRobot:
                 self._wanted.put_nowait(request)
             case Release():
                 if self._leased is None and self._wanted.empty():
-                    self._say(Answer(id=request.id, done=True))
+                    self._say(DriverAnswer(id=request.id, done=True))
                 else:
                     self._release = request
                     self._leaving.set()
@@ -115,7 +115,7 @@ class OperatedRobot:
                 await self._leased.io(request.outputs)
         except DeltaqError as error:
             text = str(error)
-        self._say(Answer(id=request.id, done=not text, text=text))
+        self._say(DriverAnswer(id=request.id, done=not text, text=text))
 
     async def _serve(self, take: Take) -> None:
         """Hold the lease until it is given back, or lost."""
@@ -125,7 +125,7 @@ class OperatedRobot:
         try:
             async with self._cell.lease(self._robot, take.client) as leased:
                 self._leased = leased
-                self._say(Answer(id=take.id, done=True))
+                self._say(DriverAnswer(id=take.id, done=True))
                 answered = True
                 await self._drive_until_left(leased)
         except DeltaqError as error:
@@ -133,13 +133,13 @@ class OperatedRobot:
         finally:
             self._leased = None
         if not answered:
-            self._say(Answer(id=take.id, done=False, text=trouble))
+            self._say(DriverAnswer(id=take.id, done=False, text=trouble))
         elif trouble:
-            self._say(self._pilot.report(Stage.FREE).model_copy(update={"doing": trouble}))
+            self._say(self._pilot.report(DriverStage.FREE).model_copy(update={"doing": trouble}))
         if not self._is_over:
             self._leaving.clear()
         if self._release is not None:
-            self._say(Answer(id=self._release.id, done=True))
+            self._say(DriverAnswer(id=self._release.id, done=True))
             self._release = None
 
     async def _drive_until_left(self, leased: LeasedRobot) -> None:
@@ -187,7 +187,7 @@ class OperatedRobot:
 
     async def _report(self) -> None:
         while True:
-            stage = Stage.FREE if self._leased is None else Stage.LEASED
+            stage = DriverStage.FREE if self._leased is None else DriverStage.LEASED
             report = self._pilot.report(stage)
             now_s = time.monotonic()
             told_s, told = self._told

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from enum import StrEnum
 
 from deltaq_experiments.bench.journeys import RobotStamps
-from deltaq_protocol.stamps import CycleOutcome, Station
+from deltaq_protocol.stamps import CycleOutcome, StampStation
 
 
 class BrakeCause(StrEnum):
@@ -36,40 +36,40 @@ def causes(stamps: RobotStamps, cycles: Iterable[int]) -> Counter[BrakeCause]:
     return Counter(_cause(stamps, by_cycle, cycle) for cycle in missed)
 
 
-def _cause(stamps: RobotStamps, by_cycle: dict[Station, dict[int, list[int]]], cycle: int) -> BrakeCause:
+def _cause(stamps: RobotStamps, by_cycle: dict[StampStation, dict[int, list[int]]], cycle: int) -> BrakeCause:
     """What a cycle needs is decided on the state before it; it has come in time if it has before the telegram."""
     if stamps.outcomes[cycle] is CycleOutcome.HELD:
         return BrakeCause.HELD
     if stamps.outcomes[cycle] is CycleOutcome.REPLY_MISSED:
         return BrakeCause.REPLY_MISSED
-    before, due_ns = cycle - 1, stamps.states[Station.TELEGRAM][cycle]
-    if before in stamps.admissions[Station.ADMISSION_OUT]:
-        came_ns = stamps.admissions[Station.ADMISSION_AT_SERVER].get(before)
+    before, due_ns = cycle - 1, stamps.states[StampStation.TELEGRAM][cycle]
+    if before in stamps.admissions[StampStation.ADMISSION_OUT]:
+        came_ns = stamps.admissions[StampStation.ADMISSION_AT_SERVER].get(before)
         if came_ns is None:
             return BrakeCause.ADMISSION_LOST
-        decided_ns = max(by_cycle[Station.DECIDED].get(before, [0]))
+        decided_ns = max(by_cycle[StampStation.DECIDED].get(before, [0]))
         if decided_ns >= due_ns:
             return BrakeCause.GATE_LATE
         return BrakeCause.ADMISSION_LATE if came_ns >= due_ns else BrakeCause.ADMISSION_REFUSED
-    if by_cycle[Station.DECIDED].get(before):
+    if by_cycle[StampStation.DECIDED].get(before):
         return BrakeCause.GATE_HELD
     return _on_the_way(stamps, by_cycle, before, due_ns)
 
 
 def _on_the_way(
-    stamps: RobotStamps, by_cycle: dict[Station, dict[int, list[int]]], before: int, due_ns: int
+    stamps: RobotStamps, by_cycle: dict[StampStation, dict[int, list[int]]], before: int, due_ns: int
 ) -> BrakeCause:
     """How far the increments that answer the state before had come; none of them was decided on that state."""
-    if sent := by_cycle[Station.INCREMENT_OUT].get(before):
+    if sent := by_cycle[StampStation.INCREMENT_OUT].get(before):
         if min(sent) >= due_ns:
             return BrakeCause.CLIENT_LATE
-    elif before not in stamps.states[Station.STATE_AT_CLIENT]:
+    elif before not in stamps.states[StampStation.STATE_AT_CLIENT]:
         return BrakeCause.STATE_MISSED
     else:
         return BrakeCause.NO_INCREMENT
     for station, cause in (
-        (Station.INCREMENT_AT_HLI, BrakeCause.ON_WAY_TO_HLI),
-        (Station.REQUEST_AT_GATE, BrakeCause.ON_WAY_TO_GATE),
+        (StampStation.INCREMENT_AT_HLI, BrakeCause.ON_WAY_TO_HLI),
+        (StampStation.REQUEST_AT_GATE, BrakeCause.ON_WAY_TO_GATE),
     ):
         came = by_cycle[station].get(before)
         if not came or min(came) >= due_ns:
@@ -77,9 +77,9 @@ def _on_the_way(
     return BrakeCause.NOT_DECIDED
 
 
-def _by_cycle(stamps: RobotStamps) -> dict[Station, dict[int, list[int]]]:
+def _by_cycle(stamps: RobotStamps) -> dict[StampStation, dict[int, list[int]]]:
     """Times of all increments and decisions of each cycle [ns]."""
-    found: dict[Station, dict[int, list[int]]] = {}
+    found: dict[StampStation, dict[int, list[int]]] = {}
     for station, times in (*stamps.increments.items(), *stamps.decisions.items()):
         of_station = found.setdefault(station, {})
         for (cycle, _), at_ns in times.items():

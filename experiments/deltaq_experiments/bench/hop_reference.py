@@ -12,23 +12,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_experiments.bench.native import Program, program
+from deltaq_experiments.bench.native import NativeProgram, program
 from deltaq_experiments.bench.processor_time import processor_seconds
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.stamps import Station
+from deltaq_protocol.stamps import StampStation
 
 MESSAGE_BYTES = 600
 """As large as the packed state of a robot; an increment is half as long."""
 
 HOPS = {
-    Station.STATE_AT_CLIENT: 2,
-    Station.INCREMENT_OUT: 2,
-    Station.INCREMENT_AT_HLI: 3,
-    Station.REQUEST_AT_GATE: 4,
-    Station.DECISION_BEGUN: 4,
-    Station.DECIDED: 4,
-    Station.ADMISSION_OUT: 4,
-    Station.ADMISSION_AT_SERVER: 5,
+    StampStation.STATE_AT_CLIENT: 2,
+    StampStation.INCREMENT_OUT: 2,
+    StampStation.INCREMENT_AT_HLI: 3,
+    StampStation.REQUEST_AT_GATE: 4,
+    StampStation.DECISION_BEGUN: 4,
+    StampStation.DECIDED: 4,
+    StampStation.ADMISSION_OUT: 4,
+    StampStation.ADMISSION_AT_SERVER: 5,
 }
 """Hops from the Robot Server that a message has behind it at each station."""
 
@@ -87,7 +87,7 @@ class HopReference:
         folder: for its file.
     """
 
-    def __init__(self, made: Program, cycle_s: float, duration_s: float, folder: Path) -> None:
+    def __init__(self, made: NativeProgram, cycle_s: float, duration_s: float, folder: Path) -> None:
         self._made, self._cycle_s = made, cycle_s
         self._length_s = duration_s + _LONGER_S
         self._file = folder / "hops.bin"

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from deltaq_protocol.stamps import CycleOutcome, Station, WrittenStamps
+from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
 
-OF_STATE = (Station.TELEGRAM, Station.STATE_OUT, Station.STATE_AT_CLIENT)
+OF_STATE = (StampStation.TELEGRAM, StampStation.STATE_OUT, StampStation.STATE_AT_CLIENT)
 """Stations of a state, stamped with its cycle."""
-OF_INCREMENT = (Station.INCREMENT_OUT, Station.INCREMENT_AT_HLI, Station.REQUEST_AT_GATE)
+OF_INCREMENT = (StampStation.INCREMENT_OUT, StampStation.INCREMENT_AT_HLI, StampStation.REQUEST_AT_GATE)
 """Stations of an increment, stamped with the cycle that it answers and its sequence number."""
-OF_DECISION = (Station.DECISION_BEGUN, Station.DECIDED)
+OF_DECISION = (StampStation.DECISION_BEGUN, StampStation.DECIDED)
 """Stations of a decision, stamped with the cycle of the state that it was made on and the sequence number."""
-OF_ADMISSION = (Station.ADMISSION_OUT, Station.ADMISSION_AT_SERVER)
+OF_ADMISSION = (StampStation.ADMISSION_OUT, StampStation.ADMISSION_AT_SERVER)
 """Stations of an admission, stamped with the cycle of the state that it was decided on."""
 
 
@@ -34,21 +34,23 @@ class RobotStamps:
         outcomes: what the robot was sent in each cycle.
     """
 
-    states: dict[Station, dict[int, int]] = field(default_factory=lambda: {s: {} for s in OF_STATE})
-    increments: dict[Station, dict[tuple[int, int], int]] = field(
+    states: dict[StampStation, dict[int, int]] = field(default_factory=lambda: {s: {} for s in OF_STATE})
+    increments: dict[StampStation, dict[tuple[int, int], int]] = field(
         default_factory=lambda: {s: {} for s in OF_INCREMENT}
     )
-    decisions: dict[Station, dict[tuple[int, int], int]] = field(
+    decisions: dict[StampStation, dict[tuple[int, int], int]] = field(
         default_factory=lambda: {s: {} for s in OF_DECISION}
     )
-    admissions: dict[Station, dict[int, int]] = field(default_factory=lambda: {s: {} for s in OF_ADMISSION})
+    admissions: dict[StampStation, dict[int, int]] = field(
+        default_factory=lambda: {s: {} for s in OF_ADMISSION}
+    )
     outcomes: dict[int, CycleOutcome] = field(default_factory=dict)
 
-    def add(self, station: Station, cycle: int, detail: int, time_ns: int) -> None:
+    def add(self, station: StampStation, cycle: int, detail: int, time_ns: int) -> None:
         """Add a stamp; of two of one kind the first counts."""
         if station in self.states:
             self.states[station].setdefault(cycle, time_ns)
-            if station is Station.STATE_OUT:
+            if station is StampStation.STATE_OUT:
                 self.outcomes.setdefault(cycle, CycleOutcome(detail))
         elif station in self.increments:
             self.increments[station].setdefault((cycle, detail), time_ns)
@@ -59,7 +61,7 @@ class RobotStamps:
 
     def cycles_in(self, begin_ns: int, end_ns: int) -> list[int]:
         """Cycles whose telegram came within a window, in order."""
-        telegrams = self.states[Station.TELEGRAM]
+        telegrams = self.states[StampStation.TELEGRAM]
         return sorted(cycle for cycle, at_ns in telegrams.items() if begin_ns <= at_ns < end_ns)
 
 
@@ -77,11 +79,11 @@ class Journey:
     cycle: int
     seq: int
     decided_on: int | None
-    at_ns: dict[Station, int]
+    at_ns: dict[StampStation, int]
 
-    def age_ns(self, station: Station) -> int | None:
+    def age_ns(self, station: StampStation) -> int | None:
         """Time at a station since the telegram that it answers [ns]; None if either stamp is missing."""
-        begin_ns, at_ns = self.at_ns.get(Station.TELEGRAM), self.at_ns.get(station)
+        begin_ns, at_ns = self.at_ns.get(StampStation.TELEGRAM), self.at_ns.get(station)
         return None if begin_ns is None or at_ns is None else at_ns - begin_ns
 
 
@@ -91,7 +93,7 @@ def by_robot(written: Iterable[WrittenStamps]) -> dict[str, RobotStamps]:
     for one in written:
         for station, index, cycle, detail, time_ns in one.rows.tolist():
             stamps = robots.setdefault(one.robots[index], RobotStamps())
-            stamps.add(Station(station), cycle, detail, time_ns)
+            stamps.add(StampStation(station), cycle, detail, time_ns)
     return robots
 
 
@@ -122,10 +124,10 @@ def _decided_on(stamps: RobotStamps) -> dict[tuple[int, int], int]:
     Sequence numbers begin anew with each lease, so a decision belongs to the last request of its number before it.
     """
     requests: dict[int, list[tuple[int, int]]] = {}
-    for (cycle, seq), at_ns in stamps.increments[Station.REQUEST_AT_GATE].items():
+    for (cycle, seq), at_ns in stamps.increments[StampStation.REQUEST_AT_GATE].items():
         requests.setdefault(seq, []).append((at_ns, cycle))
     found = {}
-    for (decided_on, seq), begun_ns in stamps.decisions[Station.DECISION_BEGUN].items():
+    for (decided_on, seq), begun_ns in stamps.decisions[StampStation.DECISION_BEGUN].items():
         before = [(at_ns, cycle) for at_ns, cycle in requests.get(seq, []) if at_ns <= begun_ns]
         if before:
             found[max(before)[1], seq] = decided_on

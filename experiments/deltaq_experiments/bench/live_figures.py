@@ -11,7 +11,7 @@ from deltaq_experiments.bench.braked import causes
 from deltaq_experiments.bench.hop_reference import HOPS, HopTimes
 from deltaq_experiments.bench.journeys import Journey, RobotStamps, journeys
 from deltaq_experiments.bench.quantiles import Quantiles, ratio
-from deltaq_protocol.stamps import CycleOutcome, Station
+from deltaq_protocol.stamps import CycleOutcome, StampStation
 
 SLOW_CYCLE_S = 0.012
 """Cycle of the slower of the two shipped cells; what is promised differs from the quicker one's [s]."""
@@ -21,15 +21,15 @@ CLIENT_CYCLE_AT_MOST_MS = 24.0
 """Longest cycle of a controller that is promised from `SLOW_CYCLE_S` on; below it nothing is [ms]."""
 
 NAMES = {
-    Station.STATE_OUT: "state out",
-    Station.STATE_AT_CLIENT: "state at the controller",
-    Station.INCREMENT_OUT: "increment out",
-    Station.INCREMENT_AT_HLI: "increment at the HLI",
-    Station.REQUEST_AT_GATE: "request at the gate",
-    Station.DECISION_BEGUN: "decision begun",
-    Station.DECIDED: "decided",
-    Station.ADMISSION_OUT: "admission out",
-    Station.ADMISSION_AT_SERVER: "admission at the Robot Server",
+    StampStation.STATE_OUT: "state out",
+    StampStation.STATE_AT_CLIENT: "state at the controller",
+    StampStation.INCREMENT_OUT: "increment out",
+    StampStation.INCREMENT_AT_HLI: "increment at the HLI",
+    StampStation.REQUEST_AT_GATE: "request at the gate",
+    StampStation.DECISION_BEGUN: "decision begun",
+    StampStation.DECIDED: "decided",
+    StampStation.ADMISSION_OUT: "admission out",
+    StampStation.ADMISSION_AT_SERVER: "admission at the Robot Server",
 }
 """Stations in their order, for people; all ages count from the telegram."""
 
@@ -180,7 +180,7 @@ def bounded_rows(
     return tuple(rows)
 
 
-def _station(station: Station, travelled: Sequence[Journey], reference: HopTimes) -> StationAges:
+def _station(station: StampStation, travelled: Sequence[Journey], reference: HopTimes) -> StationAges:
     ages = [age_ns / 1e6 for one in travelled if (age_ns := one.age_ns(station)) is not None]
     age_ms, hops = Quantiles.of(ages), HOPS.get(station)
     reference_ms = None
@@ -198,6 +198,8 @@ def _station(station: Station, travelled: Sequence[Journey], reference: HopTimes
 
 
 def _longest_client_cycle_ms(stamps: RobotStamps, begin_ns: int, end_ns: int) -> float | None:
-    taken = sorted(at for at in stamps.states[Station.STATE_AT_CLIENT].values() if begin_ns <= at < end_ns)
+    taken = sorted(
+        at for at in stamps.states[StampStation.STATE_AT_CLIENT].values() if begin_ns <= at < end_ns
+    )
     gaps = [after - before for before, after in itertools.pairwise(taken)]
     return max(gaps) / 1e6 if gaps else None

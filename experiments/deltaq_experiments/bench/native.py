@@ -19,7 +19,7 @@ class CompilerError(DeltaqError):
 
 
 @dataclass(frozen=True)
-class Program:
+class NativeProgram:
     """A program to be run.
 
     Attributes:
@@ -31,7 +31,7 @@ class Program:
     language: str
 
 
-def program(name: str, folder: Path, compiler: str | None = None) -> Program:
+def program(name: str, folder: Path, compiler: str | None = None) -> NativeProgram:
     """`NAME.c` of this folder, or `NAME.py` where there is no compiler.
 
     Args:
@@ -44,10 +44,10 @@ def program(name: str, folder: Path, compiler: str | None = None) -> Program:
     """
     found = shutil.which(compiler or os.environ.get("CC") or "cc")
     if found is None:
-        return Program((sys.executable, "-m", f"{__package__}.{name}"), "Python")
+        return NativeProgram((sys.executable, "-m", f"{__package__}.{name}"), "Python")
     made = folder / name
     command = [found, "-std=gnu11", "-O2", "-o", str(made), str(_HERE / f"{name}.c")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise CompilerError(f"{' '.join(command)} failed:\n{done.stderr.strip()}")
-    return Program((str(made),), "C")
+    return NativeProgram((str(made),), "C")

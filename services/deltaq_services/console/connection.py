@@ -16,7 +16,7 @@ _MOST_WAITING = 1000
 _TOO_SLOW = 1013
 
 
-class Connection:
+class BrowserConnection:
     """One browser's connection, once it was let in.
 
     Args:

@@ -20,17 +20,17 @@ from deltaq_services.console.messages import (
     Ack,
     AckOutcome,
     AnyCommand,
+    ConsoleHello,
     DryRun,
-    Hello,
     Jog,
-    Lease,
+    LeaseCommand,
     LeaseVerb,
     Ping,
     Pong,
     Reset,
     Stop,
 )
-from deltaq_services.console.outputs import AskHli, Output, ToClient, ToDriver
+from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
 from deltaq_services.console.picture import Picture
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.seat import Handled
@@ -73,7 +73,9 @@ class ConsoleCore:
         self._numbers, self._requests = itertools.count(1), itertools.count(1)
         self._asked: dict[str, tuple[Client | None, str, AskHli | ToDriver]] = {}
 
-    def connect(self, name: str, is_operator: bool, now_s: float) -> tuple[Client | None, list[Output]]:
+    def connect(
+        self, name: str, is_operator: bool, now_s: float
+    ) -> tuple[Client | None, list[ConsoleOutput]]:
         """A browser has connected; no client if there are too many."""
         if len(self.clients) >= MOST_CLIENTS:
             self.counters["clients_refused"] += 1
@@ -87,7 +89,7 @@ class ConsoleCore:
         self.clients[number] = client
         self.counters["clients"] += 1
         self._log.add(now_s, "client", f"{client.name} has come")
-        hello = Hello(
+        hello = ConsoleHello(
             client=client.name,
             operator=is_operator,
             token_needed=self._token_needed,
@@ -95,17 +97,17 @@ class ConsoleCore:
         )
         return client, [ToClient(number, message) for message in (hello, *self._log.kept)]
 
-    def disconnect(self, client: Client, now_s: float) -> list[Output]:
+    def disconnect(self, client: Client, now_s: float) -> list[ConsoleOutput]:
         """A browser has gone: what it drove comes to rest and is released."""
         del self.clients[client.number]
         self.board.forget(client)
         self._log.add(now_s, "client", f"{client.name} has gone")
-        outputs: list[Output] = []
+        outputs: list[ConsoleOutput] = []
         for side in self.robots.values():
             outputs += self._sent(side.seat.leave(client, self._request), None, "")
         return outputs
 
-    def take(self, client: Client, message: str | bytes, now_s: float) -> list[Output]:
+    def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
         """A browser has sent something; whatever it is, it is answered."""
         self.counters["messages"] += 1
         allowed = client.rate.take(now_s)
@@ -140,7 +142,7 @@ class ConsoleCore:
 
     def answered(
         self, request: str, done: bool, text: str, now_s: float, verdict: Verdict | None = None
-    ) -> list[Output]:
+    ) -> list[ConsoleOutput]:
         """The HLI's answer to a request, or why there is none."""
         client, command, asked = self._asked.pop(request)
         assert isinstance(asked, AskHli)
@@ -161,16 +163,16 @@ class ConsoleCore:
             ack = ack.model_copy(update=told)
         return [ToClient(client.number, client.answer(ack))]
 
-    def driver_said(self, robot: str, said: driving.Said, now_s: float) -> list[Output]:
+    def driver_said(self, robot: str, said: driving.DriverMessage, now_s: float) -> list[ConsoleOutput]:
         """A line of a robot's driver."""
         side = self.robots[robot]
-        if isinstance(said, driving.Report):
+        if isinstance(said, driving.DriverReport):
             side.report = said
-            if said.stage is driving.Stage.FREE and side.seat.lost():
+            if said.stage is driving.DriverStage.FREE and side.seat.lost():
                 self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
             return []
         client, command, asked = self._asked.pop(said.id, (None, "", None))
-        outputs: list[Output] = []
+        outputs: list[ConsoleOutput] = []
         if isinstance(asked, ToDriver):
             handled = side.seat.answered(asked.request, said, self._request)
             self._tell(handled, robot, now_s)
@@ -180,13 +182,13 @@ class ConsoleCore:
             outputs.append(_ack(client, command, outcome, said.text))
         return outputs
 
-    def driver_ended(self, robot: str, text: str, now_s: float) -> list[Output]:
+    def driver_ended(self, robot: str, text: str, now_s: float) -> list[ConsoleOutput]:
         """A robot's driver is gone: what it was asked for did not happen."""
         side = self.robots[robot]
         side.seat.driver_ended()
         side.report = None
         self._log.add(now_s, "lease", f"the driver has ended: {text}", robot)
-        outputs: list[Output] = []
+        outputs: list[ConsoleOutput] = []
         for request, (client, command, asked) in list(self._asked.items()):
             if isinstance(asked, ToDriver) and asked.robot == robot:
                 del self._asked[request]
@@ -199,7 +201,7 @@ class ConsoleCore:
         self.robots[robot].outputs |= outputs
         self.robots[robot].inputs |= inputs
 
-    def tick(self, now_s: float) -> list[Output]:
+    def tick(self, now_s: float) -> list[ConsoleOutput]:
         """What browsers have to be told now, besides frames."""
         self.stop.see({name: side.motion(now_s) for name, side in self.robots.items()})
         return self.board.tell(self.clients.values(), self.stop, now_s)
@@ -213,7 +215,7 @@ class ConsoleCore:
             "counters": dict(self.counters),
         }
 
-    def _stop(self, client: Client, command: Stop, now_s: float) -> list[Output]:
+    def _stop(self, client: Client, command: Stop, now_s: float) -> list[ConsoleOutput]:
         before = client.answered(command.id)
         if before is not None:
             self.counters["repeated"] += 1
@@ -229,7 +231,7 @@ class ConsoleCore:
         ]
         return [*self._ask(client, command.id, AskHli(self._request(), "stop")), *rest]
 
-    def _obey(self, client: Client, command: AnyCommand, now_s: float) -> list[Output]:
+    def _obey(self, client: Client, command: AnyCommand, now_s: float) -> list[ConsoleOutput]:
         """Carry a command out, or raise `ValueError` with the reason why not."""
         if not client.is_operator:
             raise ValueError(
@@ -246,7 +248,7 @@ class ConsoleCore:
         if isinstance(command, DryRun):
             dq = side.checked(command)
             return self._ask(client, command.id, AskHli(self._request(), "dry_run", side.name, dq))
-        if isinstance(command, Lease):
+        if isinstance(command, LeaseCommand):
             return self._lease(client, command, side, now_s)
         if not side.seat.is_held_by(client):
             holder = side.seat.holder
@@ -264,7 +266,9 @@ class ConsoleCore:
         sent = self._sent([ToDriver(side.name, request)], client, command.id)
         return [*sent, _ack(client, command.id, AckOutcome.ASKED, "asked")]
 
-    def _lease(self, client: Client, command: Lease, side: RobotSide, now_s: float) -> list[Output]:
+    def _lease(
+        self, client: Client, command: LeaseCommand, side: RobotSide, now_s: float
+    ) -> list[ConsoleOutput]:
         handled = side.seat.handle(client, command.action, self._request)
         if handled.refusal:
             raise ValueError(f"action: {handled.refusal}")
@@ -275,13 +279,13 @@ class ConsoleCore:
         sent = self._sent(handled.requests, waits, command.id)
         return [*sent, _ack(client, command.id, outcome, "")]
 
-    def _ask(self, client: Client, command: str, asked: AskHli) -> list[Output]:
+    def _ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
         self._asked[asked.request] = (client, command, asked)
         return [asked, _ack(client, command, AckOutcome.ASKED, "asked")]
 
-    def _sent(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[Output]:
+    def _sent(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[ConsoleOutput]:
         """Requests on their way to drivers, whose answers are awaited."""
-        sent: list[Output] = []
+        sent: list[ConsoleOutput] = []
         for request in requests:
             sent.append(request)
             if not isinstance(request.request, driving.Wish):

@@ -32,15 +32,19 @@ class DriverProcess:
     """
 
     def __init__(
-        self, hli: str, robot: str, said: Callable[[driving.Said], None], ended: Callable[[str], None]
+        self,
+        hli: str,
+        robot: str,
+        said: Callable[[driving.DriverMessage], None],
+        ended: Callable[[str], None],
     ) -> None:
         self._command = ("-m", "deltaq_controllers.operated", "--url", hli, "--robot", robot)
         self._said, self._ended = said, ended
         self._process: Process | None = None
         self._running: asyncio.Task[None] | None = None
-        self._waiting: list[driving.Request] = []
+        self._waiting: list[driving.DriverRequest] = []
 
-    def send(self, request: driving.Request) -> None:
+    def send(self, request: driving.DriverRequest) -> None:
         """Ask it for something; it is started if it does not run."""
         if self._running is None:
             if isinstance(request, driving.Wish):
@@ -101,7 +105,7 @@ class DriverProcess:
             with contextlib.suppress(ValidationError):  # a library's word, no line of the driver's
                 self._said(driving.SAID.validate_json(line))
 
-    def _write(self, process: Process, request: driving.Request) -> None:
+    def _write(self, process: Process, request: driving.DriverRequest) -> None:
         assert process.stdin is not None  # a pipe was asked for
         if process.stdin.transport.get_write_buffer_size() > _MOST_WAITING_BYTES:
             process.kill()  # it does not listen: it must not move the robot either

@@ -6,32 +6,32 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Literal
 
-from deltaq_services.console.messages import Event
+from deltaq_services.console.messages import ConsoleEvent
 
 KEPT = 200
 """Newest lines, which a new client is told."""
 QUIET_S = 2.0
 """A line that comes again within this is counted, and told with its count when the time is over."""
 
-Kind = Literal["verdict", "lease", "stop", "phase", "link", "client"]
+EventKind = Literal["verdict", "lease", "stop", "phase", "link", "client"]
 
 
 class EventLog:
     """Lines of the log; whoever asks gets those that are new."""
 
     def __init__(self) -> None:
-        self._kept: deque[Event] = deque(maxlen=KEPT)
-        self._new: list[Event] = []
-        self._quiet: dict[tuple[Kind, str, str], tuple[float, int, Event]] = {}
+        self._kept: deque[ConsoleEvent] = deque(maxlen=KEPT)
+        self._new: list[ConsoleEvent] = []
+        self._quiet: dict[tuple[EventKind, str, str], tuple[float, int, ConsoleEvent]] = {}
 
-    def add(self, now_s: float, kind: Kind, text: str, robot: str = "") -> None:
+    def add(self, now_s: float, kind: EventKind, text: str, robot: str = "") -> None:
         """A line, told at once."""
-        self._tell(Event(time_s=now_s, kind=kind, robot=robot, text=text))
+        self._tell(ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text))
 
-    def repeat(self, now_s: float, kind: Kind, group: str, text: str, robot: str = "") -> None:
+    def repeat(self, now_s: float, kind: EventKind, group: str, text: str, robot: str = "") -> None:
         """A line that may come every cycle: those of one group count as one while they keep coming."""
         key = (kind, robot, group)
-        event = Event(time_s=now_s, kind=kind, robot=robot, text=text)
+        event = ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text)
         if key in self._quiet:
             until_s, count, _ = self._quiet[key]
             self._quiet[key] = (until_s, count + 1, event)
@@ -39,7 +39,7 @@ class EventLog:
             self._quiet[key] = (now_s + QUIET_S, 0, event)
             self._tell(event)
 
-    def news(self, now_s: float) -> list[Event]:
+    def news(self, now_s: float) -> list[ConsoleEvent]:
         """Lines since this was asked last."""
         for key, (until_s, count, event) in list(self._quiet.items()):
             if now_s < until_s:
@@ -54,9 +54,9 @@ class EventLog:
         return new
 
     @property
-    def kept(self) -> Iterable[Event]:
+    def kept(self) -> Iterable[ConsoleEvent]:
         """The newest lines that were asked for, oldest first."""
         return tuple(self._kept)
 
-    def _tell(self, event: Event) -> None:
+    def _tell(self, event: ConsoleEvent) -> None:
         self._new.append(event)

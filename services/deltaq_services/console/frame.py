@@ -45,7 +45,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class NearestBodies:
+class WitnessedPair:
     """The nearest bodies of the cell: their places in the scene's `bodies`, distance and points in the world [m]."""
 
     a: int = NO_BODY
@@ -86,7 +86,7 @@ class RobotFrame:
 
 
 def pack_frame(
-    server_s: float, focus: Vector | None, nearest: NearestBodies, robots: Sequence[RobotFrame]
+    server_s: float, focus: Vector | None, nearest: WitnessedPair, robots: Sequence[RobotFrame]
 ) -> bytes:
     """The bytes of a frame."""
     first, second = nearest.points_m

@@ -25,7 +25,7 @@ _MOST_VERDICTS = 1000
 
 
 @dataclass
-class Heard:
+class RobotNews:
     """What came of one robot since it was read last.
 
     Attributes:
@@ -64,9 +64,9 @@ class _Ear:
         with self._lock:
             self._verdicts.append(payload)
 
-    def heard(self) -> Heard:
+    def heard(self) -> RobotNews:
         with self._lock:
-            heard = Heard(list(self._states), self._last_s or 0.0, self._gap_s, list(self._verdicts))
+            heard = RobotNews(list(self._states), self._last_s or 0.0, self._gap_s, list(self._verdicts))
             self._states.clear()
             self._verdicts.clear()
             self._gap_s = 0.0
@@ -101,7 +101,7 @@ class HliLink:
         if self._wire is not None:
             await asyncio.to_thread(self._wire.close)
 
-    def heard(self, robot: str) -> Heard:
+    def heard(self, robot: str) -> RobotNews:
         """What came of a robot since this was asked last."""
         return self._ears[robot].heard()
 

@@ -34,23 +34,23 @@ EXPIRY_S = {
 """How late a command may come, by its type [s]: later it is not carried out. A stop is, whenever it comes."""
 
 CommandId = Annotated[str, Field(min_length=1, max_length=64)]
-Signal = Annotated[str, Field(min_length=1, max_length=64)]
+SignalState = Annotated[str, Field(min_length=1, max_length=64)]
 
 
-class Command(Message):
+class ConsoleCommand(Message):
     """Base of what a browser sends."""
 
     id: CommandId
     sent_ms: FiniteFloat
 
 
-class Ping(Command):
+class Ping(ConsoleCommand):
     """Measures the clocks; answered with a `Pong`, not with an `Ack`. To be sent once a second or more often."""
 
     type: Literal["ping"]
 
 
-class Stop(Command):
+class Stop(ConsoleCommand):
     """Bring every robot to rest. It never expires, observers may send it, and it needs no field but its type."""
 
     type: Literal["stop"]
@@ -58,7 +58,7 @@ class Stop(Command):
     sent_ms: FiniteFloat = 0.0
 
 
-class Reset(Command):
+class Reset(ConsoleCommand):
     """End the hold of a robot."""
 
     type: Literal["reset"]
@@ -75,7 +75,7 @@ class LeaseVerb(StrEnum):
     REFUSE = "refuse"
 
 
-class Lease(Command):
+class LeaseCommand(ConsoleCommand):
     """Take a robot's lease, give it back, or hand it over."""
 
     type: Literal["lease"]
@@ -83,7 +83,7 @@ class Lease(Command):
     action: LeaseVerb
 
 
-class SetMode(Command):
+class SetMode(ConsoleCommand):
     """How the robot is driven from now on, and in which axes hands are moved."""
 
     type: Literal["mode"]
@@ -92,7 +92,7 @@ class SetMode(Command):
     frame: Axes = "world"
 
 
-class Jog(Command):
+class Jog(ConsoleCommand):
     """A wish to move, which ends by itself after 0.25 s unless it is renewed by the next one.
 
     Without `hand` the wish is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that hand, (6,): three
@@ -106,7 +106,7 @@ class Jog(Command):
     option: Annotated[int, Field(ge=1, le=99)] | None = None
 
 
-class ViewDistance(Command):
+class ViewDistance(ConsoleCommand):
     """The distance that a follower keeps from its focus [m]."""
 
     type: Literal["view_distance"]
@@ -114,7 +114,7 @@ class ViewDistance(Command):
     value_m: Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
 
 
-class SetOutput(Command):
+class SetOutput(ConsoleCommand):
     """Switch a digital output, by its place in the robot's `outputs`."""
 
     type: Literal["output"]
@@ -123,7 +123,7 @@ class SetOutput(Command):
     value: bool
 
 
-class DryRun(Command):
+class DryRun(ConsoleCommand):
     """The gate's verdict on an increment if it came now, (n,) [rad or m]; nothing moves."""
 
     type: Literal["dry_run"]
@@ -131,11 +131,11 @@ class DryRun(Command):
     dq: Joints
 
 
-AnyCommand = Ping | Stop | Reset | Lease | SetMode | Jog | ViewDistance | SetOutput | DryRun
+AnyCommand = Ping | Stop | Reset | LeaseCommand | SetMode | Jog | ViewDistance | SetOutput | DryRun
 COMMANDS: TypeAdapter[AnyCommand] = TypeAdapter(Annotated[AnyCommand, Field(discriminator="type")])
 
 
-class Hello(Message):
+class ConsoleHello(Message):
     """First message to a browser: who it is here, and what it may do.
 
     `operator` is False for one that may only look and stop; `token_needed` says that a token would change this.
@@ -206,7 +206,7 @@ class Bound(Message):
     joint: str | None = None
 
 
-class RobotView(Message):
+class RobotStatusView(Message):
     """One robot as a browser is told about it. `driving` is what its driver says of itself, in words."""
 
     phase: Phase
@@ -219,11 +219,11 @@ class RobotView(Message):
     driving: str = ""
     view_distance_m: FiniteFloat | None = None
     bound: Bound | None = None
-    outputs: dict[Signal, bool] = {}
-    inputs: dict[Signal, bool] = {}
+    outputs: dict[SignalState, bool] = {}
+    inputs: dict[SignalState, bool] = {}
 
 
-class Status(Message):
+class ConsoleStatus(Message):
     """What changes seldom; sent when it has changed, and once a second.
 
     `hli` is False while the HLI is not heard: then `text` says why, and all else is old.
@@ -232,13 +232,13 @@ class Status(Message):
     type: Literal["status"] = "status"
     hli: bool
     text: str = ""
-    robots: dict[str, RobotView]
+    robots: dict[str, RobotStatusView]
     stop: StopPhase = StopPhase.NONE
     wanted_by: str | None = None
     clients: Count = 0
 
 
-class Event(Message):
+class ConsoleEvent(Message):
     """A line of the log; `count` is how often it has come since it was told last."""
 
     type: Literal["event"] = "event"

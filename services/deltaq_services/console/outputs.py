@@ -32,7 +32,7 @@ class ToDriver:
     """Send to the robot's driver, which is started if none runs."""
 
     robot: str
-    request: driving.Request
+    request: driving.DriverRequest
 
 
-Output = ToClient | AskHli | ToDriver
+ConsoleOutput = ToClient | AskHli | ToDriver

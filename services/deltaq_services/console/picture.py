@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from deltaq_cell.description import CellDescription
 from deltaq_protocol.messages import Phase, Proximity, RobotState, Verdict
 from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.frame import NO_BODY, NearestBodies, Vector, pack_frame
+from deltaq_services.console.frame import NO_BODY, Vector, WitnessedPair, pack_frame
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.words import bound_of, phase_words
 
@@ -29,7 +29,7 @@ class Picture:
         self._robots = robots
         self._watched = _watched(cell)
         self._log = log
-        self._nearest = NearestBodies()
+        self._nearest = WitnessedPair()
         self._phases: dict[str, tuple[Phase, str | None]] = {}
 
     def take_state(self, state: RobotState, arrived_s: float) -> None:
@@ -63,11 +63,11 @@ class Picture:
     def take_proximity(self, proximity: Proximity) -> None:
         """The nearest bodies of the cell."""
         if not proximity.pairs:
-            self._nearest = NearestBodies()
+            self._nearest = WitnessedPair()
             return
         nearest = proximity.pairs[0]
         a, b = (self._places.get(name, NO_BODY) for name in nearest.pair)
-        self._nearest = NearestBodies(a, b, nearest.distance_m, nearest.points_m)
+        self._nearest = WitnessedPair(a, b, nearest.distance_m, nearest.points_m)
 
     def frame(self, now_s: float) -> bytes:
         """The frame of this moment."""

@@ -16,13 +16,13 @@ from deltaq_services.console.messages import (
     DryRun,
     Jog,
     LeaseView,
-    RobotView,
+    RobotStatusView,
     SetMode,
     SetOutput,
     ViewDistance,
 )
 from deltaq_services.console.seat import Seat
-from deltaq_services.console.stop_progress import Motion
+from deltaq_services.console.stop_progress import RobotMotion
 from deltaq_services.console.words import phase_words
 
 MOST_M_S, MOST_RAD_S = 0.5, 1.5
@@ -51,7 +51,7 @@ class RobotSide:
         self.name = name
         self.feed = RobotFeed(robot, cycle_s, bodies)
         self.seat = Seat(name)
-        self.report: driving.Report | None = None
+        self.report: driving.DriverReport | None = None
         self.outside_holder: str | None = None
         self.bound: Bound | None = None
         self.outputs: dict[str, bool] = dict.fromkeys(robot.outputs, False)
@@ -93,7 +93,7 @@ class RobotSide:
                 raise ValueError(f"wish: {joint} at {speed:g} {self.units[joint]}/s; bound {bound:g}")
         return driving.Wish(joints=jog.wish)
 
-    def request_of(self, command: SetMode | ViewDistance | SetOutput, request: str) -> driving.Request:
+    def request_of(self, command: SetMode | ViewDistance | SetOutput, request: str) -> driving.DriverRequest:
         """The driver's request that a command means.
 
         Raises:
@@ -134,14 +134,14 @@ class RobotSide:
             return f"{self.name} is {text}. {remedy}".rstrip()
         return ""
 
-    def motion(self, now_s: float) -> Motion:
+    def motion(self, now_s: float) -> RobotMotion:
         """What a stop has to know."""
         state = self.feed.state
         if state is None or self.feed.is_stale(now_s):
-            return Motion(None)
-        return Motion(state.phase, state.reason, self.feed.is_still)
+            return RobotMotion(None)
+        return RobotMotion(state.phase, state.reason, self.feed.is_still)
 
-    def view(self, now_s: float) -> RobotView:
+    def view(self, now_s: float) -> RobotStatusView:
         """What a browser is told; whose lease it is, each is told for itself (`seen_by`)."""
         state, report, seat = self.feed.state, self.report, self.seat
         text, remedy = phase_words(state, self.feed.is_stale(now_s))
@@ -152,9 +152,9 @@ class RobotSide:
             text=seat.text,
         )
         said = " · ".join(part for part in (report.doing, report.limit) if part) if report is not None else ""
-        if report is not None and report.stage is driving.Stage.STARTING:
+        if report is not None and report.stage is driving.DriverStage.STARTING:
             said = "the driver starts"
-        return RobotView(
+        return RobotStatusView(
             phase=Phase.OFFLINE if state is None else state.phase,
             reason=None if state is None else state.reason,
             text=text,
@@ -169,7 +169,7 @@ class RobotSide:
             inputs=self.inputs,
         )
 
-    def seen_by(self, client: Client, view: RobotView) -> RobotView:
+    def seen_by(self, client: Client, view: RobotStatusView) -> RobotStatusView:
         """The same view for one client."""
         if not self.seat.is_held_by(client):
             return view

@@ -28,7 +28,7 @@ _LENSES = ("tool_lens_left", "tool_lens_right")
 
 
 @dataclass
-class Scene:
+class BrowserScene:
     """What a browser needs to draw a cell.
 
     Attributes:
@@ -42,7 +42,7 @@ class Scene:
     bodies: tuple[str, ...] = ()
 
 
-def scene_of(cell: CellModel, emulated: bool) -> Scene:
+def scene_of(cell: CellModel, emulated: bool) -> BrowserScene:
     """The scene of a cell; `emulated` says that no robot of it is real."""
     meshes: dict[str, str] = {}
     names = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
@@ -64,7 +64,7 @@ def scene_of(cell: CellModel, emulated: bool) -> Scene:
         "phases": list(PHASES),
         "outcomes": list(OUTCOMES),
     }
-    return Scene(document, meshes, tuple(names))
+    return BrowserScene(document, meshes, tuple(names))
 
 
 def _drawn_by(body: str, links: Sequence[str]) -> str:

@@ -90,7 +90,9 @@ class Seat:
             return ()
         return self._release(request)
 
-    def answered(self, request: driving.Request, answer: driving.Answer, new: Callable[[], str]) -> Handled:
+    def answered(
+        self, request: driving.DriverRequest, answer: driving.DriverAnswer, new: Callable[[], str]
+    ) -> Handled:
         """The driver has taken or released the robot, or could not."""
         if isinstance(request, driving.Take) and self._stage is _Stage.TAKING:
             if answer.done and self.holder is not None:

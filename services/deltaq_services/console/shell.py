@@ -30,13 +30,13 @@ from deltaq_protocol.messages import (
     Verdict,
 )
 from deltaq_services.console.client import Client
-from deltaq_services.console.connection import Connection
+from deltaq_services.console.connection import BrowserConnection
 from deltaq_services.console.core import ConsoleCore
 from deltaq_services.console.driver_process import DriverProcess
 from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.messages import StopPhase
-from deltaq_services.console.outputs import AskHli, Output, ToDriver
-from deltaq_services.console.scene import Scene, scene_of
+from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToDriver
+from deltaq_services.console.scene import BrowserScene, scene_of
 
 M = TypeVar("M", bound=Message)
 
@@ -72,7 +72,7 @@ class Console:
         self, cell: CellModel, emulated: bool, token_needed: bool, operator_token: str | None
     ) -> None:
         description = cell.description
-        self.scene: Scene = scene_of(cell, emulated)
+        self.scene: BrowserScene = scene_of(cell, emulated)
         self.core = ConsoleCore(description, self.scene.bodies, token_needed)
         self._identity = content_identity(description)
         self._operator_token = operator_token
@@ -80,7 +80,7 @@ class Console:
         self._signalling = [
             name for name, robot in description.robots.items() if robot.outputs or robot.inputs
         ]
-        self._connections: dict[int, Connection] = {}
+        self._connections: dict[int, BrowserConnection] = {}
         self._drivers = {
             robot: DriverProcess(
                 description.hli, robot, partial(self._driver_said, robot), partial(self._driver_ended, robot)
@@ -104,7 +104,7 @@ class Console:
         """Time of day as it was at the start, and counted on without steps [s]."""
         return self._epoch_s + time.monotonic()
 
-    async def serve(self, connection: Connection, name: str, is_operator: bool) -> None:
+    async def serve(self, connection: BrowserConnection, name: str, is_operator: bool) -> None:
         """Serve one browser until it has gone."""
         client, outputs = self.core.connect(name, is_operator, self.now_s())
         if client is None:
@@ -123,7 +123,7 @@ class Console:
         if self.core.stop.phase is not before:
             self._carry_out(self.core.tick(self.now_s()))
 
-    def _carry_out(self, outputs: list[Output]) -> None:
+    def _carry_out(self, outputs: list[ConsoleOutput]) -> None:
         for output in outputs:
             if isinstance(output, AskHli):
                 task = asyncio.ensure_future(self._ask(output))
@@ -164,7 +164,7 @@ class Console:
                     raise
             await asyncio.sleep(_STOP_AGAIN_S)
 
-    def _driver_said(self, robot: str, said: driving.Said) -> None:
+    def _driver_said(self, robot: str, said: driving.DriverMessage) -> None:
         self._carry_out(self.core.driver_said(robot, said, self.now_s()))
 
     def _driver_ended(self, robot: str, why: str) -> None:

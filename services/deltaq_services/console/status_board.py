@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping
 
 from deltaq_services.console.client import Client
 from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.messages import Status
-from deltaq_services.console.outputs import Output, ToClient
+from deltaq_services.console.messages import ConsoleStatus
+from deltaq_services.console.outputs import ConsoleOutput, ToClient
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.stop_progress import StopProgress
 
@@ -30,7 +30,7 @@ class StatusBoard:
     def __init__(self, robots: Mapping[str, RobotSide], log: EventLog) -> None:
         self.hli, self.text = False, "the HLI is not heard yet"
         self._robots, self._log = robots, log
-        self._told: dict[int, tuple[float, Status]] = {}
+        self._told: dict[int, tuple[float, ConsoleStatus]] = {}
 
     def heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
         """The HLI has said who holds which lease."""
@@ -51,14 +51,14 @@ class StatusBoard:
         """A browser has gone."""
         self._told.pop(client.number, None)
 
-    def tell(self, clients: Collection[Client], stop: StopProgress, now_s: float) -> list[Output]:
+    def tell(self, clients: Collection[Client], stop: StopProgress, now_s: float) -> list[ConsoleOutput]:
         """What is to be sent now."""
         news = self._log.news(now_s)
         views = {name: side.view(now_s) for name, side in self._robots.items()}
-        outputs: list[Output] = []
+        outputs: list[ConsoleOutput] = []
         for client in clients:
             outputs += [ToClient(client.number, event) for event in news]
-            status = Status(
+            status = ConsoleStatus(
                 hli=self.hli,
                 text=self.text,
                 robots={name: self._robots[name].seen_by(client, view) for name, view in views.items()},

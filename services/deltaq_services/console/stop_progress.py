@@ -11,7 +11,7 @@ from deltaq_services.console.messages import StopPhase
 
 
 @dataclass(frozen=True)
-class Motion:
+class RobotMotion:
     """What a stop has to know of a robot.
 
     Attributes:
@@ -49,7 +49,7 @@ class StopProgress:
         if self.phase is StopPhase.ASKED:
             self.phase = StopPhase.STOPPING
 
-    def see(self, robots: Mapping[str, Motion]) -> None:
+    def see(self, robots: Mapping[str, RobotMotion]) -> None:
         """The robots' newest states."""
         held = all(motion.phase in (Phase.HELD, Phase.OFFLINE) for motion in robots.values())
         stopped = any(_is_stopped(motion) for motion in robots.values())
@@ -66,5 +66,5 @@ class StopProgress:
             self.phase, self.by = StopPhase.NONE, None
 
 
-def _is_stopped(motion: Motion) -> bool:
+def _is_stopped(motion: RobotMotion) -> bool:
     return motion.phase is Phase.HELD and motion.reason is ReasonCode.OPERATOR_STOP

@@ -21,7 +21,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.console import page
-from deltaq_services.console.connection import Connection
+from deltaq_services.console.connection import BrowserConnection
 from deltaq_services.console.scene import MESHES
 from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
 from deltaq_services.console.shell import Console
@@ -116,7 +116,7 @@ def application(console: Console, settings: Settings) -> FastAPI:
             return
         await websocket.accept()
         name = websocket.query_params.get("name", "")[:_LONGEST_NAME]
-        await console.serve(Connection(websocket), name if name.isprintable() else "", is_operator)
+        await console.serve(BrowserConnection(websocket), name if name.isprintable() else "", is_operator)
 
     return app
 

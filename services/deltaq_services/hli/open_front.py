@@ -24,7 +24,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
-from deltaq_protocol.stamps import Station, stamps_if_asked
+from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
@@ -104,7 +104,9 @@ class OpenFront:
             outputs = port.core.increments.on_bad_increment(error, None, port.now())
         else:
             if self._stamps is not None:
-                self._stamps.add(Station.INCREMENT_AT_HLI, increment.robot, increment.cycle, increment.seq)
+                self._stamps.add(
+                    StampStation.INCREMENT_AT_HLI, increment.robot, increment.cycle, increment.seq
+                )
             outputs = port.core.increments.on_increment(increment, None, port.now())
         port.carry_out(outputs)
 

@@ -10,7 +10,7 @@ from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.seal import Seal
-from deltaq_protocol.stamps import CycleOutcome, Stamps, Station
+from deltaq_protocol.stamps import CycleOutcome, Stamps, StampStation
 from deltaq_services.phases import MAY_MOVE
 
 
@@ -38,15 +38,15 @@ class CycleStamps:
         """Stamp the telegram of a cycle, and its state, which is on its way now."""
         outcome = outcome_of(state, self._last)
         self._last = state
-        self._stamps.add(Station.STATE_OUT, state.robot, state.cycle, outcome)
-        self._stamps.add(Station.TELEGRAM, state.robot, state.cycle, time_ns=round(state.time_s * 1e9))
+        self._stamps.add(StampStation.STATE_OUT, state.robot, state.cycle, outcome)
+        self._stamps.add(StampStation.TELEGRAM, state.robot, state.cycle, time_ns=round(state.time_s * 1e9))
 
     def _admission_came(self, sample: Any) -> None:
         try:
             admission = unpack(Admission, self._seal.open(str(sample.key_expr), sample.payload.to_bytes()))
         except ProtocolError:
             return  # whom the loop does not believe either
-        self._stamps.add(Station.ADMISSION_AT_SERVER, admission.robot, admission.cycle)
+        self._stamps.add(StampStation.ADMISSION_AT_SERVER, admission.robot, admission.cycle)
 
 
 def outcome_of(state: ServerState, last: ServerState | None) -> CycleOutcome:

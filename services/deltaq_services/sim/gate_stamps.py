@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, Request
 from deltaq_protocol.messages import Message, Outcome, Verdict
-from deltaq_protocol.stamps import Stamps, Station
+from deltaq_protocol.stamps import Stamps, StampStation
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.tracker import Tracker
@@ -29,16 +29,16 @@ class GateStamps:
     def came(self, message: Message) -> None:
         """The gate is about to take a message."""
         if isinstance(message, Request) and message.dq is not None:
-            self._stamps.add(Station.REQUEST_AT_GATE, message.robot, message.cycle, message.seq)
+            self._stamps.add(StampStation.REQUEST_AT_GATE, message.robot, message.cycle, message.seq)
 
     def went(self, message: Message) -> None:
         """A message of the gate has been published: of a decision first the admission, if any, then the verdict."""
         if isinstance(message, Admission):
-            self._stamps.add(Station.ADMISSION_OUT, message.robot, message.cycle)
+            self._stamps.add(StampStation.ADMISSION_OUT, message.robot, message.cycle)
         elif isinstance(message, Verdict) and message.outcome is not Outcome.REFUSED:
             robot, cycle, seq, watched = message.robot, message.cycle, message.seq, self._watched
-            self._stamps.add(Station.DECISION_BEGUN, robot, cycle, seq, watched.begun_ns)
-            self._stamps.add(Station.DECIDED, robot, cycle, seq, watched.decided_ns)
+            self._stamps.add(StampStation.DECISION_BEGUN, robot, cycle, seq, watched.begun_ns)
+            self._stamps.add(StampStation.DECIDED, robot, cycle, seq, watched.decided_ns)
 
 
 class _Watched:
