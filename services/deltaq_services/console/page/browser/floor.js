@@ -43,7 +43,9 @@ function tile(room, full) {
   pen.strokeRect(0, 0, size, size);
   const texture = new THREE.CanvasTexture(canvas);
   texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.anisotropy = full ? 8 : 1; // dear where the processor draws
+  // dear where the processor draws
+  texture.anisotropy = full ? 8 : 1;
+  texture.minFilter = full ? THREE.LinearMipmapLinearFilter : THREE.LinearMipmapNearestFilter;
   return texture;
 }
 

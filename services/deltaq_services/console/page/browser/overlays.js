@@ -40,7 +40,10 @@ export class Overlays {
   }
 
   _brakes() {
-    const material = new THREE.MeshBasicMaterial({ color: BRAKE, transparent: true, opacity: 0.16, depthWrite: false });
+    const material = new THREE.MeshBasicMaterial({
+      color: BRAKE, transparent: true, opacity: 0.2, depthWrite: false,
+      polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4, // behind what does not move
+    });
     this._ghosts = this.views.map((view) =>
       GHOSTS[this.stage.full ? "full" : "lean"].map((share) => {
         const ghost = view.ghost(material);

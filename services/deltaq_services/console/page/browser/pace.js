@@ -2,8 +2,8 @@
 // hears and obeys, and as fine as can be drawn in time. What stands still is drawn once more as fine as the screen is.
 
 const AT_ONCE = 2;
-const SLOW_MS = 30;
-const QUICK_MS = 15;
+const SLOW_MS = 16;
+const QUICK_MS = 9;
 const COARSEST = 0.5;
 const STILL_MS = 350;
 

@@ -71,10 +71,11 @@ export class RobotView {
     return camera ? this.kinematics.carried(camera.joint, camera.T_joint_camera) : null;
   }
 
-  /** Another view of the same robot, of another material and without shadows; it shares the geometry. */
+  /** Another view of the same robot, of another material without base and shadows; it shares the geometry. */
   ghost(material) {
     const ghost = new RobotView(this.robot);
     this._groups.forEach((group, index) => {
+      if (index === 0) return; // the base, which stays where it is
       for (const { geometry } of group.children.filter((child) => child.userData.isLink)) {
         ghost._groups[index].add(new THREE.Mesh(geometry, material));
       }
