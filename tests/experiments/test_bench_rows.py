@@ -53,6 +53,13 @@ def test_the_slowest_are_compared_with_the_slowest() -> None:
 @pytest.mark.parametrize(
     "content",
     [b"", b"no gzip", gzip.compress(b""), gzip.compress(msgpack.packb([1, 2])), gzip.compress(b"\xc1")],
+    ids=[
+        "empty",
+        "no gzip",
+        "nothing packed",
+        "no pairs",
+        "no msgpack",
+    ],  # compressed, they hold the time of day
 )
 def test_a_damaged_set_of_situations_is_told(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "cornered"
