@@ -16,7 +16,7 @@ MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
-.PHONY: help install demo test quick lint nightly mutation container-test wheels image docs figures constraints clean
+.PHONY: help install demo test test-live test-rest quick lint nightly mutation container-test wheels image docs figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -43,10 +43,18 @@ demo: $(INSTALLED) ## start the emulated lab cell and let the camera follow, for
 	$(BIN)/deltaq demo --duration-s $(DEMO_S)
 
 test: $(INSTALLED) lint ## lint, types, rooms, tests
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder
+	@echo "two runs of the tests side by side; each is shown as it ends"
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-live test-rest
+
+# one cell at a time; most of its life a test waits for one, so that others can compute meanwhile
+test-live: $(INSTALLED)
+	$(BIN)/pytest -m live
+
+test-rest: $(INSTALLED)
+	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live'
 
 quick: $(INSTALLED) lint ## lint, types, rooms, and the tests that take no time
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m 'not live and not long'
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not long'
 
 lint: $(INSTALLED) ## lint, format, types, rooms
 	$(BIN)/ruff check

@@ -2,7 +2,6 @@
 
 import signal
 
-import pytest
 from hypothesis import settings
 
 pytest_plugins = ["installed"]
@@ -21,19 +20,15 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what runs only if asked; begin with what takes long, and let one cell run at a time."""
+    """Leave out what runs only if asked, and begin with the files that take long."""
     asked = config.option.markexpr
     left_out = [name for name in ONLY_IF_ASKED if name not in asked]
     kept, deselected = [], []
     for item in items:
         (deselected if any(map(item.get_closest_marker, left_out)) else kept).append(item)
-    # live tests go first and to one worker, since two cells at once would want more than the machine has; then files
-    # with long tests, so that no worker is left alone with one at the end
+    # files with long tests go first, so that no worker is left alone with one at the end
     long = {item.path for item in kept if item.get_closest_marker("long") is not None}
-    kept.sort(key=lambda item: (item.get_closest_marker("live") is None, item.path not in long))
-    for item in kept:
-        group = "live" if item.get_closest_marker("live") is not None else item.path.stem
-        item.add_marker(pytest.mark.xdist_group(group))
+    kept.sort(key=lambda item: item.path not in long)
     if deselected:
         config.hook.pytest_deselected(items=deselected)
     items[:] = kept

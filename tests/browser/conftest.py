@@ -35,7 +35,7 @@ class ServedCell:
         self.url = url
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def served_cell(tmp_path_factory):
     file = write_private_cell(tmp_path_factory.mktemp("cell"))
     cell = CellModel.load(file)
@@ -46,7 +46,7 @@ def served_cell(tmp_path_factory):
         yield ServedCell(cell, console.endpoint)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium():
     if CHROMIUM is None:
         pytest.skip("Chromium is not installed: the page was not looked at")
@@ -62,7 +62,7 @@ def chromium():
 
 
 @pytest.fixture
-def opened(served_cell, chromium):
+def opened(chromium, served_cell):
     """Opens pages of the console; each in a browser of its own, closed with the test."""
     contexts = []
 
