@@ -275,8 +275,10 @@ def test_wrong_usage_is_told_in_a_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["deltaq", "drive", *arguments, "--cell", str(cell)])
-    with pytest.raises(SystemExit) as ended:
-        deltaq_command.main()
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        with pytest.raises(SystemExit) as ended:
+            deltaq_command.main()
     error = capsys.readouterr().err
     assert ended.value.code == 2
     assert told in " ".join(error.replace("│", "").split())
