@@ -40,6 +40,7 @@ NOT_RUN = {
         "needs MATLAB; the tutorial runs the same messages from Python",
     ],
     "ask-the-advisor.md": ["takes many minutes"],
+    "console.md": ["needs Chromium"],
     "containers.md": [
         "needs a container engine; tests/launch/test_containers.py",
         "needs a container engine; tests/launch/test_containers.py",

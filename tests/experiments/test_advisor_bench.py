@@ -19,7 +19,7 @@ def test_the_tasks_are_the_same_every_time_and_each_can_be_done() -> None:
     assert ExactClearance(cell, "dawm").measure(cell.robots["dawm"].home).room_m > 0
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_every_method_is_timed_and_compared_with_the_best_known() -> None:
     table = run(count=1)
     assert [row.method for row in table.rows] == list(METHODS)

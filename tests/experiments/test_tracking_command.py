@@ -16,7 +16,7 @@ def deltaq(*arguments, timeout=300):
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_paper_keeps_the_leader_in_view_within_a_degree_and_two_centimetres():
     status, out, error = deltaq(
         "experiment", "tracking", "--controller", "paper", "--leader-speed-m-s", "0.25", "--latency-s", "0.06", "--json"

@@ -84,10 +84,10 @@ def test_a_damaged_file_is_told_by_its_name(tmp_path: Path, content: bytes, why:
 
 def test_a_process_that_was_asked_writes_its_stamps_when_it_ends(tmp_path: Path) -> None:
     program = (
-        f"from {module.__name__} import Station, stamps_if_asked\n"
+        f"from {module.__name__} import StampStation, stamps_if_asked\n"
         "one, same = (stamps_if_asked('sim', ['fr']) for _ in range(2))\n"
         "assert one is same\n"
-        "one.add(Station.DECIDED, 'fr', 5, 6)\n"
+        "one.add(StampStation.DECIDED, 'fr', 5, 6)\n"
         "raise SystemExit(3)\n"
     )
     done = subprocess.run(

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.live
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 
+@pytest.mark.nightly
 def test_a_frozen_gate_and_a_dead_robot_server_are_survived_by_real_processes(tmp_path):
     file = write_private_cell(tmp_path)
     faults = [fault_named("robot-server-dead"), fault_named("sim-frozen")]

@@ -38,7 +38,14 @@ def test_the_services_hold_every_property_whatever_is_asked_of_them():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("line", documented(), ids=lambda line: line.partition("model ")[2])
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(pytest.param(line, marks=pytest.mark.nightly) for line in documented()[:-1]),
+        documented()[-1],
+    ],
+    ids=[line.partition("model ")[2] for line in documented()],
+)
 def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_the_page_tells(line):
     command = [sys.executable, *shlex.split(line)[1:]]
     ended = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
@@ -64,7 +71,7 @@ def test_a_broken_system_is_found_out(broken):
     assert found.counterexample.violation.broken is broken.breaks
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "broken",
     [one for one in BROKEN if issubclass(one.system, AttackedSystem)],
