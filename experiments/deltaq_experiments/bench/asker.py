@@ -58,7 +58,10 @@ def frame(datagrams: list[bytes]) -> bytes:
 
 
 def _asked(own: socket.socket, whom: tuple[str, int], telegram: bytes, until_ns: int) -> int:
-    """How long an answer took, -1 if none came by `until_ns`; returns at that time in any case."""
+    """How long an answer took, -1 if none came by `until_ns`; returns at that time in any case.
+
+    An answer that comes later is taken for one to the next telegram: it does not say which it answers.
+    """
     took_ns, sent_ns = -1, time.monotonic_ns()
     poll = select.poll()
     poll.register(own, select.POLLIN)
