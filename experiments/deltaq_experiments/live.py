@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_experiments.last_lines import LastLines
 from deltaq_experiments.options import Options
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord
@@ -56,7 +56,7 @@ def run_live(
             services.append(_with(leader, "--speed-m-s", speed, "--seed", seed, *leading))
         if options.record is not None:
             services.append(recorder(str(options.cell), str(not_there_yet(options.record))))
-        lines = _Lines()
+        lines = LastLines()
         launcher = Launcher([*services, follower], lines, lambda: bring_to_rest(description, "experiment"))
         with launcher:
             launcher.start()
@@ -77,23 +77,6 @@ def run_live(
     reasons = {k.removeprefix("reason_"): v for k, v in status.gate.items() if k.startswith("reason_")}
     trace = trace_of(states, tuple(cell.robots), setpoints, summary["began_s"], options.length_s)
     return RunRecord(trace, GateCounts.of(status.gate), reasons)
-
-
-class _Lines:
-    """Keeps the output of the services, to be shown if a run fails."""
-
-    def __init__(self) -> None:
-        self._lines: list[str] = []
-        self._lock = threading.Lock()
-
-    def __call__(self, name: str, line: str) -> None:
-        with self._lock:
-            self._lines.append(f"{name}: {line}")
-
-    def text(self) -> str:
-        """The last lines."""
-        with self._lock:
-            return "\n".join(self._lines[-20:])
 
 
 def _with(service: Service, *arguments: str) -> Service:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +18,7 @@ from deltaq_experiments.bench.hop_reference import HopTimes, hop_reference
 from deltaq_experiments.bench.journeys import RobotStamps, by_robot
 from deltaq_experiments.bench.live_figures import LiveRow, RobotFigures, bounded_rows, robot_figures
 from deltaq_experiments.bench.processor_time import processor_seconds
+from deltaq_experiments.last_lines import LastLines
 from deltaq_launch.bring_to_rest import bring_to_rest
 from deltaq_launch.child_process import Exited
 from deltaq_launch.launcher import (
@@ -34,7 +33,6 @@ from deltaq_protocol.stamps import FOLDER, WrittenStamps, read_stamps
 
 STAMPING = (Role.ROBOT_SERVER, Role.SIM, Role.HLI, Role.LEADER, Role.FOLLOWER)
 """Services that write stamps when they end."""
-_LAST_LINES = 20
 _TICK_S = 0.25
 
 
@@ -124,7 +122,7 @@ def _run(
     on_time: Callable[[float], None],
 ) -> _Window:
     python = ("env", f"{FOLDER}={folder}", sys.executable)
-    lines = _LastLines()
+    lines = LastLines()
     launcher = Launcher(services, lines, partial(bring_to_rest, cell, "deltaq bench"), python=python)
     with launcher:
         launcher.start()
@@ -149,7 +147,7 @@ def _processor(launcher: Launcher) -> dict[str, float]:
 
 
 def _wait(
-    launcher: Launcher, lines: _LastLines, began_s: float, on_time: Callable[[float], None], for_s: float
+    launcher: Launcher, lines: LastLines, began_s: float, on_time: Callable[[float], None], for_s: float
 ) -> None:
     end_s = time.monotonic() + for_s
     while (left_s := end_s - time.monotonic()) > 0.0:
@@ -161,22 +159,6 @@ def _wait(
                 raise LaunchError(
                     f"{describe_exit(name, status)} while the cell was measured; the last lines were\n{lines.text()}"
                 )
-
-
-class _LastLines:
-    """Keeps the last lines of all services, to be shown if a run fails."""
-
-    def __init__(self) -> None:
-        self._lines: deque[str] = deque(maxlen=_LAST_LINES)
-        self._lock = threading.Lock()
-
-    def __call__(self, name: str, line: str) -> None:
-        with self._lock:
-            self._lines.append(f"{name}: {line}")
-
-    def text(self) -> str:
-        with self._lock:
-            return "\n".join(self._lines)
 
 
 def _figures(
