@@ -21,7 +21,7 @@ from deltaq_cell.kernel.gap import ROUNDING_M
 from deltaq_cell.kernel.look import NONE, look
 from deltaq_cell.kernel.pieces import Tube, stack_of
 from deltaq_cell.kernel.place import place
-from deltaq_cell.kernel.planes import keeps
+from deltaq_cell.kernel.planes import keeps_apart
 from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
@@ -113,10 +113,15 @@ class CompiledProximity(ProximityEngine):
         for name, (joints, _) in self._ranges.items():
             q = self._q[joints[0] : joints[1]]
             self.place(name, q, np.zeros_like(q))
+        self._compile()
+
+    def _compile(self) -> None:
+        """Call everything once, so that no decision waits for machine code."""
         for listed in (*self.alone.values(), *self.between.values()):
-            self.look(listed, 0.0)  # so that no decision waits for the machine code
-        for name in self._ranges:
-            self.certify(self.whole_tube(name, self._strips[name][0][None], 0, 0, 0), None, [], 0.0, 0)
+            self.look(listed, 0.0)
+        for name, (middle, _, _) in self._strips.items():
+            self.certify(self.whole_tube(name, middle[None], 0, 0, 0), None, self.alone[name], 0.0, 0)
+        keeps_apart(self._anatomy, self._where, 0, 0, np.array([0.0, 0.0, 1.0]), 0.0, 0.0, self._found.twist)
         strip_around(self._q[None])
 
     def place(
@@ -297,7 +302,7 @@ class CompiledProximity(ProximityEngine):
         length = float(np.linalg.norm(normal))
         if not 0.5 < length < 2.0:  # coal found no way out
             return False
-        return keeps(
+        return keeps_apart(
             self._anatomy,
             self._where,
             int(listed.pairs.first[index]),

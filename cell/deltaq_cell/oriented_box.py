@@ -28,6 +28,6 @@ def oriented_box(corners: Array, axis: Array, disc: float, ball: float) -> tuple
 def _along(axes: Array, corners: Array, axis: Array, disc: float, ball: float) -> tuple[Array, Array, Array]:
     reach = corners @ axes.T
     # a disc reaches along a unit vector as far as that is across its axis
-    wider = disc * np.sqrt(np.maximum(1.0 - (axes @ axis) ** 2, 0.0)) + ball
+    wider = disc * np.linalg.norm(np.cross(axes, axis), axis=1) + ball
     low, high = reach.min(axis=0) - wider, reach.max(axis=0) + wider
     return axes, axes.T @ ((low + high) / 2), (high - low) / 2

@@ -261,6 +261,9 @@ for _ in range(4):
     proximity.place("dawm", q, np.abs(direction) + 0.002, direction)
     look = proximity.look(proximity.alone["dawm"], 0.02)
     print(look.too_near, *look.tightest.pair, *proximity._found.open.astype(int), *proximity._found.normal.ravel())
+    tube = proximity.whole_tube("dawm", np.array([q, q + direction, q + 2 * direction + 0.01]), 1, 0, 3)
+    told = proximity.certify(tube, None, proximity.alone["dawm"], 0.001, 50)
+    print(told.holds, *told.tightest.pair, told.left, told.tightest.swept_m)
 """
 
 
@@ -284,5 +287,11 @@ def test_the_machine_code_says_what_its_python_does():
 
 def test_no_liberties_are_taken_with_numbers():
     """Else sums would be ordered as the processor likes."""
-    for function in (kernel.look, kernel.gap, kernel.keeps, compiled_proximity.place):
+    for function in (
+        kernel.look,
+        kernel.gap,
+        kernel.keeps,
+        compiled_proximity.place,
+        compiled_proximity.certify,
+    ):
         assert not getattr(function, "targetoptions", {}).get("fastmath")

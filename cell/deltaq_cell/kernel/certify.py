@@ -15,7 +15,7 @@ from deltaq_cell.kernel.pieces import MINE, THEIRS, Stack, Tube, begin, divide, 
 from deltaq_cell.kernel.place import place
 
 
-class Verdict(NamedTuple):
+class TubesCertified(NamedTuple):
     """What came of a certificate.
 
     Attributes:
@@ -49,7 +49,7 @@ def certify(
     tells: bool,
     stack: Stack,
     found: Findings,
-) -> Verdict:
+) -> TubesCertified:
     """Whether pairs keep `room_m` beyond their stop distance anywhere in two tubes, or in one.
 
     Args:
@@ -94,7 +94,7 @@ def certify(
         divides_on = (mine_divides or theirs_divides) and top < len(stack.part)
         if budget < 0 or too_near or not divides_on:
             told, travel_m = _tell(stack, row, tightest, found)
-            return Verdict(False, budget, told, travel_m, too_near, last, open_end)
+            return TubesCertified(False, budget, told, travel_m, too_near, last, open_end)
         stack.part[row, 0], stack.part[row, 1] = last, open_end
         further = stack.greatest[MINE] >= stack.greatest[THEIRS]
         if mine_divides and (further or not theirs_divides):
@@ -103,7 +103,7 @@ def certify(
             divide(stack, row, THEIRS, theirs, serial)
         serial += 2
         top += 1
-    return Verdict(True, budget, told, travel_m, False, 0, 0)
+    return TubesCertified(True, budget, told, travel_m, False, 0, 0)
 
 
 @inlined

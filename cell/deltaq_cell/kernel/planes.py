@@ -7,10 +7,25 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import inlined
+from deltaq_cell.compiled import compiled, inlined
 from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
 from deltaq_cell.kernel.gap import body_at
 from deltaq_protocol.arrays import Array
+
+
+@compiled
+def keeps_apart(
+    cell: Anatomy,
+    placed: Placed,
+    first: int,
+    second: int,
+    normal: Array,
+    distance_m: float,
+    asked_m: float,
+    twist: Array,
+) -> bool:
+    """`keeps`, for callers outside of the kernel."""
+    return keeps(cell, placed, first, second, normal, distance_m, asked_m, twist)
 
 
 @inlined

@@ -15,8 +15,8 @@ from deltaq_cell.kernel.pieces import Tube
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Binding, Certificate, Certifier, Suspects
 from deltaq_services.sim.tube import Windows
 
-BUDGET = 300
-"""Searches between two bodies in parts of tubes that one certifier may spend."""
+BUDGET = 600
+"""Searches between two bodies in parts of tubes that one certifier may spend; the first look at whole tubes is free."""
 
 
 class CompiledCertifier(Certifier):
