@@ -28,9 +28,6 @@ from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Windows
 from deltaq_services.sim.violations import Violations
 
-_SEARCH_BUDGET = 300
-"""Of all smaller scales together, where the whole request was refused."""
-
 _LEAST_SCALE = 1e-3
 """Below this a blend is the brake in all but name."""
 
@@ -105,7 +102,7 @@ class Gate:
         elif self._stands_clear(robot, tubes):
             self._violations.only(robot.name, ())
             # all smaller scales share one budget, so that a decision ends in time
-            certifier = CompiledCertifier(self._proximity, _SEARCH_BUDGET, tells=False)
+            certifier = CompiledCertifier(self._proximity, tells=False)
             scale = largest(
                 lambda s: certifier.certify(robot.name, tube(s), tubes),
                 lambda s, suspects: certifier.judge(robot.name, tube(s), tubes, suspects),
