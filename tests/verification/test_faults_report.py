@@ -25,8 +25,8 @@ def setpoints(robot, steps):
     return q
 
 
-def judge(robot, steps, unanswered=0, near=(0.1, 0.1), protest=None, altered=0):
-    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest, altered)
+def judge(robot, steps, unanswered=0, near=(0.1, 0.1), protest=None, altered=0, altered_replies=False):
+    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest, altered, altered_replies)
 
 
 def test_a_brake_is_measured_from_the_fault_to_the_last_increment(robot):
@@ -57,6 +57,13 @@ def test_a_step_beyond_the_velocity_limit_is_never_good(robot):
     fast = robot.max_velocity[0] * CYCLE_S * 1.1
     assert judge(robot, [fast] * 5).velocity_violations == 5
     assert not is_good(judge(robot, [fast] * 5, unanswered=100), STOP_DISTANCES_M)
+
+
+def test_what_the_wire_makes_of_replies_is_the_krcs_to_judge_but_not_how_near_bodies_came(robot):
+    fast = [robot.max_velocity[0] * CYCLE_S * 1.1] * 5
+    for near, good in (((0.1, 0.1), True), ((0.049, 0.1), False), ((0.1, 0.019), False)):
+        altered = judge(robot, fast, near=near, protest="Command gear torque", altered_replies=True)
+        assert is_good(altered, STOP_DISTANCES_M) is good
 
 
 @pytest.mark.parametrize("near", [(0.049, 0.1), (0.1, 0.019)])

@@ -18,6 +18,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_verification.faults.actions import (
     BeginInThePast,
     Freeze,
+    Impair,
     Kill,
     PressStop,
 )
@@ -140,6 +141,7 @@ class _Run:
             self._nearest(rows[:, 1 : 1 + model.n]),
             pendant_message(lifted["message"]),
             _flipped(ended) - _flipped(begun),
+            altered_replies=isinstance(fault.action, Impair) and fault.action.faults.flip > 0,
         )
         gate = self._description.gate
         return FaultEffect(

@@ -48,6 +48,8 @@ class Kept(BaseModel):
         unanswered_cycles: KRC cycles without a valid reply, in which a KRC holds its last correction.
         altered_telegrams: of the KRC, in which the wire made another digit of one. The answer to one that cannot be
             true is the last correction, which a KRC holds as it does without an answer.
+        altered_replies: whether the wire made other digits of what the KRC was sent, which only the KRC can judge: what
+            it refuses, and the setpoints that it takes, are not the Robot Server's then. Distances count all the same.
         abrupt_cycles: changes of an increment beyond the acceleration limit; each unanswered cycle explains two, and
             each altered telegram.
         clearance_m: least distance between robots, and between robots and structure.
@@ -61,6 +63,7 @@ class Kept(BaseModel):
     velocity_violations: int
     unanswered_cycles: int
     altered_telegrams: int
+    altered_replies: bool
     abrupt_cycles: int
     clearance_m: float
     self_clearance_m: float
@@ -144,6 +147,7 @@ def judged(
     near: tuple[float, float],
     protest: str | None,
     altered: int = 0,
+    altered_replies: bool = False,
 ) -> Kept:
     """Judge a whole run.
 
@@ -155,6 +159,7 @@ def judged(
         near: least distance of bodies, and least distance of a robot to itself [m].
         protest: of the KRC.
         altered: telegrams of the KRC in which the wire made another digit of one.
+        altered_replies: whether it did so with replies.
     """
     beyond = limit_violations(robot, setpoints, cycle_s)
     return Kept(
@@ -162,6 +167,7 @@ def judged(
         velocity_violations=beyond.velocity_violations,
         unanswered_cycles=unanswered,
         altered_telegrams=altered,
+        altered_replies=altered_replies,
         abrupt_cycles=beyond.acceleration_violations,
         clearance_m=near[0],
         self_clearance_m=near[1],
@@ -172,11 +178,14 @@ def judged(
 def is_good(result: Kept, stop_distances_m: tuple[float, float], tolerance_m: float = 1e-4) -> bool:
     """Whether limits and stop distances were kept; `tolerance_m` is what a telegram's decimals may take off."""
     still = result.unanswered_cycles + result.altered_telegrams
-    return (
+    as_sent = (
         result.protest is None
         and result.position_violations == 0
         and result.velocity_violations == 0
         and result.abrupt_cycles <= ABRUPT_PER_CYCLE * still
+    )
+    return (
+        (as_sent or result.altered_replies)
         and result.clearance_m >= stop_distances_m[0] - tolerance_m
         and result.self_clearance_m >= stop_distances_m[1] - tolerance_m
     )
