@@ -34,6 +34,10 @@ BRAKING_ROLES = (Role.ROBOT_SERVER, Role.EMULATOR)
 """What a robot needs to come to rest once the gate is silent."""
 
 
+GUARDED_ROLES = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
+"""What speaks in the guarded realm, and needs its key."""
+
+
 class Probe(StrEnum):
     """How to ask a service whether it is healthy."""
 

@@ -173,9 +173,9 @@ class Health(Message):
 
 
 class Greeting(Message):
-    """Says that this process of a service is there now; its seal tells which, so that others can bind to it what they send.
+    """Says that this process of a service is there now; its seal tells which.
 
-    It comes in answer to a message that was not made for the process.
+    It comes in answer to a message that was not made for the process, so that the next one is.
     """
 
     service: Name

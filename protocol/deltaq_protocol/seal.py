@@ -6,8 +6,8 @@ invalid under another zenoh key; fields of the message itself bind it to gate ep
 
 Sender and receivers are processes, each by a random number of its own. A process acts only upon what names it as a
 receiver: a message that was recorded before it began cannot. It learns of the others by what they send, and tells them
-of itself by a greeting whenever one does not know it yet. Numbers of a sender only grow, and each is valid once; a sender
-that another has taken the place of is not heard again. No clock is involved.
+of itself by a greeting whenever one does not know it yet. Numbers of a sender only grow, and each is valid once; a
+sender that another has taken the place of is not heard again. No clock is involved.
 """
 
 from __future__ import annotations
@@ -100,7 +100,9 @@ class Seal:
             link.newcomers.clear()
             self._address_all()
         if number <= link.number:
-            raise ForgedMessageError(f"{zenoh_key}: number {number} again, the newest so far is {link.number}")
+            raise ForgedMessageError(
+                f"{zenoh_key}: number {number} again, the newest so far is {link.number}"
+            )
         link.number = number
         return message
 

@@ -41,7 +41,7 @@ def guarded_seal(cell: CellDescription) -> Seal:
 
 
 def realm_of(cell: CellDescription) -> str | None:
-    """The name of a cell's guarded realm on this machine, other where its endpoints are; None if it leaves the machine."""
+    """The name of a cell's guarded realm, by its endpoints on this machine; None if one of them leaves it."""
     if off_loopback(cell) is not None:
         return None
     endpoints = " ".join((cell.sim, *(robot.server for robot in cell.robots.values())))

@@ -73,7 +73,9 @@ async def test_no_service_starts_without_a_key(tmp_path, sim):
 
 
 def test_what_to_do_is_told_to_who_starts_a_service_by_hand():
-    with pytest.raises(GuardedKeyError, match=r"no key: .* `deltaq up --only NAME`.*set \w+=FILE for HLI, SIM"):
+    with pytest.raises(
+        GuardedKeyError, match=r"no key: .* `deltaq up --only NAME`.*set \w+=FILE for HLI, SIM"
+    ):
         guarded_seal(small_cell())
 
 
@@ -233,7 +235,7 @@ def test_a_runtime_folder_that_others_may_enter_is_refused(tmp_path, monkeypatch
     with pytest.raises(RuntimeFolderError, match="is no folder"):
         runtime_folder()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "none"))
-    with pytest.raises(RuntimeFolderError, match="cannot be made: No such file.* XDG_RUNTIME_DIR"):
+    with pytest.raises(RuntimeFolderError, match=r"cannot be made: No such file.* XDG_RUNTIME_DIR"):
         runtime_folder()
 
 

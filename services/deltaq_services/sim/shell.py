@@ -38,9 +38,7 @@ def _taken() -> dict[str, Topic]:
     """What the gate takes in, by the end of the key; others' heartbeats only wake it, and greetings are the seal's."""
     rows = [topic for topic in topics.TOPICS if topic.realm is Realm.GUARDED and Party.SIM in topic.readers]
     return {
-        topic.template.rpartition("/")[2]: topic
-        for topic in rows
-        if topic.message not in (Health, Greeting)
+        topic.template.rpartition("/")[2]: topic for topic in rows if topic.message not in (Health, Greeting)
     }
 
 
