@@ -1,18 +1,14 @@
 """Strangers in the guarded realm: they join its endpoints, say what its services say, and nothing comes of it."""
 
-import itertools
-
 import pytest
 from sealed_realm import SealedRealm
+from stranger import Stranger, ghost, orders, request
 
 from deltaq_protocol import topics
-from deltaq_protocol.brake import brake_cycles
-from deltaq_protocol.codec import pack
-from deltaq_protocol.guarded import Admission, Command, Greeting, Request, Supervision
+from deltaq_protocol.guarded import Command, Greeting, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.seal import KEY_BYTES, ForgedMessageError, Seal
-from deltaq_protocol.session import open_session
+from deltaq_protocol.seal import ForgedMessageError
 
 STEP = 1e-4  # [rad] a cycle
 CYCLES = 30
@@ -26,55 +22,11 @@ def realm(tmp_path):
     realm.close()
 
 
-class Stranger:
-    """A process without the key: it speaks unsealed, or under a seal that it has guessed."""
-
-    def __init__(self, realm):
-        description = realm.description
-        self.cell = description.cell
-        endpoints = [description.sim, *(robot.server for robot in description.robots.values())]
-        self._session = open_session(connect=endpoints, must_connect=True)
-        self._guessed = Seal(bytes(KEY_BYTES))
-        self.said = 0
-
-    def say(self, topic, message, **fields):
-        key, packed = topic.key(self.cell, **fields), pack(message)
-        for payload in (packed, self._guessed.close(key, packed)):
-            self._session.put(key, payload)
-            self.said += 1
-
-    def repeat(self, recording):
-        for key, sealed in recording:
-            self._session.put(key, sealed)
-
-    def close(self):
-        self._session.close()
-
-
 @pytest.fixture
 def stranger(realm):
-    stranger = Stranger(realm)
+    stranger = Stranger(realm.description)
     yield stranger
     stranger.close()
-
-
-def admission_past_the_gate(realm, name="fr"):
-    """An admission that follows the robot's present plan and keeps every bound of its Robot Server."""
-    robot = realm.robots[name]
-    description, state = realm.description.robots[name], robot.state
-    max_dv = description.max_acceleration * realm.description.cycle_s**2
-    dq = tuple((0.5 * max_dv).tolist())
-    return Admission(
-        robot=name,
-        epoch=state.epoch,
-        sequence=state.sequence + 1,
-        cycle=state.cycle,
-        follows_sequence=state.sequence,
-        follows_q_cmd=state.q_cmd,
-        follows_dq=state.dq,
-        dq=dq,
-        brake_cycles=brake_cycles(0.5 * max_dv, max_dv),
-    )
 
 
 def hear(realm, robot, counter):
@@ -83,11 +35,11 @@ def hear(realm, robot, counter):
         realm.cycle({})
 
 
-def test_what_the_stranger_says_would_move_the_robot_if_the_gate_said_it(realm):
+def test_what_the_stranger_says_would_move_the_robot_if_the_gate_said_it(realm, stranger):
     fr = realm.robots["fr"]
     realm.cycle({})
     before = fr.q.copy()
-    fr.admission = admission_past_the_gate(realm)
+    fr.admission = stranger.admission(fr.state)
     fr.cycle()
     assert fr.core.counters["admissions"] == 1
     assert (fr.q != before).all()
@@ -97,7 +49,7 @@ def test_forged_admissions_move_nothing(realm, stranger):
     fr = realm.robots["fr"]
     before = fr.q.copy()
     for _ in range(CYCLES):
-        realm.cycle({}, lambda: stranger.say(topics.ADMISSION, admission_past_the_gate(realm), robot="fr"))
+        realm.cycle({}, lambda: stranger.say(topics.ADMISSION, stranger.admission(fr.state), robot="fr"))
     hear(realm, fr, "forged_admission")
     assert (fr.q == before).all()
     assert fr.core.counters["admissions"] == 0
@@ -111,7 +63,7 @@ def test_while_strangers_speak_in_every_cycle_every_admission_arrives_and_none_i
     def attack():
         for robot in robots.values():
             for _ in range(3):
-                stranger.say(topics.ADMISSION, admission_past_the_gate(realm, robot.name), robot=robot.name)
+                stranger.say(topics.ADMISSION, stranger.admission(robot.state), robot=robot.name)
                 stop = Supervision(
                     robot=robot.name,
                     epoch=robot.state.epoch,
@@ -139,18 +91,6 @@ def test_while_strangers_speak_in_every_cycle_every_admission_arrives_and_none_i
     assert not any(robot.tracker.missed for robot in realm.sim.robots.values())
 
 
-def ghost(state):
-    """The robot is said to be elsewhere, by its own server in the next cycles."""
-    q = tuple(value + 0.3 for value in state.q)
-    return state.model_copy(update={"cycle": state.cycle + 5, "q": q, "q_cmd": q})
-
-
-def request(state):
-    """An increment under a greater lease than anybody has."""
-    n = len(state.q)
-    return Request(robot=state.robot, cycle=state.cycle, lease_epoch=2**60, seq=1, dq=(1e-3,) * n)
-
-
 def test_ghost_states_are_not_believed(realm, stranger):
     fr = realm.robots["fr"]
     for _ in range(CYCLES):
@@ -171,10 +111,7 @@ def test_a_robot_that_an_operator_stopped_stays_stopped(realm, stranger):
     resets = fr.state.resets
 
     def attack():
-        for epoch, count in itertools.product((0, fr.state.epoch), (fr.state.resets + 1, 2**60)):
-            order = Supervision(
-                robot="fr", epoch=epoch, cycle=fr.state.cycle, resets=count, cell=fr.state.cell
-            )
+        for order in orders(fr.state):
             stranger.say(topics.SUPERVISION, order, robot="fr")
         cycles = {name: robot.state.cycle for name, robot in realm.robots.items()}
         stranger.say(
