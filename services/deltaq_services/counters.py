@@ -96,6 +96,11 @@ COUNTERS: tuple[Counted, ...] = (
         "states_of_another_cell_{robot}",
         "states of a Robot Server that has read another description of the cell",
     ),
+    Counted(
+        SIM,
+        "impossible_states_{robot}",
+        "states of this robot that the gate cannot have caused; each stops all robots",
+    ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
     Counted(SIM, "forged_messages", "messages whose seal is wrong, or that came again"),
     Counted(

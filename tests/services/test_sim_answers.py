@@ -69,7 +69,7 @@ def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
 
 def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
     rig.sim.on_command(bound(rig.sim, id=3, kind="io", robot="gr", outputs={"gripper": True}))
-    state = next_state(rig, robot="gr", resets=4)
+    state = next_state(rig, robot="gr", resets=4, epoch=4)  # of a gate before this one
     expected = Supervision(
         robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True}, cell=state.cell
     )
@@ -120,7 +120,9 @@ def test_a_robot_server_that_began_anew_is_stopped_and_its_first_cycles_are_deci
     assert rig.sim.on_state(again)[0].message.stop is ReasonCode.SERVER_LOST
     held = again.model_copy(update={"cycle": decided - 1, "time_s": again.time_s + 1, "phase": Phase.HELD})
     assert rig.sim.on_state(held)[0].message.stop is None
-    ready = held.model_copy(update={"cycle": decided, "time_s": again.time_s + 2, "phase": Phase.READY})
+    rig.sim.robots["fr"].orders.resets = 1  # the operator's
+    changes = {"cycle": decided, "time_s": again.time_s + 2, "phase": Phase.READY, "resets": 1}
+    ready = held.model_copy(update=changes)
     rig.sim.on_state(ready)
     assert rig.sim.on_request(ask(rig, seq=2, cycle=decided))[-1].message.outcome is Outcome.ADMITTED
 
