@@ -36,9 +36,8 @@ def admitted(sequence: int = 2, brake_cycles: int = 3) -> Admission:
 
 
 def moving(cycle: int = 101, sequence: int = 2, **changes: Any) -> ServerState:
-    return server_state(
-        cycle=cycle, phase=Phase.ENGAGED, sequence=sequence, **{"plan": MOVING, "dq": DQ} | changes
-    )
+    fields = {"phase": Phase.ENGAGED, "plan": MOVING, "dq": DQ} | changes
+    return server_state(cycle=cycle, sequence=sequence, **fields)
 
 
 BEFORE = server_state(plan=AT_REST)
@@ -69,6 +68,42 @@ def test_a_plan_that_was_not_admitted(plan: Plan) -> None:
 def test_a_robot_at_rest_has_no_plan_but_it_does_not_rest_while_its_setpoint_moves() -> None:
     assert judged(moving(103, plan=AT_REST, dq=(0.0,) * 6), moving()) is None
     assert judged(moving(103, plan=AT_REST), moving()) == "a plan that sequence 2 is not"
+
+
+def at(*shares: float, **changes: Any) -> ServerState:
+    """In the cycle after so many, at the setpoint that these shares of the increment lead to."""
+    q_cmd = tuple(0.1 + sum(shares) * dq for dq in DQ)
+    return moving(100 + len(shares), q_cmd=q_cmd, **changes)
+
+
+@pytest.mark.parametrize("shares", [(1,), (1, 2 / 3), (1, 2 / 3, 1 / 3), (1, 2 / 3, 1 / 3, 0), (0,), (1, 0)])
+def test_an_admission_leads_along_its_brake_and_no_state_has_to_be_heard(shares: tuple[float, ...]) -> None:
+    assert judged(at(*shares), BEFORE, in_flight=admitted()) is None
+
+
+@pytest.mark.parametrize("shares", [(1.001,), (1, 1), (1 + 2 / 3,), (0.5,), (-1,), (0, 0, 0, 0, 100)])
+def test_a_setpoint_that_no_admission_leads_to(shares: tuple[float, ...]) -> None:
+    said = "a setpoint of joint 1 that no admission leads to"
+    assert judged(at(*shares), BEFORE, in_flight=admitted()) == said
+    held = at(*shares, phase=Phase.HELD, sequence=1, plan=AT_REST, dq=(0.0,) * 6)
+    assert judged(held, BEFORE) == said
+    one = BEFORE.model_copy(update={"q_cmd": (*BEFORE.q_cmd[:3], 0.3, *BEFORE.q_cmd[4:]), "cycle": 101})
+    assert judged(one, BEFORE) == "a setpoint of joint 4 that no admission leads to"
+
+
+def test_the_brake_goes_on_from_where_it_was() -> None:
+    begun = at(1)
+    begun = begun.model_copy(update={"plan": MOVING.model_copy(update={"step": 0})})
+    assert judged(at(1, 2 / 3), begun) is None
+    assert judged(at(1, 2 / 3, 1 / 3), begun) is None
+    assert judged(at(1, 1), begun) is not None
+
+
+def test_a_reset_takes_the_setpoint_that_the_krc_has() -> None:
+    held = server_state(phase=Phase.HELD, plan=AT_REST, resets=3)
+    elsewhere = {"cycle": 101, "plan": AT_REST, "sequence": 0, "q_cmd": (0.7,) * 6}
+    assert judged(server_state(**elsewhere, resets=4), held, resets=4) is None
+    assert judged(server_state(**elsewhere), server_state(phase=Phase.OFFLINE, plan=AT_REST)) is None
 
 
 @pytest.mark.parametrize(
@@ -110,7 +145,7 @@ def test_what_is_not_judged() -> None:
     assert judged(ghost, BEFORE.model_copy(update={"process": 9})) is None  # of another process: held anyway
     assert judged(BEFORE, BEFORE) is None  # said again
     assert judged(moving(99), BEFORE) is None  # overtaken
-    assert judged(moving(epoch=7), BEFORE) is None  # it follows an earlier gate
+    assert judged(at(1, epoch=7), BEFORE) is None  # it follows an earlier gate
 
 
 # --- in the gate ------------------------------------------------------------------------------------
@@ -125,12 +160,13 @@ def ghosts(rig: Rig) -> dict[str, ServerState]:
         "sequence": {"sequence": 10_000, "plan": plan, "dq": SMALL},
         "plan": {"plan": plan, "dq": SMALL},
         "leap": {"cycle": state.cycle + 5000},
+        "elsewhere": {"q": (0.0,) * 6, "q_cmd": (0.0,) * 6},
         "reset": {"resets": state.resets + 1},
     }
     return {name: state.model_copy(update=following | change) for name, change in changes.items()}
 
 
-@pytest.mark.parametrize("name", ["sequence", "plan", "leap", "reset"])
+@pytest.mark.parametrize("name", ["sequence", "plan", "leap", "elsewhere", "reset"])
 def test_all_robots_are_held_and_the_way_out_is_a_reset(name: str) -> None:
     rig = Rig()
     known = {robot: gated.tracker.state for robot, gated in rig.sim.robots.items()}

@@ -353,9 +353,10 @@ def test_the_nearest_pair_is_one_of_the_robots_that_were_heard(rig):
 )
 def test_the_nearest_pair_is_that_of_the_setpoints_wherever_the_drives_are(rig, fr, gr, pair):
     here = {"fr": np.array(fr), "gr": np.array(gr)}
+    sim = Sim(CELL, epoch=5)
     for name, q in here.items():
-        rig.sim.on_state(next_state(rig, name, q_cmd=tuple(q.tolist())))
-    near, truth = rig.sim.nearest(), ClearanceOracle(CELL)
+        sim.on_state(next_state(rig, name, q_cmd=tuple(q.tolist())))
+    near, truth = sim.nearest(), ClearanceOracle(CELL)
     assert set(near.pair) == pair
     nearest = min(
         truth.between_robots_and_structure(here), truth.of_one_robot(here), key=lambda item: item.distance_m

@@ -7,9 +7,15 @@ of a fault, of two gates, or from somebody who speaks in the Robot Server's stea
 
 from __future__ import annotations
 
+import numpy as np
+
 from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
 from deltaq_services.phases import MAY_MOVE
+from deltaq_services.sim.tube import Branch
+
+_SUMS = 1e-9
+"""Rounding of a setpoint when increments are added in another order [rad or m]."""
 
 
 def impossible(
@@ -41,11 +47,34 @@ def impossible(
         return f"cycle {state.cycle} after cycle {before.cycle}, and it may move"
     if before.phase is Phase.HELD and state.phase in MAY_MOVE and state.resets <= before.resets:
         return "a hold that ended without a reset"
-    if state.epoch != epoch:
-        return None  # it follows an earlier gate, and takes no admission of this one before a reset
-    if state.resets > resets:
-        return f"reset {state.resets}, of which {resets} were ordered"
-    return _not_admitted(state, before, in_flight)
+    if state.epoch == epoch:
+        if state.resets > resets:
+            return f"reset {state.resets}, of which {resets} were ordered"
+        if (said := _not_admitted(state, before, in_flight)) is not None:
+            return said
+    elif state.sequence != before.sequence:
+        return None  # it follows an earlier gate, whose last admissions nobody knows here
+    if state.resets != before.resets or before.phase is Phase.OFFLINE:
+        return None  # it has begun where its KRC said
+    joint = _off_course(state, before, in_flight)
+    return None if joint is None else f"a setpoint of joint {joint + 1} that no admission leads to"
+
+
+def _off_course(state: ServerState, before: ServerState, in_flight: Admission | None) -> int | None:
+    """The joint whose setpoint is not on the course that began at the one before; None if all are.
+
+    An admission is valid for the next cycle only, so that there is no other course than that of the brake and its own.
+    """
+    if state.q_cmd == before.q_cmd:
+        return None
+    branch = Branch(np.array(before.plan.dq), before.plan.brake_cycles, before.plan.step)
+    if in_flight is not None and state.sequence == in_flight.sequence:
+        branch = Branch(np.array(in_flight.dq), in_flight.brake_cycles, -1)
+    start = np.array(before.q_cmd)
+    course = np.vstack([start, branch.setpoints(start)[: state.cycle - before.cycle]])
+    off = np.abs(course - np.array(state.q_cmd))
+    nearest = off[off.max(axis=1).argmin()]
+    return None if nearest.max() <= _SUMS else int(nearest.argmax())
 
 
 def _not_admitted(state: ServerState, before: ServerState, in_flight: Admission | None) -> str | None:
