@@ -29,6 +29,8 @@ _NUMBER = _MAC_BYTES + _PROCESS_BYTES
 _COUNT = _NUMBER + _NUMBER_BYTES
 _RECEIVERS = _COUNT + 1
 _MOST_RECEIVERS = 255
+MAX_SEALED_BYTES = 16 * 1024
+"""Longest sealed message, many times what services send: nobody shall keep one busy with the MACs of long ones."""
 _NEWCOMERS = 4
 """Processes under one zenoh key that are told of this one, though they have not shown that they know it."""
 
@@ -119,8 +121,12 @@ class Seal:
         """The message, for who only watches: it may be old, and another's. Any thread may call this.
 
         Raises:
-            ForgedMessageError: if no holder of the key published it under `zenoh_key`.
+            ForgedMessageError: if no holder of the key published it under `zenoh_key`, or it is too long.
         """
+        if len(sealed) > MAX_SEALED_BYTES:
+            raise ForgedMessageError(
+                f"{zenoh_key}: {len(sealed)} bytes, at most {MAX_SEALED_BYTES} are sealed"
+            )
         mac, rest = sealed[:_MAC_BYTES], sealed[_MAC_BYTES:]
         if len(sealed) < _RECEIVERS or not compare_digest(mac, self._mac(zenoh_key, rest)):
             raise ForgedMessageError(f"{zenoh_key}: {len(sealed)} bytes without the seal of this realm's key")

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_protocol.seal import KEY_BYTES, ForgedMessageError, Seal, UnboundMessageError
+from deltaq_protocol.seal import KEY_BYTES, MAX_SEALED_BYTES, ForgedMessageError, Seal, UnboundMessageError
 
 KEY = bytes(range(KEY_BYTES))
 WHERE = "deltaq-guarded/lab/fr/request"
@@ -188,6 +188,14 @@ def test_strangers_cannot_fill_the_memory():
         with pytest.raises(ForgedMessageError):
             receiver.open(f"deltaq-guarded/lab/{k}/request", b"x" * 100)
     assert receiver._links == {}
+
+
+def test_a_long_message_is_refused_whoever_sealed_it():
+    sender, receiver = acquainted()
+    longest = MAX_SEALED_BYTES - (len(sender.close(WHERE, b"")))
+    assert receiver.open(WHERE, sender.close(WHERE, b"x" * longest))
+    with pytest.raises(ForgedMessageError, match="16385 bytes, at most 16384 are sealed"):
+        receiver.open(WHERE, sender.close(WHERE, b"x" * (longest + 1)))
 
 
 def test_a_key_of_another_length_is_refused():
