@@ -133,8 +133,8 @@ class Seal:
         return sealed[_RECEIVERS + _PROCESS_BYTES * sealed[_COUNT] :]
 
     def _is_receiver(self, sealed: bytes) -> bool:
-        ends = range(_RECEIVERS, _RECEIVERS + _PROCESS_BYTES * sealed[_COUNT], _PROCESS_BYTES)
-        return any(sealed[start : start + _PROCESS_BYTES] == self._process for start in ends)
+        at = sealed.find(self._process, _RECEIVERS, _RECEIVERS + _PROCESS_BYTES * sealed[_COUNT])
+        return at >= 0 and (at - _RECEIVERS) % _PROCESS_BYTES == 0
 
     def _address_all(self) -> None:
         """From now on, close messages for all who were heard."""

@@ -29,6 +29,24 @@ def stranger(realm):
     stranger.close()
 
 
+def attacked(realm, stranger, attack):
+    """An attack of which everything has reached the Robot Servers when it returns."""
+    names = ("admission", "supervision")
+
+    def has_come():
+        return all(
+            robot.core.counters[f"forged_{name}"] == stranger.said[f"deltaq-guarded/lab/{robot.name}/{name}"]
+            for robot in realm.robots.values()
+            for name in names
+        )
+
+    def attack_and_hear():
+        attack()
+        realm.pump_until(has_come)
+
+    return attack_and_hear
+
+
 def hear(realm, robot, counter):
     """Cycle at rest until the Robot Server has counted what reached it."""
     while not robot.core.counters[counter]:
@@ -48,8 +66,12 @@ def test_what_the_stranger_says_would_move_the_robot_if_the_gate_said_it(realm, 
 def test_forged_admissions_move_nothing(realm, stranger):
     fr = realm.robots["fr"]
     before = fr.q.copy()
+
+    def attack():
+        stranger.say(topics.ADMISSION, stranger.admission(fr.state), robot="fr")
+
     for _ in range(CYCLES):
-        realm.cycle({}, lambda: stranger.say(topics.ADMISSION, stranger.admission(fr.state), robot="fr"))
+        realm.cycle({}, attacked(realm, stranger, attack))
     hear(realm, fr, "forged_admission")
     assert (fr.q == before).all()
     assert fr.core.counters["admissions"] == 0
@@ -76,7 +98,7 @@ def test_while_strangers_speak_in_every_cycle_every_admission_arrives_and_none_i
 
     start = {name: robot.q.copy() for name, robot in robots.items()}
     for _ in range(CYCLES):
-        realm.cycle(dict.fromkeys(robots, STEP), attack)
+        realm.cycle(dict.fromkeys(robots, STEP), attacked(realm, stranger, attack))
     for name, robot in robots.items():
         robot.cycle()
         counters = robot.core.counters
@@ -119,7 +141,7 @@ def test_a_robot_that_an_operator_stopped_stays_stopped(realm, stranger):
         )
 
     for _ in range(CYCLES):
-        realm.cycle({}, attack)
+        realm.cycle({}, attacked(realm, stranger, attack))
     hear(realm, fr, "forged_supervision")
     realm.pump_until(lambda: realm.sim.counters["forged_messages"])
     assert (fr.state.phase, fr.state.reason) == (Phase.HELD, ReasonCode.OPERATOR_STOP)
@@ -153,7 +175,7 @@ def test_outputs_and_contacts_are_not_a_stranger_s(realm, stranger):
             stranger.say(topics.COMMAND, Command(kind="contact", contact=name, allowed=True, **bound))
 
     for _ in range(CYCLES):
-        realm.cycle({}, attack)
+        realm.cycle({}, attacked(realm, stranger, attack))
     hear(realm, gr, "forged_supervision")
     realm.pump_until(lambda: realm.sim.counters["forged_messages"])
     assert gr.core.outputs == before

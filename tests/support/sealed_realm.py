@@ -179,7 +179,9 @@ class SealedRealm:
         self._hli.put(key, self._seal.close(key, pack(message)))
 
     def pump(self) -> None:
-        """Let the gate and the HLI take what has come."""
+        """Let the gate, the HLI and the Robot Servers take what has come."""
+        for robot in self.robots.values():
+            robot.listen()
         while (sample := self.shell._incoming.try_recv()) is not None:
             self.shell._handle(str(sample.key_expr), sample.payload.to_bytes())
         while (sample := self._heard.try_recv()) is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 import zenoh
@@ -33,6 +34,7 @@ class Stranger:
     Attributes:
         states: the newest of each robot that it heard: a seal hides nothing.
         recording: what it heard, key and bytes.
+        said: how much under each key.
     """
 
     def __init__(self, cell):
@@ -45,6 +47,8 @@ class Stranger:
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._guessed = Seal(bytes(KEY_BYTES))
+        self._publishers = {}
+        self.said = Counter()
         self.states = {}
         self.recording = []
 
@@ -60,7 +64,17 @@ class Stranger:
     def say(self, topic, message, **fields):
         key, packed = topic.key(self.cell.cell, **fields), pack(message)
         for payload in (packed, self._guessed.close(key, packed)):
-            self._session.put(key, payload)
+            self._publisher(key).put(payload)
+            self.said[key] += 1
+
+    def _publisher(self, key):
+        """A publisher whose messages all arrive."""
+        if key not in self._publishers:
+            block = zenoh.CongestionControl.BLOCK
+            self._publishers[key] = self._session.declare_publisher(key, congestion_control=block)
+            while not self._publishers[key].matching_status.matching:
+                pass  # until it is known who listens
+        return self._publishers[key]
 
     def repeat(self, recording):
         """Say again what services have said."""

@@ -24,7 +24,7 @@ from deltaq_services.robot_server.cycle_stamps import CycleStamps
 
 M = TypeVar("M", bound=Message)
 
-_WAITING = 16
+_WAITING = 32
 """Messages of a kind that may wait for a cycle. The gate sends one; were it the only one kept, any process that sends
 forged ones would keep it from being heard. All that wait are opened before the reply, so that there must be few."""
 
