@@ -174,6 +174,7 @@ def test_all_robots_are_held_and_the_way_out_is_a_reset(name: str) -> None:
     assert answer.message.stop is ReasonCode.IMPOSSIBLE_STATE
     assert rig.sim.robots["fr"].tracker.state is known["fr"]  # it is not believed
     assert rig.sim.counters["impossible_states_fr"] == 1
+    assert rig.sim.disbelieved.startswith("fr told ")
     for _ in range(3):
         rig.cycle()
     for server in rig.servers.values():

@@ -64,6 +64,7 @@ class Sim:
         contacts: which bodies may touch now.
         violations: which bodies are too near now, and the distances that they have to keep.
         taken: messages taken so far.
+        disbelieved: the last that a robot told and this gate cannot have caused, for people; empty if none has.
     """
 
     def __init__(self, cell: CellModel, epoch: int) -> None:
@@ -74,6 +75,7 @@ class Sim:
         # of the description alone: a Robot Server reads no bodies
         self._cell = str(content_identity(description))
         self.taken = 0
+        self.disbelieved = ""
         self._receipt = first_receipt(self.fingerprint, epoch)
         self.counters: Counter[str] = Counter()
         self._proximity = CompiledProximity(cell)
@@ -262,6 +264,7 @@ class Sim:
         if fault is None:
             return False
         self.counters[f"impossible_states_{robot.name}"] += 1
+        self.disbelieved = f"{robot.name} told {fault}"
         for each in self.robots.values():
             each.orders.stop(ReasonCode.IMPOSSIBLE_STATE)
         return True

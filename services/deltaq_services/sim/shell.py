@@ -32,6 +32,8 @@ from deltaq_services.sim.gate_stamps import GateStamps
 _RING = 256
 """Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
 still answers every request, if only to say that it is stale."""
+_LOG_PERIOD_S = 1.0
+"""States that the gate cannot have caused may come in every cycle."""
 
 
 def _taken() -> dict[str, Topic]:
@@ -68,6 +70,7 @@ class Shell:
         self._log = GateLog(self._session, self._name, self.sim)
         self._publishers: dict[tuple[str, str], Any] = {}
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
+        self._log_pace = Pace(_LOG_PERIOD_S)
         self._greeter = Greeter("sim", lambda greeting: self._publisher(topics.GREETING).put(pack(greeting)))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
@@ -107,7 +110,11 @@ class Shell:
         if self._stamps is not None:
             self._stamps.came(message)
         outputs = []
-        for output in self.sim.take(message):
+        disbelieved = self.sim.disbelieved
+        taken = self.sim.take(message)
+        if self.sim.disbelieved != disbelieved and self._log_pace.due(time.monotonic()):
+            print(f"all robots are stopped: {self.sim.disbelieved}", flush=True)
+        for output in taken:
             packed = pack(output.message)
             self._publisher(output.topic, output.robot).put(packed)
             outputs.append((output.topic.name, packed))
@@ -131,6 +138,7 @@ class Shell:
         health = Health(
             service="sim",
             healthy=True,
+            detail=self.sim.disbelieved,
             time_s=now_s,
             counters=dict(self.sim.counters),
             nearest=self.sim.nearest(),
