@@ -106,6 +106,9 @@ def test_nothing_that_a_stranger_says_moves_frees_or_confuses_a_running_cell(tmp
         # and the operator's reset still counts
         stack.reset()
         assert stack.phase()[0] is Phase.READY
+        with connect(stack.cell, "test") as running:
+            seen = running.status().gate
+        assert not [name for name in seen if name.startswith("impossible_states")]
 
 
 def admissions(stack):
