@@ -51,6 +51,25 @@ def test_a_sequence_that_was_not_admitted(in_flight: Admission | None) -> None:
 
 
 @pytest.mark.parametrize(
+    "state",
+    [
+        server_state(cycle=101, sequence=5, plan=AT_REST),
+        moving(sequence=0),
+        moving(sequence=1, epoch=EPOCH),
+    ],
+)
+def test_a_sequence_of_this_gate_that_neither_was_there_nor_is_under_way(state: ServerState) -> None:
+    followed_another = BEFORE.model_copy(update={"epoch": 7, "plan": MOVING})
+    said = f"sequence {state.sequence}, which was not admitted"
+    assert judged(state, followed_another, in_flight=admitted()) == said
+
+
+def test_a_plan_counts_though_nothing_is_sent_of_it_now() -> None:
+    said = judged(server_state(cycle=101, plan=MOVING), BEFORE)
+    assert said == "a plan that sequence 1 is not"
+
+
+@pytest.mark.parametrize(
     "plan",
     [
         Plan(dq=(2e-3,) * 6, brake_cycles=3, step=0),
@@ -89,6 +108,12 @@ def test_a_setpoint_that_no_admission_leads_to(shares: tuple[float, ...]) -> Non
     assert judged(held, BEFORE) == said
     one = BEFORE.model_copy(update={"q_cmd": (*BEFORE.q_cmd[:3], 0.3, *BEFORE.q_cmd[4:]), "cycle": 101})
     assert judged(one, BEFORE) == "a setpoint of joint 4 that no admission leads to"
+
+
+def test_under_an_earlier_gate_too_a_robot_stays_where_nothing_new_was_admitted() -> None:
+    before = BEFORE.model_copy(update={"epoch": 7})
+    state = at(1, epoch=7, sequence=1, plan=AT_REST, dq=(0.0,) * 6)
+    assert judged(state, before) == "a setpoint of joint 1 that no admission leads to"
 
 
 def test_the_brake_goes_on_from_where_it_was() -> None:
@@ -145,6 +170,7 @@ def test_what_is_not_judged() -> None:
     assert judged(ghost, BEFORE.model_copy(update={"process": 9})) is None  # of another process: held anyway
     assert judged(BEFORE, BEFORE) is None  # said again
     assert judged(moving(99), BEFORE) is None  # overtaken
+    assert judged(moving(100), BEFORE) is None  # the KRC is silent: of this cycle nothing new is sent
     assert judged(at(1, epoch=7), BEFORE) is None  # it follows an earlier gate
 
 
