@@ -1,7 +1,9 @@
 """What every run of the tests shares: the examples that are drawn, what is left out, and the order."""
 
+import os
 import signal
 
+import pytest
 from hypothesis import settings
 
 pytest_plugins = ["installed"]
@@ -10,6 +12,23 @@ pytest_plugins = ["installed"]
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("exploring", deadline=None, max_examples=2000)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def guarded_key(tmp_path_factory):
+    """A key of the guarded realm, for services that tests start one by one, and those that play their peers."""
+    from deltaq_services.guarded_key import KEY_FILE, write_new_key
+
+    file = tmp_path_factory.mktemp("secret") / "guarded.key"
+    write_new_key(file)
+    before = os.environ.get(KEY_FILE)
+    os.environ[KEY_FILE] = str(file)
+    yield file
+    if before is None:
+        del os.environ[KEY_FILE]
+    else:
+        os.environ[KEY_FILE] = before
+
 
 ONLY_IF_ASKED = ("nightly", "container")
 """Tests under these markers run only where `-m` names the marker; whatever else `-m` says adds to that."""

@@ -84,11 +84,14 @@ def _lines() -> dict[str, Any]:
     return {"only over TCP": [message.model_json_schema() for message in types]}
 
 
-def key(file: Annotated[Path, typer.Argument(help="File to write; it must not exist.")]) -> None:
-    """Make a key for services that reach one another off the loopback, in a file that only its owner may read."""
+def key(
+    file: Annotated[Path, typer.Argument(help="File to write.")],
+    keep: Annotated[bool, typer.Option("--keep", help="Leave a key that is there already as it is.")] = False,
+) -> None:
+    """Make a key for services on several machines, or started one by one, in a file that only its owner may read."""
     from deltaq_services.guarded_key import KEY_FILE, write_new_key
 
-    write_new_key(file)
+    write_new_key(file, keep=keep)
     typer.echo(
         f"{file}: set {KEY_FILE} to its path for HLI, SIM and every Robot Server, on each of their machines"
     )

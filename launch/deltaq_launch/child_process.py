@@ -8,7 +8,7 @@ import signal
 import subprocess
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 READY = "ready:"
@@ -37,15 +37,22 @@ class Exited:
     status: int
 
 
-def start_with_lines(command: Sequence[str]) -> subprocess.Popen[str]:
-    """Start a process in a session of its own, whose output can be read line by line as it comes."""
+def start_with_lines(
+    command: Sequence[str], environment: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
+    """Start a process in a session of its own, whose output can be read line by line as it comes.
+
+    Args:
+        command: program and arguments.
+        environment: what its environment has besides this process's own.
+    """
     return subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
-        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        env={**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})},
         encoding="utf-8",
         errors="replace",
     )
@@ -64,6 +71,7 @@ class Child:
         command: Sequence[str],
         on_event: Callable[[Ready | Exited], None],
         on_line: Callable[[str, str], None],
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         """Start it.
 
@@ -72,13 +80,14 @@ class Child:
             command: program and arguments.
             on_event: called from a thread of this child when it serves and when it has ended.
             on_line: called from a thread of this child with its name and each line of its output.
+            environment: what its environment has besides this process's own.
         """
         self.name = name
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
         self.exited = threading.Event()
         self._on_event = on_event
         self._on_line = on_line
-        self._process = start_with_lines(command)
+        self._process = start_with_lines(command, environment)
         assert self._process.stdout is not None  # a pipe was asked for
         self.pid = self._process.pid
         self.output = self._process.stdout.fileno()

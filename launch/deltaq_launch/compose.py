@@ -13,7 +13,14 @@ import yaml
 
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
-from deltaq_launch.services import Role, Service, cell_services, console_service, demo_controllers
+from deltaq_launch.services import (
+    GUARDED_ROLES,
+    Role,
+    Service,
+    cell_services,
+    console_service,
+    demo_controllers,
+)
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
 FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
@@ -30,13 +37,16 @@ HEADER = """\
 
 CONSOLE_TOKEN, OPERATOR_TOKEN = "DELTAQ_CONSOLE_TOKEN", "DELTAQ_OPERATOR_TOKEN"
 _SECRET = "deltaq-guarded-key"
-_GUARDED = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
+KEY_MAKER = "guarded-key"
+"""The service that makes the guarded realm's key for the others, if it is not there yet."""
+_KEY_VOLUME, _KEY_FOLDER = "guarded", "/run/deltaq"
 
 
 def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     """The compose document of a cell: one container a service.
 
-    Where the guarded realm leaves the loopback, its key is a secret of those that speak there.
+    Those that speak in the guarded realm share its key. On the loopback the first container makes it, in a volume of
+    theirs; where the realm leaves the loopback, it is a secret that the user gives.
     """
     cell = load_cell(cell_name)
     services = cell_services(cell, cell_name)
@@ -46,12 +56,27 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
         # numba writes to the folder in which it finds machine code
         demo = {"profiles": ["demo"], "tmpfs": ["/tmp"]}
         document[controller.name] = _container(controller, cell_name) | demo
+    guarded = [document[service.name] for service in services if service.role in GUARDED_ROLES]
     if off_loopback(cell) is None:
-        return {"name": "deltaq", "services": document}
-    for service in services:
-        if service.role in _GUARDED:
-            document[service.name]["environment"] = {KEY_FILE: f"/run/secrets/{_SECRET}"}
-            document[service.name]["secrets"] = [_SECRET]
+        file = f"{_KEY_FOLDER}/guarded.key"
+        for container in guarded:
+            container["environment"] = {KEY_FILE: file}
+            container["volumes"] = [*container.get("volumes", []), f"{_KEY_VOLUME}:{_KEY_FOLDER}:ro"]
+            made = {KEY_MAKER: {"condition": "service_completed_successfully"}}
+            container["depends_on"] = made | container.get("depends_on", {})
+        maker = _HARDENED | {
+            "command": ["deltaq", "key", file, "--keep"],
+            "network_mode": "none",
+            "volumes": [f"{_KEY_VOLUME}:{_KEY_FOLDER}"],
+        }
+        return {
+            "name": "deltaq",
+            "services": {KEY_MAKER: maker} | document,
+            "volumes": {_KEY_VOLUME: {}},
+        }
+    for container in guarded:
+        container["environment"] = {KEY_FILE: f"/run/secrets/{_SECRET}"}
+        container["secrets"] = [_SECRET]
     needed = f"name a file made with `deltaq key` in {KEY_FILE}"
     secret = {"file": f"${{{KEY_FILE}:?{needed}}}"}  # compose refuses to start anything without it
     return {"name": "deltaq", "services": document, "secrets": {_SECRET: secret}}
@@ -72,17 +97,21 @@ class _Indented(yaml.SafeDumper):
         return True
 
 
+_HARDENED: dict[str, Any] = {
+    "image": "deltaq",
+    "pull_policy": "never",  # `make image` makes it
+    "read_only": True,
+    "cap_drop": ["ALL"],
+    "security_opt": ["no-new-privileges:true"],
+}
+
+
 def _container(service: Service, cell_name: str) -> dict[str, Any]:
-    container: dict[str, Any] = {
-        "image": "deltaq",
-        "pull_policy": "never",  # `make image` makes it
+    container = _HARDENED | {
         "command": ["python", *service.arguments],
         # RSI counts single milliseconds, and a KRC on the plant's network sends to this host's address
         "network_mode": "host",
         "restart": "unless-stopped",
-        "read_only": True,
-        "cap_drop": ["ALL"],
-        "security_opt": ["no-new-privileges:true"],
     }
     if Path(cell_name).is_absolute():
         container["volumes"] = [f"{cell_name}:{cell_name}:ro"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import queue
 import signal
 import socket
@@ -15,9 +16,11 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
+from deltaq_launch.launch_key import LaunchKey
 from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
+from deltaq_services.guarded_key import KEY_FILE
 
 SHOWN_LINES = 12
 GRACE_S = 5.0
@@ -49,6 +52,7 @@ class Launcher:
             launcher.start()
             launcher.wait()
 
+    Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`.
     SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one. Should this process be
     killed, its warden ends the services, those last that robots need to come to rest.
     """
@@ -81,6 +85,7 @@ class Launcher:
         self._events: queue.SimpleQueue[LauncherEvent] = queue.SimpleQueue()
         self._handlers: dict[signal.Signals, Any] = {}
         self._warden: Warden | None = None
+        self._keys: dict[str, LaunchKey] = {}
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -96,6 +101,8 @@ class Launcher:
         finally:
             if self._warden is not None:
                 self._warden.close()
+            while self._keys:
+                self._keys.popitem()[1].close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
@@ -104,6 +111,7 @@ class Launcher:
 
         Raises:
             LaunchError: if a port is taken, or a service ends or stays silent instead of serving.
+            GuardedKeyError: if the guarded realm's key can be kept from nobody.
             LaunchInterruptedError: if a signal came first.
         """
         self._start(self.services, timeout_s)
@@ -187,7 +195,8 @@ class Launcher:
                 waiting.remove(service)
                 pending.add(service.name)
                 command = [*self._python, *service.arguments]
-                child = Child(service.name, command, self._events.put, self._on_line)
+                environment = self._secrets_of(service)
+                child = Child(service.name, command, self._events.put, self._on_line, environment)
                 self._warden.keep(child.pid, child.output, brakes=service.role in BRAKING_ROLES)
                 self.children[service.name] = child
             match self.wait(max(0.0, deadline - time.monotonic())):
@@ -205,6 +214,14 @@ class Launcher:
                         f"{', '.join(sorted(pending))} did not serve within {timeout_s:g} s"
                         + "".join(self._quote(name) for name in sorted(pending))
                     )
+
+    def _secrets_of(self, service: Service) -> dict[str, str]:
+        """What a service's environment has of secrets, besides those that the user gave."""
+        if service.realm is None or os.environ.get(KEY_FILE):
+            return {}
+        if service.realm not in self._keys:
+            self._keys[service.realm] = LaunchKey(service.realm)
+        return {KEY_FILE: str(self._keys[service.realm].file)}
 
     def _quote(self, name: str) -> str:
         lines = self.last_lines(name)

@@ -55,7 +55,7 @@ def probe(service: Service, cell: CellDescription) -> ProbeAnswer:
     Raises:
         ServiceUnreachableError: if it does not answer within `TIMEOUT_S`.
         NoProbeError: if it has nothing to be asked at.
-        GuardedKeyError: if its answer is sealed, and there is no key.
+        GuardedKeyError: if its answer is sealed, and there is no key to read it with.
     """
     if service.probe is None or service.endpoint is None:
         raise NoProbeError(f"{service.name} has no health to ask for")
@@ -87,7 +87,7 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeA
                 if time.monotonic() > deadline:
                     raise _silent(name, endpoint)
                 time.sleep(0.01)
-            health = unpack(Health, seal.open(key, sample.payload.to_bytes()))
+            health = unpack(Health, seal.read(key, sample.payload.to_bytes()))
             return ProbeAnswer(health.healthy, health.detail)
     finally:
         session.close()

@@ -14,6 +14,7 @@ from typing import Literal
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
+from deltaq_services.guarded_key import realm_of
 
 
 class Role(StrEnum):
@@ -31,6 +32,10 @@ class Role(StrEnum):
 
 BRAKING_ROLES = (Role.ROBOT_SERVER, Role.EMULATOR)
 """What a robot needs to come to rest once the gate is silent."""
+
+
+GUARDED_ROLES = (Role.ROBOT_SERVER, Role.SIM, Role.HLI)
+"""What speaks in the guarded realm, and needs its key."""
 
 
 class Probe(StrEnum):
@@ -76,6 +81,8 @@ class Service:
         robot: the one it serves; None if it serves the whole cell.
         probe: how to ask for its health; None for controllers, which come and go.
         endpoint: where to ask, `tcp/HOST:PORT`, `udp/HOST:PORT` or `http://HOST:PORT`.
+        realm: the guarded realm that it speaks in, as `guarded_key.realm_of` names it; None if it speaks in none, or
+            in one that leaves this machine, whose key the user gives.
     """
 
     name: str
@@ -86,6 +93,7 @@ class Service:
     robot: str | None = None
     probe: Probe | None = None
     endpoint: str | None = None
+    realm: str | None = None
 
 
 class UnknownServiceError(DeltaqError):
@@ -101,6 +109,7 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
         real: robots of flesh, so no emulator.
     """
     arguments = ("--cell", cell_name)
+    realm = realm_of(cell)
     services: list[Service] = []
     for name, robot in cell.robots.items():
         server = f"robot-server-{name}"
@@ -117,6 +126,7 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
                 robot=name,
                 probe=Probe.HEALTH_TOPIC,
                 endpoint=robot.server,
+                realm=realm,
             )
         )
         if not real and isinstance(robot.driver, RsiDescription):
@@ -130,6 +140,7 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
             listens=(_tcp(cell.sim, "sim"),),
             probe=Probe.HEALTH_TOPIC,
             endpoint=cell.sim,
+            realm=realm,
         )
     )
     services.append(
@@ -144,6 +155,7 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
             ),
             probe=Probe.STATUS_QUERY,
             endpoint=cell.hli,
+            realm=realm,
         )
     )
     return tuple(services)

@@ -172,6 +172,15 @@ class Health(Message):
     newest_id: Count | None = None
 
 
+class Greeting(Message):
+    """Says that this process of a service is there now; its seal tells which.
+
+    It comes in answer to a message that was not made for the process, so that the next one is.
+    """
+
+    service: Name
+
+
 class GateEntry(Message):
     """One message that the gate took, and its outputs in answer, as msgpack; published to be recorded.
 

@@ -48,6 +48,7 @@ class ReasonCode(StrEnum):
     REPLY_REFUSED = "reply_refused"
     TRACKING_ERROR = "tracking_error"
     RSI_MODE = "rsi_mode"
+    IMPOSSIBLE_STATE = "impossible_state"
     # why a reset was refused
     CAUSE_STANDS = "cause_stands"
     NOT_AT_REST = "not_at_rest"
@@ -88,6 +89,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.REPLY_REFUSED: "the Robot Server's last check refused a correction, which was not sent",
     ReasonCode.TRACKING_ERROR: "the robot left its commanded path",
     ReasonCode.RSI_MODE: "the KRC was not seen to take corrections as RSI_ON(#ABSOLUTE) does",
+    ReasonCode.IMPOSSIBLE_STATE: "a Robot Server told what the gate cannot have caused",
     ReasonCode.CAUSE_STANDS: "the cause of the hold persists",
     ReasonCode.NOT_AT_REST: "the robot has not come to rest yet",
 }

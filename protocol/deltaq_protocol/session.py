@@ -16,7 +16,7 @@ import zenoh
 
 from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.seal import UNSEALED, Seal
+from deltaq_protocol.seal import Seal
 from deltaq_protocol.topic import Priority
 
 MAX_SESSIONS = 64
@@ -102,7 +102,7 @@ def sending(priority: Priority) -> dict[str, Any]:
 def declare_publisher(
     session: Any,
     key: str,
-    seal: Seal = UNSEALED,
+    seal: Seal | None = None,
     priority: Priority = Priority.URGENT,
     to_itself: bool = True,
 ) -> Any:
@@ -111,7 +111,7 @@ def declare_publisher(
     Args:
         session: an open zenoh session.
         key: to publish on.
-        seal: put on what is published.
+        seal: put on what is published; None in the open realm, and for what is only recorded.
         priority: what its row of the table of topics says; what is urgent is sent at once.
         to_itself: whether subscribers of the same session count.
     """
@@ -121,7 +121,7 @@ def declare_publisher(
         allowed_destination=zenoh.Locality.ANY if to_itself else zenoh.Locality.REMOTE,
         **sending(priority),
     )
-    return publisher if seal is UNSEALED else SealedPublisher(publisher, key, seal)
+    return publisher if seal is None else SealedPublisher(publisher, key, seal)
 
 
 def subscribe_newest(session: Any, key: str, capacity: int = 1) -> Any:

@@ -102,6 +102,10 @@ HEALTH = Topic(
     publishers=_HLI + _SIM + _ROBOT_SERVER, readers=_HLI + _SIM + _WATCHER, rate=Hertz(10.0), max_age_s=2.0,
     priority=Priority.ORDINARY, recorded=False,
 )  # fmt: skip
+GREETING = Topic(
+    "greeting", Realm.GUARDED, Kind.STREAM, _GUARDED + "greeting/{service}", guarded.Greeting,
+    publishers=_HLI + _SIM + _ROBOT_SERVER, readers=_HLI + _SIM + _ROBOT_SERVER, recorded=False,
+)  # fmt: skip
 GATE_KEYS = _GUARDED + "gate/*"
 """Keys of the two that follow, and of nothing else."""
 GATE_LOG = Topic(
@@ -116,6 +120,6 @@ GATE_MEMORY = Topic(
 TOPICS: tuple[Topic, ...] = (
     STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, CONTACT, DESCRIPTION,
     STATUS,
-    SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH,
+    SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH, GREETING,
     GATE_LOG, GATE_MEMORY,
 )  # fmt: skip

@@ -43,7 +43,13 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
     Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),
     Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
-    Counted(HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong"),
+    Counted(HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong, or that came again"),
+    Counted(
+        HLI,
+        "unbound_guarded",
+        "sealed messages from the guarded realm that were not made for this process: it has just begun, or they were "
+        "recorded before",
+    ),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
     Counted(
         HLI,
@@ -90,8 +96,18 @@ COUNTERS: tuple[Counted, ...] = (
         "states_of_another_cell_{robot}",
         "states of a Robot Server that has read another description of the cell",
     ),
+    Counted(
+        SIM,
+        "impossible_states_{robot}",
+        "states of this robot that the gate cannot have caused; each stops all robots",
+    ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
-    Counted(SIM, "forged_messages", "messages whose seal is wrong"),
+    Counted(SIM, "forged_messages", "messages whose seal is wrong, or that came again"),
+    Counted(
+        SIM,
+        "unbound_messages",
+        "sealed messages that were not made for this process: it has just begun, or they were recorded before",
+    ),
     Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
     Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by reason, e.g. `admission_late`"),
@@ -127,7 +143,15 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(ROBOT_SERVER, "session_restarted", "RSI sessions that restarted"),
     Counted(ROBOT_SERVER, "telegrams_garbled", "datagrams that are no telegram of this robot"),
     Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams skipped because a newer one had come"),
-    Counted(ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong"),
+    Counted(
+        ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong, or that came again"
+    ),
+    Counted(
+        ROBOT_SERVER,
+        "unbound_{message}",
+        "sealed messages of this type that were not made for this process: it has just begun, or they were recorded "
+        "before",
+    ),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
     Counted(CONSOLE, "clients", "browsers that were let in"),
     Counted(CONSOLE, "clients_refused", "browsers that came when as many as can be served were there"),

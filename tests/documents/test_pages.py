@@ -59,6 +59,7 @@ NOT_RUN = {
     "run-a-cell.md": [
         "tests/launch/test_running_cell.py kills a service and starts it again this way",
         "needs real robots",
+        "each line keeps its terminal; tests/services/test_robot_server_start.py starts a service this way",
     ],
 }
 """All that no test does as it is printed, and why: whoever adds to the pages' marks adds it here."""

@@ -10,7 +10,7 @@ import msgpack
 import pytest
 
 from deltaq_experiments.bench import cornered
-from deltaq_experiments.bench.codecs import messages_of_a_cycle
+from deltaq_experiments.bench.codecs import messages_of_a_cycle, seals
 from deltaq_experiments.bench.cornered import CorneredError, store, stored
 from deltaq_experiments.bench.decisions import near_obstacles
 from deltaq_experiments.bench.table import BenchRow, BenchTable
@@ -111,6 +111,13 @@ def test_the_messages_of_a_cycle_are_those_of_a_robot_in_motion(lab: LoadedCell)
     [verdict] = [message for message in known if isinstance(message, Verdict)]
     assert verdict.outcome is Outcome.ADMITTED
     assert any(verdict.dq)
+
+
+def test_every_guarded_message_of_a_cycle_is_sealed_and_opened(lab: LoadedCell) -> None:
+    row = seals(lab, "fr", passes=3)
+    assert row.what.startswith("the 5 guarded messages")
+    assert row.median_us > row.reference_us > 0.0
+    assert row.kept is None
 
 
 def test_a_standing_krc_sends_telegrams_that_its_robot_server_reads() -> None:

@@ -15,6 +15,7 @@ from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.session import open_session, subscribe_newest
+from deltaq_services.guarded_key import guarded_seal
 
 pytestmark = pytest.mark.live
 
@@ -37,7 +38,9 @@ def detail(stack):
     session = open_session(connect=[stack.cell.robots["fr"].server], must_connect=True)
     try:
         health = subscribe_newest(session, topics.HEALTH.key(stack.cell.cell, service="robot-server-fr"))
-        return unpack(Health, health.recv().payload.to_bytes()).detail
+        sample = health.recv()
+        sealed = sample.payload.to_bytes()
+        return unpack(Health, guarded_seal(stack.cell).read(str(sample.key_expr), sealed)).detail
     finally:
         session.close()
 

@@ -16,6 +16,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.session import open_session, subscribe_newest
+from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
 pytestmark = pytest.mark.live
@@ -39,6 +40,7 @@ class Attacked:
             sock.connect(self.address)
             sock.settimeout(PATIENCE_S)
         self.ipoc = 1000
+        self.seal = guarded_seal(cell)
         self.session = open_session(connect=[cell.robots["fr"].server], must_connect=True)
         self.states = subscribe_newest(self.session, topics.SERVER_STATE.key(cell.cell, robot="fr"))
 
@@ -62,7 +64,7 @@ class Attacked:
             self.cycle()
             sample = self.states.try_recv()
             if sample is not None:
-                return unpack(ServerState, sample.payload.to_bytes())
+                return unpack(ServerState, self.seal.read(str(sample.key_expr), sample.payload.to_bytes()))
 
     def count(self, counter, at_least=1):
         """Cycle until something was counted so often."""

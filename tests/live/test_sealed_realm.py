@@ -10,7 +10,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Command, Supervision
 from deltaq_protocol.messages import Phase
-from deltaq_protocol.seal import KEY_BYTES, UNSEALED, KeyedSeal
+from deltaq_protocol.seal import KEY_BYTES, Seal
 from deltaq_protocol.session import open_session
 from deltaq_services.guarded_key import KEY_FILE, write_new_key
 from deltaq_services.phases import MAY_MOVE
@@ -58,7 +58,9 @@ def publish_forged_stops(stranger):
     """Without a seal, and with one of a key that somebody guessed."""
     command = topics.COMMAND.key("lab")
     supervision = topics.SUPERVISION.key("lab", robot="fr")
-    for seal in (UNSEALED, KeyedSeal(bytes(KEY_BYTES))):
-        stranger.put(command, seal.close(command, pack(Command(id=2**60, kind="stop"))))
-        stop = Supervision(robot="fr", epoch=1, cycle=1, stop="operator_stop")
-        stranger.put(supervision, seal.close(supervision, pack(stop)))
+    stop = pack(Command(id=2**60, kind="stop"))
+    order = pack(Supervision(robot="fr", epoch=1, cycle=1, stop="operator_stop"))
+    guessed = Seal(bytes(KEY_BYTES))
+    for close in (lambda _, message: message, guessed.close):
+        stranger.put(command, close(command, stop))
+        stranger.put(supervision, close(supervision, order))

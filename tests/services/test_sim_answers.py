@@ -69,7 +69,7 @@ def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
 
 def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
     rig.sim.on_command(bound(rig.sim, id=3, kind="io", robot="gr", outputs={"gripper": True}))
-    state = next_state(rig, robot="gr", resets=4)
+    state = next_state(rig, robot="gr", resets=4, epoch=4)  # of a gate before this one
     expected = Supervision(
         robot="gr", epoch=5, cycle=state.cycle, resets=4, outputs={"gripper": True}, cell=state.cell
     )
@@ -120,7 +120,9 @@ def test_a_robot_server_that_began_anew_is_stopped_and_its_first_cycles_are_deci
     assert rig.sim.on_state(again)[0].message.stop is ReasonCode.SERVER_LOST
     held = again.model_copy(update={"cycle": decided - 1, "time_s": again.time_s + 1, "phase": Phase.HELD})
     assert rig.sim.on_state(held)[0].message.stop is None
-    ready = held.model_copy(update={"cycle": decided, "time_s": again.time_s + 2, "phase": Phase.READY})
+    rig.sim.robots["fr"].orders.resets = 1  # the operator's
+    changes = {"cycle": decided, "time_s": again.time_s + 2, "phase": Phase.READY, "resets": 1}
+    ready = held.model_copy(update=changes)
     rig.sim.on_state(ready)
     assert rig.sim.on_request(ask(rig, seq=2, cycle=decided))[-1].message.outcome is Outcome.ADMITTED
 
@@ -351,9 +353,10 @@ def test_the_nearest_pair_is_one_of_the_robots_that_were_heard(rig):
 )
 def test_the_nearest_pair_is_that_of_the_setpoints_wherever_the_drives_are(rig, fr, gr, pair):
     here = {"fr": np.array(fr), "gr": np.array(gr)}
+    sim = Sim(CELL, epoch=5)
     for name, q in here.items():
-        rig.sim.on_state(next_state(rig, name, q_cmd=tuple(q.tolist())))
-    near, truth = rig.sim.nearest(), ClearanceOracle(CELL)
+        sim.on_state(next_state(rig, name, q_cmd=tuple(q.tolist())))
+    near, truth = sim.nearest(), ClearanceOracle(CELL)
     assert set(near.pair) == pair
     nearest = min(
         truth.between_robots_and_structure(here), truth.of_one_robot(here), key=lambda item: item.distance_m

@@ -227,8 +227,9 @@ def test_a_robot_that_somebody_else_displaced_begins_without_its_violations_too(
     rig, _, gr = violated_by_both()
     state = rig.state
     elsewhere = tuple((np.array(state.q_cmd) + 0.1).tolist())
-    displaced = state.model_copy(update={"cycle": state.cycle + 1, "q": elsewhere, "q_cmd": elsewhere})
-    rig.sim.on_state(displaced)
+    resets = rig.sim.robots["fr"].orders.resets = state.resets + 1  # which took what its KRC had
+    fields = {"cycle": state.cycle + 1, "q": elsewhere, "q_cmd": elsewhere, "resets": resets, "sequence": 0}
+    rig.sim.on_state(state.model_copy(update=fields))
     assert rig.sim.robots["fr"].tracker.displaced
     assert rig.sim.violations.snapshot() == (gr,)
 

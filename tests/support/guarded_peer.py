@@ -17,6 +17,7 @@ from deltaq_protocol.guarded import Command, CommandReply, Health, Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_services.guarded_key import guarded_seal
 
 
 class GuardedPeer:
@@ -45,11 +46,13 @@ class GuardedPeer:
         self._loop = asyncio.get_running_loop()
         self._servers = {name: open_session(listen=[robot.server]) for name, robot in cell.robots.items()}
         self._sim = open_session(listen=[cell.sim])
+        self.seal = guarded_seal(cell)
         self._publishers: dict[str, Any] = {}
         self._subscribers = [
             self._subscribe(topics.REQUEST.key(cell.cell), self._on_request),
             self._subscribe(topics.COMMAND.key(cell.cell), self._on_command),
             self._subscribe(topics.HEALTH.key(cell.cell, service="hli"), self._on_health),
+            self._subscribe(topics.GREETING.key(cell.cell), lambda _: None),
         ]
 
     async def turn(self, robot: str = "fr", cycles: int = 1) -> int:
@@ -100,8 +103,8 @@ class GuardedPeer:
         self._publish(self._sim, key, message)
 
     def publish_bytes(self, key: str, payload: bytes) -> None:
-        """Publish what is no message, as the SIM."""
-        self._sim.put(key, payload)
+        """Publish what is no message, sealed, as the SIM."""
+        self._sim.put(key, self.seal.close(key, payload))
 
     def close(self) -> None:
         """Vanish."""
@@ -112,13 +115,18 @@ class GuardedPeer:
 
     def _publish(self, session: Any, key: str, message: Message) -> None:
         if key not in self._publishers:
-            self._publishers[key] = declare_publisher(session, key)
+            self._publishers[key] = declare_publisher(session, key, self.seal)
         self._publishers[key].put(pack(message))
 
     def _subscribe(self, key: str, take: Callable[[bytes], None]) -> Any:
+        def open_and_take(key: str, sealed: bytes) -> None:
+            self.seal.meet(key, sealed)
+            take(self.seal.read(key, sealed))
+
         def put(sample: zenoh.Sample) -> None:
             if not self._loop.is_closed():
-                self._loop.call_soon_threadsafe(take, sample.payload.to_bytes())
+                key, sealed = str(sample.key_expr), sample.payload.to_bytes()
+                self._loop.call_soon_threadsafe(open_and_take, key, sealed)
 
         return self._sim.declare_subscriber(key, zenoh.handlers.Callback(put, indirect=False))
 

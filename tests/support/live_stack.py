@@ -20,6 +20,7 @@ from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase
+from deltaq_services.guarded_key import KEY_FILE
 
 MOVER = Path(__file__).with_name("mover.py")
 MOVING_RAD_S = np.deg2rad(25)
@@ -120,8 +121,8 @@ def live_stack(
 ):
     """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever.
 
-    `guarded` is where HLI, SIM and Robot Servers meet. `rewired` may change the services before they start; it is
-    given the cell's file too.
+    `guarded` is where HLI, SIM and Robot Servers meet; on the loopback by a key that this launch makes. `rewired` may
+    change the services before they start; it is given the cell's file too.
     """
     file = write_private_cell(folder, base, guarded)
     cell = CellModel.load(file)
@@ -134,7 +135,12 @@ def live_stack(
     ]
     mover = Service("mover", Role.LEADER, (str(MOVER), str(cell.description.tcp_port)), needs=("hli",))
     services = [*rewired(services, file), *([mover] if moving else [])]
-    with Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher:
+    with (
+        pytest.MonkeyPatch.context() as environment,
+        Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher,
+    ):
+        if guarded == "127.0.0.1":
+            environment.delenv(KEY_FILE, raising=False)
         launcher.start()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
             panel.settimeout(5)

@@ -1,10 +1,11 @@
-"""What a cycle's messages and telegrams cost to write and read, beside bare msgpack and a bare XML parser."""
+"""What a cycle's messages and telegrams cost to write, seal and read, beside bare libraries that do the like."""
 
 from __future__ import annotations
 
 import gc
 import time
 from collections.abc import Callable
+from hashlib import blake2b
 from xml.parsers import expat
 
 import msgpack
@@ -12,9 +13,11 @@ import numpy as np
 
 from deltaq_experiments.bench.table import BenchRow
 from deltaq_experiments.bench.telegrams import standing_telegrams
+from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision
 from deltaq_protocol.messages import Increment, Message, RobotState, Verdict
+from deltaq_protocol.seal import KEY_BYTES, Seal
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.virtual_cell.cell import VirtualCell
@@ -79,6 +82,48 @@ def messages(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:
     seconds, references = _in_turn(ours, bare, passes)
     return BenchRow.of(
         f"the {len(known)} messages of a cycle packed and unpacked", "msgpack alone", seconds, references
+    )
+
+
+def seals(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:
+    """Sealing and opening the messages of one robot's cycle that pass in the guarded realm, each once."""
+    guarded = {
+        topic.message: topic.key(loaded.model.description.cell, robot=robot)
+        for topic in (
+            topics.SERVER_STATE,
+            topics.REQUEST,
+            topics.SUPERVISION,
+            topics.ADMISSION,
+            topics.GATE_VERDICT,
+        )
+    }
+    known = [
+        (guarded[type(message)], pack(message))
+        for message in messages_of_a_cycle(loaded, robot)
+        if type(message) in guarded
+    ]
+    key = bytes(KEY_BYTES)
+    sender, receiver = Seal(key), Seal(key)
+    for name in ("sim", "hli", "robot-server"):  # as many processes as address one another in a cell
+        other = receiver if name == "sim" else Seal(key)
+        greeting = topics.GREETING.key(loaded.model.description.cell, service=name)
+        sender.meet(greeting, other.close(greeting, b""))
+
+    def ours() -> None:
+        for where, message in known:
+            receiver.open(where, sender.close(where, message))
+
+    def bare() -> None:
+        for _, message in known:
+            blake2b(message, key=key).digest()
+            blake2b(message, key=key).digest()
+
+    seconds, references = _in_turn(ours, bare, passes)
+    return BenchRow.of(
+        f"the {len(known)} guarded messages of a cycle sealed and opened",
+        "BLAKE2b alone",
+        seconds,
+        references,
     )
 
 

@@ -113,13 +113,16 @@ def _gate(cell: CellDescription) -> Iterator[None]:
     endpoint = cell.robots[ROBOT].server
     session = open_session(connect=[endpoint], must_connect=True)
     seal, identity = guarded_seal(cell), str(content_identity(cell))
+    state_key = topics.SERVER_STATE.key(cell.cell, robot=ROBOT)
     keys = {row: row.key(cell.cell, robot=ROBOT) for row in (topics.SUPERVISION, topics.ADMISSION)}
     heartbeats, admissions = (
         declare_publisher(session, key, seal, row.priority) for row, key in keys.items()
     )
 
     def answer(sample: object) -> None:
-        state = unpack(ServerState, sample.payload.to_bytes())  # type: ignore[attr-defined] # zenoh has no types
+        sealed = sample.payload.to_bytes()  # type: ignore[attr-defined] # zenoh has no types
+        seal.meet(state_key, sealed)  # so that the answer is made for that process
+        state = unpack(ServerState, seal.read(state_key, sealed))
         heartbeat = Supervision(robot=ROBOT, epoch=1, cycle=state.cycle, cell=identity)
         admission = Admission(
             robot=ROBOT,
@@ -135,7 +138,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
         heartbeats.put(pack(heartbeat))
         admissions.put(pack(admission))
 
-    subscriber = session.declare_subscriber(topics.SERVER_STATE.key(cell.cell, robot=ROBOT), answer)
+    subscriber = session.declare_subscriber(state_key, answer)
     try:
         yield
     finally:

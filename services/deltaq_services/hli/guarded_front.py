@@ -14,9 +14,10 @@ from deltaq_protocol.access import access
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.messages import Message
-from deltaq_protocol.seal import ForgedMessageError
+from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Party, Realm, Topic
+from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
@@ -30,7 +31,7 @@ class GuardedFront:
     It connects to every Robot Server and to the SIM, and again whenever one of them is lost.
 
     Raises:
-        GuardedKeyError: if the realm leaves the loopback, and there is no key.
+        GuardedKeyError: if there is no key.
     """
 
     def __init__(self, cell: CellDescription, port: Port) -> None:
@@ -44,6 +45,8 @@ class GuardedFront:
         )
         for topic in (topics.SERVER_STATE, topics.GATE_VERDICT, topics.COMMAND_REPLY, topics.HEALTH):
             self._session.subscribe(topic, partial(self._take, topic.message))
+        self._session.subscribe(topics.GREETING, self._meet)
+        self._greeter = Greeter("hli", partial(self.publish, topics.GREETING, ""))
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the guarded realm."""
@@ -62,12 +65,26 @@ class GuardedFront:
             opened = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
             message = unpack(message_type, opened)
         except ForgedMessageError as error:
-            self._port.core.counters["forged_guarded"] += 1
-            if self._port.core.counters["forged_guarded"] == 1:
-                _log.warning("the first forged message: %s", error)
+            self._count_forged(error)
+            return
+        except UnboundMessageError:
+            self._port.core.counters["unbound_guarded"] += 1
+            self._greeter.greet(self._port.now())
             return
         except ProtocolError as error:
             self._port.core.counters["malformed_guarded"] += 1
             _log.warning("%s: %s", sample.key_expr, error)
             return
         self._port.carry_out(self._port.core.take(message, self._port.now()))
+
+    def _meet(self, sample: zenoh.Sample) -> None:
+        try:
+            self._seal.meet(str(sample.key_expr), sample.payload.to_bytes())
+        except ForgedMessageError as error:
+            self._count_forged(error)
+
+    def _count_forged(self, error: ForgedMessageError) -> None:
+        counters = self._port.core.counters
+        counters["forged_guarded"] += 1
+        if counters["forged_guarded"] == 1:
+            _log.warning("the first forged message: %s", error)

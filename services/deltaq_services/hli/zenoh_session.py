@@ -12,7 +12,7 @@ import zenoh
 from deltaq_protocol.codec import pack
 from deltaq_protocol.inbox import ClientInbox
 from deltaq_protocol.messages import Message
-from deltaq_protocol.seal import UNSEALED, Seal
+from deltaq_protocol.seal import Seal
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
@@ -28,11 +28,11 @@ class LoopSession:
         session: an open zenoh session; it is closed by `close`.
         cell: name of the cell, for the keys.
         loop: the loop that everything is served in.
-        seal: put on all that is published.
+        seal: put on all that is published; None in the open realm.
     """
 
     def __init__(
-        self, session: Any, cell: str, loop: asyncio.AbstractEventLoop, seal: Seal = UNSEALED
+        self, session: Any, cell: str, loop: asyncio.AbstractEventLoop, seal: Seal | None = None
     ) -> None:
         self._session = session
         self._cell = cell

@@ -23,7 +23,7 @@ class CycleStamps:
         stamps: where to.
         session: of the Robot Server.
         key: of its admissions.
-        seal: that they come under.
+        seal: that they come under; it is only read with.
     """
 
     def __init__(self, stamps: Stamps, session: Any, key: str, seal: Seal) -> None:
@@ -43,7 +43,7 @@ class CycleStamps:
 
     def _admission_came(self, sample: Any) -> None:
         try:
-            admission = unpack(Admission, self._seal.open(str(sample.key_expr), sample.payload.to_bytes()))
+            admission = unpack(Admission, self._seal.read(str(sample.key_expr), sample.payload.to_bytes()))
         except ProtocolError:
             return  # whom the loop does not believe either
         self._stamps.add(StampStation.ADMISSION_AT_SERVER, admission.robot, admission.cycle)

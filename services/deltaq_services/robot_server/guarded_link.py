@@ -11,17 +11,22 @@ from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
-from deltaq_protocol.guarded import Admission, Health, ServerState, Supervision
+from deltaq_protocol.guarded import Admission, Greeting, Health, ServerState, Supervision
 from deltaq_protocol.messages import Message
-from deltaq_protocol.seal import ForgedMessageError
+from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
 from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
 from deltaq_protocol.stamps import stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
+from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.pace import Pace
 from deltaq_services.robot_server.cycle_stamps import CycleStamps
 
 M = TypeVar("M", bound=Message)
+
+_WAITING = 32
+"""Messages of a kind that may wait for a cycle. The gate sends one; were it the only one kept, any process that sends
+forged ones would keep it from being heard. All that wait are opened before the reply, so that there must be few."""
 
 
 class GuardedLink:
@@ -33,7 +38,7 @@ class GuardedLink:
         counters: where malformed messages are counted.
 
     Raises:
-        GuardedKeyError: if the realm leaves the loopback, and there is no key.
+        GuardedKeyError: if there is no key.
         ServiceUnreachableError: if its endpoint cannot be listened on.
     """
 
@@ -45,10 +50,15 @@ class GuardedLink:
         rules = access(Party.ROBOT_SERVER, Realm.GUARDED, cell.cell, robot)
         self._session: Any = open_session(listen=[cell.robots[robot].server], access=rules)
         admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
-        self._admissions = subscribe_newest(self._session, admission_key)
-        self._supervisions = subscribe_newest(self._session, topics.SUPERVISION.key(cell.cell, robot=robot))
+        supervision_key = topics.SUPERVISION.key(cell.cell, robot=robot)
+        self._admissions = subscribe_newest(self._session, admission_key, _WAITING)
+        self._supervisions = subscribe_newest(self._session, supervision_key, _WAITING)
+        self._greetings = subscribe_newest(self._session, topics.GREETING.key(cell.cell), _WAITING)
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
+        greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
+        self._greeter = Greeter(self._service, lambda message: greeting.put(pack(message)))
+        self._is_unknown = False
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
         stamps = stamps_if_asked(self._service, [robot])
         self._stamps = (
@@ -65,6 +75,7 @@ class GuardedLink:
 
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
+        self._exchange_greetings(time_s)
         if state is not None:
             self._state.put(pack(state))
             if self._stamps is not None:
@@ -88,14 +99,37 @@ class GuardedLink:
         return declare_publisher(self._session, topic.key(cell, **fields), self._seal, topic.priority)
 
     def _newest(self, subscriber: Any, message_type: type[M]) -> M | None:
-        sample = subscriber.try_recv()
-        if sample is None:
+        name = message_type.__name__.lower()
+        newest: bytes | None = None
+        for _ in range(_WAITING):  # no more: others may send faster than they are read
+            sample = subscriber.try_recv()
+            if sample is None:
+                break
+            try:
+                newest = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+            except ForgedMessageError:
+                self._counters[f"forged_{name}"] += 1
+            except UnboundMessageError:
+                self._counters[f"unbound_{name}"] += 1
+                self._is_unknown = True
+        if newest is None:
             return None
         try:
-            return unpack(message_type, self._seal.open(str(sample.key_expr), sample.payload.to_bytes()))
-        except ForgedMessageError:
-            self._counters[f"forged_{message_type.__name__.lower()}"] += 1
-            return None
+            return unpack(message_type, newest)
         except InvalidMessageError:
-            self._counters[f"invalid_{message_type.__name__.lower()}"] += 1
+            self._counters[f"invalid_{name}"] += 1
             return None
+
+    def _exchange_greetings(self, time_s: float) -> None:
+        """Greet who does not know this process, and learn of those who greet: after the reply, since it can wait."""
+        for _ in range(_WAITING):
+            sample = self._greetings.try_recv()
+            if sample is None:
+                break
+            try:
+                self._seal.meet(str(sample.key_expr), sample.payload.to_bytes())
+            except ForgedMessageError:
+                self._counters[f"forged_{Greeting.__name__.lower()}"] += 1
+        if self._is_unknown:
+            self._is_unknown = False
+            self._greeter.greet(time_s)

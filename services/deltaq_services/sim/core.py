@@ -34,6 +34,7 @@ from deltaq_protocol.receipts import first_receipt, with_receipt
 from deltaq_services.outputs import ToTopic
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.answers import nearest_pair, reply, verdict_of
+from deltaq_services.sim.causes import impossible
 from deltaq_services.sim.command_order import CommandOrder
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.fingerprint import fingerprint
@@ -63,6 +64,7 @@ class Sim:
         contacts: which bodies may touch now.
         violations: which bodies are too near now, and the distances that they have to keep.
         taken: messages taken so far.
+        disbelieved: the last that a robot told and this gate cannot have caused, for people; empty if none has.
     """
 
     def __init__(self, cell: CellModel, epoch: int) -> None:
@@ -73,6 +75,7 @@ class Sim:
         # of the description alone: a Robot Server reads no bodies
         self._cell = str(content_identity(description))
         self.taken = 0
+        self.disbelieved = ""
         self._receipt = first_receipt(self.fingerprint, epoch)
         self.counters: Counter[str] = Counter()
         self._proximity = CompiledProximity(cell)
@@ -109,6 +112,8 @@ class Sim:
         if robot is None or len(state.q) != robot.joints:
             self.counters["unknown_state"] += 1
             return []
+        if self._is_impossible(robot, state):
+            return self._supervise(robot, ReasonCode.IMPOSSIBLE_STATE)
         if not robot.tracker.observe(state):
             robot.orders.repeated(state)
             return [*self._supervise(robot), *self._answered(robot)]
@@ -246,8 +251,29 @@ class Sim:
         found = [near for near in looks if near is not None]
         return nearest_pair(min(found, key=lambda near: near.distance_m)) if found else None
 
-    def _supervise(self, robot: GatedRobot) -> list[ToTopic]:
+    def _is_impossible(self, robot: GatedRobot, state: ServerState) -> bool:
+        """Whether this gate cannot have caused a state: counted, and all robots are stopped, wherever they are."""
+        fault = impossible(
+            state,
+            robot.tracker.state,
+            robot.tracker.in_flight,
+            self.epoch,
+            robot.orders.resets,
+            robot.longest_gap_cycles,
+        )
+        if fault is None:
+            return False
+        self.counters[f"impossible_states_{robot.name}"] += 1
+        self.disbelieved = f"{robot.name} told {fault}"
+        for each in self.robots.values():
+            each.orders.stop(ReasonCode.IMPOSSIBLE_STATE)
+        return True
+
+    def _supervise(self, robot: GatedRobot, stop: ReasonCode | None = None) -> list[ToTopic]:
+        """Orders to a robot that was heard; `stop` is given whatever its newest state shows."""
         robot.orders.judge()
+        if stop is not None:
+            robot.orders.stop(stop)
         state = robot.tracker.state
         assert state is not None  # called with a state just observed
         if state.cell != self._cell:

@@ -11,6 +11,9 @@ from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 
+_GAP = 4
+"""Times that a Robot Server may be without a gate before it holds: orders that are under way arrive later."""
+
 
 class GatedRobot:
     """One robot as the gate knows it.
@@ -22,6 +25,7 @@ class GatedRobot:
         tracker: its motion.
         orders: stop, reset and outputs.
         inbox: the requests for it.
+        longest_gap_cycles: that may pass unheard while it may move; a Robot Server that hears no gate holds it before.
         dry_run_cycle: cycle of the state for which a dry run was answered last.
     """
 
@@ -34,6 +38,7 @@ class GatedRobot:
         self.tracker = Tracker(name, description, cycle_s, math.ceil(gate.servo_lag_s / cycle_s))
         self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
         self.inbox = Inbox(self.joints, topics.REQUEST.age_cycles(cycle_s, gate.max_request_age_s))
+        self.longest_gap_cycles = _GAP * math.ceil(gate.gate_timeout_s / cycle_s)
         self.dry_run_cycle = -1
 
     def snapshot(self) -> RobotMemory:

@@ -17,11 +17,12 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
-from deltaq_protocol.guarded import Health
-from deltaq_protocol.seal import ForgedMessageError
+from deltaq_protocol.guarded import Greeting, Health
+from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
 from deltaq_protocol.session import declare_publisher, open_session
 from deltaq_protocol.stamps import stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
+from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.pace import Pace
 from deltaq_services.sim.core import Sim
@@ -31,12 +32,16 @@ from deltaq_services.sim.gate_stamps import GateStamps
 _RING = 256
 """Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
 still answers every request, if only to say that it is stale."""
+_LOG_PERIOD_S = 1.0
+"""States that the gate cannot have caused may come in every cycle."""
 
 
 def _taken() -> dict[str, Topic]:
-    """What the gate takes in, by the end of the key; others' heartbeats only wake it."""
+    """What the gate takes in, by the end of the key; others' heartbeats only wake it, and greetings are the seal's."""
     rows = [topic for topic in topics.TOPICS if topic.realm is Realm.GUARDED and Party.SIM in topic.readers]
-    return {topic.template.rpartition("/")[2]: topic for topic in rows if topic.message is not Health}
+    return {
+        topic.template.rpartition("/")[2]: topic for topic in rows if topic.message not in (Health, Greeting)
+    }
 
 
 class Shell:
@@ -56,6 +61,7 @@ class Shell:
             access=access(Party.SIM, Realm.GUARDED, self._name),
         )
         self._taken = _taken()
+        self._greetings = topics.GREETING.key(self._name, service="")
         self._incoming = self._session.declare_subscriber(
             f"deltaq-guarded/{self._name}/**",
             zenoh.handlers.RingChannel(_RING),
@@ -64,6 +70,8 @@ class Shell:
         self._log = GateLog(self._session, self._name, self.sim)
         self._publishers: dict[tuple[str, str], Any] = {}
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
+        self._log_pace = Pace(_LOG_PERIOD_S)
+        self._greeter = Greeter("sim", lambda greeting: self._publisher(topics.GREETING).put(pack(greeting)))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
                 self._publisher(topic, robot)
@@ -80,13 +88,20 @@ class Shell:
 
     def _handle(self, key: str, payload: bytes) -> None:
         topic = self._taken.get(key.rpartition("/")[2])
-        if topic is None:
-            return  # a heartbeat of the others
         try:
+            if key.startswith(self._greetings):
+                self._seal.meet(key, payload)
+                return
+            if topic is None:
+                return  # a heartbeat of the others
             payload = self._seal.open(key, payload)
             message = unpack(topic.message, payload)
         except ForgedMessageError:
             self.sim.counters["forged_messages"] += 1
+            return
+        except UnboundMessageError:
+            self.sim.counters["unbound_messages"] += 1
+            self._greeter.greet(time.monotonic())
             return
         except InvalidMessageError as error:
             self.sim.counters["invalid_messages"] += 1
@@ -95,7 +110,11 @@ class Shell:
         if self._stamps is not None:
             self._stamps.came(message)
         outputs = []
-        for output in self.sim.take(message):
+        disbelieved = self.sim.disbelieved
+        taken = self.sim.take(message)
+        if self.sim.disbelieved != disbelieved and self._log_pace.due(time.monotonic()):
+            print(f"all robots are stopped: {self.sim.disbelieved}", flush=True)
+        for output in taken:
             packed = pack(output.message)
             self._publisher(output.topic, output.robot).put(packed)
             outputs.append((output.topic.name, packed))
@@ -119,6 +138,7 @@ class Shell:
         health = Health(
             service="sim",
             healthy=True,
+            detail=self.sim.disbelieved,
             time_s=now_s,
             counters=dict(self.sim.counters),
             nearest=self.sim.nearest(),

@@ -49,7 +49,7 @@ class Overheard:
     def take(self) -> None:
         """Take in what has come."""
         while (sample := self._admissions.try_recv()) is not None:
-            data = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+            data = self._seal.read(str(sample.key_expr), sample.payload.to_bytes())
             self._heard(data)
         while (sample := self._log.try_recv()) is not None:
             for name, data in unpack(GateEntry, sample.payload.to_bytes()).outputs:
@@ -57,7 +57,7 @@ class Overheard:
                     self._heard(data)
         sample = self._states.try_recv()
         if sample is not None:
-            data = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+            data = self._seal.read(str(sample.key_expr), sample.payload.to_bytes())
             self.counters = unpack(ServerState, data).counters
 
     def _heard(self, data: bytes) -> None:

@@ -1,0 +1,46 @@
+"""The folder of a user's running services, which nobody else can enter."""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+from deltaq_protocol.errors import DeltaqError
+
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+class RuntimeFolderError(DeltaqError):
+    """A folder for secrets that is not this user's alone."""
+
+
+def runtime_folder() -> Path:
+    """The folder, made if need be: in `XDG_RUNTIME_DIR`, or where that is not set, in the system's temporary folder.
+
+    Raises:
+        RuntimeFolderError: if it cannot be made, or belongs to somebody else, or somebody else may enter it.
+    """
+    given = os.environ.get("XDG_RUNTIME_DIR")
+    folder = (
+        Path(given) / "deltaq" if given else Path(tempfile.gettempdir()) / f"deltaq-runtime-{os.geteuid()}"
+    )
+    remedy = "let XDG_RUNTIME_DIR name a folder of your own"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        about = folder.lstat()  # a link would lead wherever its owner wants
+    except OSError as error:
+        raise RuntimeFolderError(f"{folder} cannot be made: {error.strerror}; {remedy}") from error
+    if not stat.S_ISDIR(about.st_mode):
+        raise RuntimeFolderError(f"{folder} is no folder; remove it, or {remedy}")
+    if about.st_uid != os.geteuid():
+        raise RuntimeFolderError(
+            f"{folder} belongs to user {about.st_uid}, and this is user {os.geteuid()}; {remedy}"
+        )
+    mode = stat.S_IMODE(about.st_mode)
+    if mode & _OTHERS:
+        raise RuntimeFolderError(
+            f"{folder} has mode {mode:04o}, and others may enter it; 0700 is needed: `chmod 700 {folder}`"
+        )
+    return folder

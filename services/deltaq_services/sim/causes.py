@@ -1,0 +1,92 @@
+"""What a Robot Server can be doing by this gate's doing: a state that says anything else is not believed.
+
+A setpoint moves by admissions of this gate and by the brake that came with each; a hold ends by a reset that this gate
+ordered; cycles are counted one by one, and a robot whose gate is silent is held. A state that contradicts this comes
+of a fault, of two gates, or from somebody who speaks in the Robot Server's stead. Which of them, nobody can know here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltaq_protocol.guarded import Admission, ServerState
+from deltaq_protocol.messages import Phase
+from deltaq_services.phases import MAY_MOVE
+from deltaq_services.sim.tube import Branch
+
+_SUMS = 1e-9
+"""Rounding of a setpoint when increments are added in another order [rad or m]."""
+
+
+def impossible(
+    state: ServerState,
+    before: ServerState | None,
+    in_flight: Admission | None,
+    epoch: int,
+    resets: int,
+    longest_gap: int,
+) -> str | None:
+    """What a state says that this gate cannot have caused, for people; None if it can have.
+
+    Args:
+        state: of a robot, as it has just come.
+        before: the newest that was believed; None before the first, and what follows is judged by the first.
+        in_flight: the admission that was sent since, if any.
+        epoch: of this gate.
+        resets: the count of resets that this gate has ordered the robot to reach.
+        longest_gap: cycles that may pass unheard; a robot that may move is held long before.
+    """
+    if before is None or state.process != before.process:
+        return None  # a process that begins is held until a reset, whatever it says
+    leap = state.cycle - before.cycle
+    if leap < -longest_gap:
+        return f"cycle {state.cycle} after cycle {before.cycle}"
+    if leap <= 0:
+        return None  # overtaken, or said again
+    if leap > longest_gap and state.phase in MAY_MOVE:
+        return f"cycle {state.cycle} after cycle {before.cycle}, and it may move"
+    if before.phase is Phase.HELD and state.phase in MAY_MOVE and state.resets <= before.resets:
+        return "a hold that ended without a reset"
+    if state.epoch == epoch:
+        if state.resets > resets:
+            return f"reset {state.resets}, of which {resets} were ordered"
+        if (said := _not_admitted(state, before, in_flight)) is not None:
+            return said
+    elif state.sequence != before.sequence:
+        return None  # it follows an earlier gate, whose last admissions nobody knows here
+    if state.resets != before.resets or before.phase is Phase.OFFLINE:
+        return None  # it has begun where its KRC said
+    joint = _off_course(state, before, in_flight)
+    return None if joint is None else f"a setpoint of joint {joint + 1} that no admission leads to"
+
+
+def _off_course(state: ServerState, before: ServerState, in_flight: Admission | None) -> int | None:
+    """The joint whose setpoint is not on the course that began at the one before; None if all are.
+
+    An admission is valid for the next cycle only, so that there is no other course than that of the brake and its own.
+    """
+    if state.q_cmd == before.q_cmd:
+        return None
+    branch = Branch(np.array(before.plan.dq), before.plan.brake_cycles, before.plan.step)
+    if in_flight is not None and state.sequence == in_flight.sequence:
+        branch = Branch(np.array(in_flight.dq), in_flight.brake_cycles, -1)
+    start = np.array(before.q_cmd)
+    course = np.vstack([start, branch.setpoints(start)[: state.cycle - before.cycle]])
+    off = np.abs(course - np.array(state.q_cmd))
+    nearest = off[off.max(axis=1).argmin()]
+    return None if nearest.max() <= _SUMS else int(nearest.argmax())
+
+
+def _not_admitted(state: ServerState, before: ServerState, in_flight: Admission | None) -> str | None:
+    """Why the plan that a state of this epoch tells is none that this gate has admitted."""
+    told = (state.plan.dq, state.plan.brake_cycles)
+    rests = not any(state.plan.dq) and not any(state.dq)
+    if in_flight is not None and state.sequence == in_flight.sequence:
+        admitted = (in_flight.dq, in_flight.brake_cycles)
+    elif state.epoch == before.epoch and state.sequence == before.sequence:
+        admitted = (before.plan.dq, before.plan.brake_cycles)
+    elif state.sequence == 0 and rests:
+        return None  # linked, or reset
+    else:
+        return f"sequence {state.sequence}, which was not admitted"
+    return None if rests or told == admitted else f"a plan that sequence {state.sequence} is not"

@@ -1,0 +1,127 @@
+"""All attacks of a stranger together on a running cell; where the system allows, it is a process of another user."""
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_stack import live_stack
+
+from deltaq_emulator.states import KrcState
+from deltaq_launch.cell_connection import connect
+from deltaq_protocol.messages import Phase
+from deltaq_services.guarded_key import guarded_seal, key_file_of_launch, realm_of
+from deltaq_verification.faults.panel import recovery
+
+pytestmark = pytest.mark.live
+
+NOBODY = 65534
+PROGRAM = Path(__file__).parents[1] / "support" / "stranger.py"
+
+
+class Attacker:
+    """The stranger's process."""
+
+    def __init__(self, process):
+        self._process = process
+        self.uid = json.loads(process.stdout.readline())["uid"]
+
+    def does(self, what):
+        self._process.stdin.write(what + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+
+@contextmanager
+def attacker(cell_file):
+    user = [str(NOBODY)] if os.geteuid() == 0 else []
+    command = [sys.executable, str(PROGRAM), str(cell_file), *user]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        yield Attacker(process)
+        process.stdin.close()
+        assert process.wait(20) == 0
+
+
+def forge_until(counted, stack, stranger):
+    with connect(stack.cell, "test") as running:
+        while not counted(running.status()):
+            stranger.does("forge")
+            stack.wait_cycles(2)
+        return running.status()
+
+
+def test_nothing_that_a_stranger_says_moves_frees_or_confuses_a_running_cell(tmp_path):
+    with live_stack(tmp_path) as stack, attacker(tmp_path / "private.yaml") as stranger:
+        assert stranger.uid == (NOBODY if os.geteuid() == 0 else os.geteuid())
+        file = key_file_of_launch(realm_of(stack.cell))
+        assert guarded_seal(stack.cell)
+        if stranger.uid != os.geteuid():
+            assert stranger.does(f"try {file}") == "PermissionError"
+
+        # a motion for it to record
+        with connect(stack.cell, "test") as running, running.lease("fr") as robot:
+            for _, _state in zip(range(12), robot.states(), strict=False):
+                robot.move([5e-4, 0, 0, 0, 0, 0])
+        stack.wait_until_at_rest()
+        assert stranger.does("record") > 100
+
+        # while the cell may move: nothing moves, nothing is set
+        before = stack.setpoint()
+        status = forge_until(counted_everywhere, stack, stranger)
+        assert status.contacts == ()
+        assert [robot.phase for robot in status.robots.values()] == [Phase.READY] * 2
+        assert not [name for name in status.gate if name.startswith("command_")]
+        assert status.robots["fr"].counters["admissions"] == admissions(stack)
+        np.testing.assert_array_equal(stack.setpoint(), before)
+
+        # what the operator stops stays stopped
+        with connect(stack.cell, "test") as running:
+            running.stop()
+            held = running.status()
+        status = forge_until(lambda now: forged(now) > forged(held) + 20, stack, stranger)
+        for robot in status.robots.values():
+            assert (robot.phase, robot.reason) == (Phase.HELD, "operator_stop")
+
+        # a recording of all this moves no robot whose server has just started
+        stack.launcher.restart("robot-server-fr")
+        stranger.does("repeat")
+        while stack.emulator()["state"] == KrcState.RSI_RUNNING:  # until it misses the one that ended
+            pass
+        for request in recovery(stack.emulator()["state"]):
+            stack.ask(**request)
+        stranger.does("repeat")
+        stack.wait_for_reason("server_lost")
+        with connect(stack.cell, "test") as running:
+            while not running.status().robots["fr"].counters.get("unbound_admission"):
+                stranger.does("repeat")
+                stack.wait_cycles(2)
+            assert running.status().robots["fr"].phase is Phase.HELD
+            assert running.status().contacts == ()
+        np.testing.assert_allclose(stack.setpoint(), before, atol=1e-3)  # the new session is probed
+
+        # and the operator's reset still counts
+        stack.reset()
+        assert stack.phase()[0] is Phase.READY
+        with connect(stack.cell, "test") as running:
+            seen = running.status().gate
+        assert not [name for name in seen if name.startswith("impossible_states")]
+
+
+def admissions(stack):
+    with connect(stack.cell, "test") as running:
+        return running.status().robots["fr"].counters["admissions"]
+
+
+def forged(status):
+    return status.gate.get("forged_messages", 0)
+
+
+def counted_everywhere(status):
+    return forged(status) and all(
+        robot.counters.get("forged_admission") and robot.counters.get("forged_supervision")
+        for robot in status.robots.values()
+    )

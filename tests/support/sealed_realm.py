@@ -1,0 +1,202 @@
+"""The guarded realm over real sockets, in lockstep: Robot Servers, the SIM's shell, and an HLI that asks.
+
+Nothing here waits for a clock, so that a braked cycle has a cause other than a busy machine.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from private_cell import write_private_cell
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol import topics
+from deltaq_protocol.codec import pack
+from deltaq_protocol.guarded import Admission, Command, Request, ServerState, Supervision
+from deltaq_protocol.messages import Message
+from deltaq_protocol.session import open_session, subscribe_newest
+from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.phases import MAY_MOVE
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.guarded_link import GuardedLink
+from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.sim.shell import Shell
+
+RECORDED = 4096
+
+
+class ServedRobot:
+    """A Robot Server's core on its real link, and a robot that is always where it was sent."""
+
+    def __init__(self, model: CellModel, name: str, process: int) -> None:
+        self.name = name
+        self.q = model.robots[name].home.copy()
+        self.core = RobotServer(model.description, name, process)
+        self.link = GuardedLink(model.description, name, self.core.counters)
+        self.admission: Admission | None = None
+        self.supervision: Supervision | None = None
+        self._time_s = 0.0
+
+    @property
+    def state(self) -> ServerState:
+        assert self.core.state is not None  # asked only after a cycle
+        return self.core.state
+
+    def listen(self) -> None:
+        """Read what has come, as a cycle begins by doing."""
+        self.admission = self.link.admission() or self.admission
+        self.supervision = self.link.supervision() or self.supervision
+
+    def cycle(self) -> None:
+        """One telegram, answered by what has been read, and the state published."""
+        self.listen()
+        self._time_s += 0.012
+        start = self.q if self.core.state is None else None
+        measured = Measurement(round(self._time_s * 1000), self.q, start)
+        self.q = self.core.cycle(measured, self._time_s, self.admission, self.supervision)
+        self.admission = self.supervision = None
+        self.link.publish(self.core.state, self._time_s)
+
+
+class SealedRealm:
+    """Both robots of the lab cell, ready.
+
+    Attributes:
+        robots: by name.
+        sim: the gate's core.
+        recording: every sample of the realm so far, as anybody who joins can record it: key and bytes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.model = CellModel.load(write_private_cell(folder))
+        description = self.description = self.model.description
+        self._process = 0
+        self.robots = {name: self._robot(name) for name in description.robots}
+        self.shell = Shell(self.model)
+        self.sim = self.shell.sim
+        self._seal = guarded_seal(description)
+        endpoints = [description.sim, *(robot.server for robot in description.robots.values())]
+        self._hli = open_session(connect=endpoints, must_connect=True)
+        self._heard = subscribe_newest(self._hli, f"deltaq-guarded/{description.cell}/**", RECORDED)
+        self.recording: list[tuple[str, bytes]] = []
+        self._seq = 0
+        self._id = 0
+        self.settle()
+
+    def close(self) -> None:
+        self._hli.close()
+        self.shell._session.close()
+        for robot in self.robots.values():
+            robot.link.close()
+
+    def settle(self) -> None:
+        """Cycle until the gate follows both robots and both may move."""
+        while not all(self.ready(robot) for robot in self.robots.values()):
+            self.turn()
+
+    def ready(self, robot: ServedRobot) -> bool:
+        state = self.sim.robots[robot.name].tracker.state
+        known = state is not None and state.process == robot.core.process and state.epoch == self.sim.epoch
+        return known and robot.state.phase in MAY_MOVE
+
+    def turn(self) -> None:
+        """A cycle of each robot, and whatever comes of it by now; the HLI gives its heartbeat."""
+        for robot in self.robots.values():
+            robot.cycle()
+            self.put(topics.REQUEST, self._request(robot), robot=robot.name)
+        self.pump()
+
+    def cycle(self, moving: dict[str, float], attack: Any = None) -> None:
+        """One cycle in which the gate hears every state and request, and every robot hears the gate.
+
+        Args:
+            moving: by robot the increment of its first joint [rad or m]; the others only give a heartbeat.
+            attack: called while the messages of the cycle are on their way.
+        """
+        for robot in self.robots.values():
+            robot.cycle()
+        self.pump_until(lambda: all(self.sees(robot) for robot in self.robots.values()))
+        if attack is not None:
+            attack()
+        for robot in self.robots.values():
+            dq = moving.get(robot.name)
+            request = self._request(robot)
+            if dq is not None:
+                self._seq += 1
+                joints = (dq, *np.zeros(len(robot.q) - 1).tolist())
+                request = request.model_copy(update={"seq": self._seq, "dq": joints})
+            self.put(topics.REQUEST, request, robot=robot.name)
+        wanted = [self.robots[name] for name in moving]
+        self.pump_until(lambda: all(self.is_admitted(robot) for robot in wanted))
+        self.pump_until(lambda: all(self.has_mail(robot) for robot in self.robots.values()))
+
+    def sees(self, robot: ServedRobot) -> bool:
+        """Whether the gate has the newest state of a robot."""
+        state = self.sim.robots[robot.name].tracker.state
+        return state is not None and state.cycle == robot.state.cycle
+
+    def is_admitted(self, robot: ServedRobot) -> bool:
+        in_flight = self.sim.robots[robot.name].tracker.in_flight
+        return in_flight is not None and in_flight.cycle == robot.state.cycle
+
+    def has_mail(self, robot: ServedRobot) -> bool:
+        """Whether all that the gate said on the newest state has come."""
+        robot.listen()
+        if robot.supervision is None or robot.supervision.cycle != robot.state.cycle:
+            return False
+        return robot.admission is not None or not self.is_admitted(robot)
+
+    def restart(self, name: str) -> ServedRobot:
+        """Another process takes the place of a robot's server; nobody has spoken to it yet."""
+        robot = self.robots[name]
+        robot.link.close()
+        self.robots[name] = self._robot(name)
+        self.robots[name].q = robot.q
+        return self.robots[name]
+
+    def restart_gate(self) -> None:
+        """Another process takes the gate's place; it has heard nobody yet."""
+        self.shell._session.close()
+        self.shell = Shell(self.model)
+        self.sim = self.shell.sim
+
+    def settle_held(self) -> None:
+        """Cycle until the gate has heard every robot."""
+        while not all(self.sees(robot) for robot in self.robots.values()):
+            self.turn()
+
+    def command(self, **fields: Any) -> None:
+        """The HLI sends a command."""
+        self._id += 1
+        cycles = {name: robot.state.cycle for name, robot in self.robots.items()}
+        self.put(topics.COMMAND, Command(id=self._id, epoch=self.sim.epoch, cycles=cycles, **fields))
+
+    def put(self, topic: topics.Topic, message: Message, **fields: str) -> None:
+        """Publish as the HLI."""
+        key = topic.key(self.description.cell, **fields)
+        self._hli.put(key, self._seal.close(key, pack(message)))
+
+    def pump(self) -> None:
+        """Let the gate, the HLI and the Robot Servers take what has come."""
+        for robot in self.robots.values():
+            robot.listen()
+        while (sample := self.shell._incoming.try_recv()) is not None:
+            self.shell._handle(str(sample.key_expr), sample.payload.to_bytes())
+        while (sample := self._heard.try_recv()) is not None:
+            key, sealed = str(sample.key_expr), sample.payload.to_bytes()
+            self.recording.append((key, sealed))
+            if not key.startswith(topics.GATE_KEYS.format(cell=self.description.cell)[:-1]):
+                self._seal.meet(key, sealed)
+
+    def pump_until(self, reached: Any) -> None:
+        while not reached():
+            self.pump()
+
+    def _request(self, robot: ServedRobot) -> Request:
+        return Request(robot=robot.name, cycle=robot.state.cycle, lease_epoch=1)
+
+    def _robot(self, name: str) -> ServedRobot:
+        self._process += 1
+        return ServedRobot(self.model, name, self._process)
