@@ -20,8 +20,12 @@ _LIMITS_TOLD = 3
 _NEAR_LIMIT = 0.05
 """Share of its range within which a joint is near a limit."""
 _SIGNS = {
-    RunEventKind.STOP: "✖", RunEventKind.HOLD: "■", RunEventKind.RESET: "▲", RunEventKind.FAULT: "▼", RunEventKind.GAP: "◆",
-}  # fmt: skip
+    RunEventKind.STOP: "✖",
+    RunEventKind.HOLD: "■",
+    RunEventKind.RESET: "▲",
+    RunEventKind.FAULT: "▼",
+    RunEventKind.GAP: "◆",
+}
 
 Cells = Iterable[str]
 
