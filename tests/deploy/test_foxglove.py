@@ -16,7 +16,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from deltaq_deploy.foxglove import FILE
+from deltaq_deploy.foxglove import CELL, FILE, layout_text
 from deltaq_protocol import topics
 from deltaq_protocol.messages import NearestPair, Proximity
 from deltaq_verification.recorded import RecordedCell, virtual_cell
