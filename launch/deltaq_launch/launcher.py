@@ -15,7 +15,7 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
-from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Service
+from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 
@@ -187,7 +187,8 @@ class Launcher:
                 waiting.remove(service)
                 pending.add(service.name)
                 command = [*self._python, *service.arguments]
-                child = Child(service.name, command, self._events.put, self._on_line)
+                is_ordinary = service.role is Role.CONSOLE
+                child = Child(service.name, command, self._events.put, self._on_line, is_ordinary)
                 self._warden.keep(child.pid, child.output, brakes=service.role in BRAKING_ROLES)
                 self.children[service.name] = child
             match self.wait(max(0.0, deadline - time.monotonic())):
