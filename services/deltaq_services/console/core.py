@@ -27,11 +27,15 @@ from deltaq_services.console.messages import (
     LeaseVerb,
     Ping,
     Pong,
+    Record,
+    ReplayShown,
     Reset,
+    RobotCommand,
     Stop,
 )
 from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
 from deltaq_services.console.picture import Picture
+from deltaq_services.console.recordings import RecordingDesk
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.seat import Handled
 from deltaq_services.console.status_board import StatusBoard
@@ -48,6 +52,7 @@ class ConsoleCore:
         cell: its description.
         bodies: names of its bodies, as the scene lists them.
         token_needed: whether a client without the token is an observer.
+        has_recordings: whether it was given a folder for recordings.
 
     Attributes:
         clients: who is connected, by the number of the connection.
@@ -56,9 +61,16 @@ class ConsoleCore:
         picture: what is seen of the cell.
         stop: how far the newest stop is.
         board: what browsers are told when it changes.
+        desk: the recording that is being written.
     """
 
-    def __init__(self, cell: CellDescription, bodies: tuple[str, ...], token_needed: bool) -> None:
+    def __init__(
+        self,
+        cell: CellDescription,
+        bodies: tuple[str, ...],
+        token_needed: bool,
+        has_recordings: bool = False,
+    ) -> None:
         self.clients: dict[int, Client] = {}
         self.counters: Counter[str] = Counter()
         self.stop = StopProgress()
@@ -68,7 +80,8 @@ class ConsoleCore:
         }
         self._log = EventLog()
         self.picture = Picture(cell, bodies, self.robots, self._log)
-        self.board = StatusBoard(self.robots, self._log)
+        self.desk = RecordingDesk(cell.cell, has_recordings)
+        self.board = StatusBoard(self.robots, self.desk, self._log)
         self._token_needed = token_needed
         self._numbers, self._requests = itertools.count(1), itertools.count(1)
         self._asked: dict[str, tuple[Client | None, str, AskHli | ToDriver]] = {}
@@ -196,6 +209,10 @@ class ConsoleCore:
                     outputs.append(_ack(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}"))
         return outputs
 
+    def recorder_ended(self, why: str, now_s: float) -> None:
+        """The recorder has ended; `why` is empty if it was asked to."""
+        self._log.add(now_s, "recording", self.desk.ended(why))
+
     def signals(self, robot: str, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> None:
         """A robot's digital outputs and inputs."""
         self.robots[robot].outputs |= outputs
@@ -233,11 +250,34 @@ class ConsoleCore:
 
     def _obey(self, client: Client, command: AnyCommand, now_s: float) -> list[ConsoleOutput]:
         """Carry a command out, or raise `ValueError` with the reason why not."""
+        assert not isinstance(command, Ping | Stop)  # served before
+        if isinstance(command, ReplayShown):
+            return [*self._replay(client, command.shown), _ack(client, command.id, AckOutcome.DONE, "")]
+        if client.shows_replay:
+            raise ValueError("a recording is shown in this browser: close it to command the cell")
         if not client.is_operator:
             raise ValueError(
                 "an observer looks on, and may press STOP; the console's token makes an operator"
             )
-        assert not isinstance(command, Ping | Stop)  # served before
+        if isinstance(command, Record):
+            to_recorder = self.desk.handle(command, now_s)
+            begins = f"{client.name} records {to_recorder.file}"
+            self._log.add(
+                now_s, "recording", begins if to_recorder.file else f"{client.name} ends the recording"
+            )
+            return [to_recorder, _ack(client, command.id, AckOutcome.DONE, "")]
+        return self._obey_for_robot(client, command, now_s)
+
+    def _replay(self, client: Client, shown: bool) -> list[ConsoleOutput]:
+        """A browser shows a recording from now on, or no more: what it drives rests."""
+        client.shows_replay = shown
+        return [
+            ToDriver(side.name, driving.Wish())
+            for side in self.robots.values()
+            if shown and side.seat.holder is client
+        ]
+
+    def _obey_for_robot(self, client: Client, command: RobotCommand, now_s: float) -> list[ConsoleOutput]:
         side = self.robots.get(command.robot)
         if side is None:
             raise ValueError(
