@@ -157,6 +157,45 @@ test("STOP without a line says that it is not sent, and is given up after ten se
   assert.deepEqual(Socket.last.commands("stop"), []);
 });
 
+test("nine seconds without a network: nothing that was held goes on, and a STOP of that time goes out when the line is back", (t) => {
+  const { connection, live, wish, socket } = driving(t);
+  const stop = new Stop(live, () => {});
+  mock.method(performance, "now", () => Date.now());
+  wish.hold("button", { 0: 0.2 });
+  passWithNews(socket, 200);
+  pass(2000); // nothing comes, and nothing closes either
+  assert.equal(connection.isUp, false);
+  assert.equal(wish.isActive, false);
+  stop.press();
+  assert.equal(stop.state, "not_sent");
+  pass(7000);
+  assert.equal(stop.state, "not_sent");
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  pass(120);
+  assert.notEqual(Socket.last, socket);
+  assert.ok(Socket.last.commands("stop").length >= 1);
+  assert.deepEqual(Socket.last.commands("jog"), []);
+  assert.equal(wish.isActive, false);
+  Socket.last.says(frame({ server_s: Date.now() / 1000 }));
+  Socket.last.says(status());
+  pass(120);
+  assert.deepEqual(Socket.last.commands("jog"), [], "it has to be pressed anew");
+});
+
+test("a tab in the background lets go at once, and holds nothing when it is in front again", (t) => {
+  const { wish, socket } = driving(t);
+  wish.hold("button", { 0: 0.2 });
+  document.hidden = true;
+  t.after(() => (document.hidden = false));
+  document.dispatchEvent(new Event("visibilitychange"));
+  assert.deepEqual(socket.commands("jog").map(({ wish: [speed] }) => speed), [0.2, 0]);
+  passWithNews(socket, 2000);
+  document.hidden = false;
+  document.dispatchEvent(new Event("visibilitychange"));
+  passWithNews(socket, 400);
+  assert.equal(socket.commands("jog").length, 2);
+});
+
 test("a wish is renewed while it is held, and its end is one wish for rest", (t) => {
   const { wish, socket } = driving(t);
   assert.equal(wish.hold("button", { 0: 0.2 }), true);

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_experiments.run_report.drawing import COLUMNS, timeline
 from deltaq_experiments.run_report.figures import figures
 from deltaq_experiments.run_report.page import page
-from deltaq_experiments.run_report.run import EmptyRecordingError, RunEventKind, read_run
+from deltaq_experiments.run_report.run import EmptyRecordingError, RunEvent, RunEventKind, read_run
 from deltaq_experiments.run_report.svg import outline
 from deltaq_experiments.run_report.write import ReportError, write
 from deltaq_protocol import topics
@@ -273,6 +274,15 @@ def test_text_of_a_recording_is_text_on_the_page(cell: CellModel, tmp_path: Path
 
 def test_the_same_recording_gives_the_same_page(recorded: Path) -> None:
     assert page(read_run(recorded)) == page(read_run(recorded))
+
+
+def test_a_page_grows_with_its_width_and_not_with_the_recording(recorded: Path) -> None:
+    run = read_run(recorded)
+    short = len(timeline(run))
+    robot = run.robots["fr"]
+    robot.bound_s = np.linspace(0.0, run.length_s, 300_000).tolist()
+    run.events += [RunEvent(at, RunEventKind.FAULT, "fr", "krc_silent") for at in robot.bound_s]
+    assert len(timeline(run)) < short + 2 * COLUMNS * 200
 
 
 def test_a_long_curve_keeps_its_extremes() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from deltaq_experiments.run_report.robot_run import RobotRun
 from deltaq_experiments.run_report.run import RecordedRun, RunEventKind
 from deltaq_experiments.run_report.svg import COLOURS, inlined, outline, settings
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase
 
 if TYPE_CHECKING:
@@ -41,7 +43,7 @@ def timeline(run: RecordedRun) -> str:
         figure, (axes,) = _figure(1, 0.45 + 0.62 * count)
         for row, robot in enumerate(run.robots.values()):
             _phases(axes, robot, run.length_s, float(row))
-            bound_s = np.unique(np.round(robot.bound_s, 2))
+            bound_s = _seen(robot.bound_s, run.length_s)
             axes.plot(
                 bound_s,
                 np.full(len(bound_s), row + 0.33),
@@ -52,7 +54,10 @@ def timeline(run: RecordedRun) -> str:
             )
         for row, name in enumerate((*run.robots, "")):
             for kind, mark in MARKS.items():
-                at = [event.time_s for event in run.events if event.kind is kind and event.robot == name]
+                at = _seen(
+                    [event.time_s for event in run.events if event.kind is kind and event.robot == name],
+                    run.length_s,
+                )
                 heights = np.full(len(at), row - 0.34 if name else -0.75)
                 axes.plot(
                     at, heights, mark, color=COLOURS["text"], markersize=5.5, markeredgewidth=0, clip_on=False
@@ -145,6 +150,13 @@ def _time_axis(axes: Axes, length_s: float, is_last: bool = True) -> None:
         axes.set_xlabel("time [s]")
     else:
         axes.tick_params(axis="x", length=0)
+
+
+def _seen(times_s: Sequence[float], length_s: float) -> Array:
+    """Times of which no two fall into one column of the timeline [s]."""
+    times = np.asarray(times_s, dtype=float)
+    columns = np.floor(COLUMNS * times / max(length_s, 1e-3))
+    return times[np.unique(columns, return_index=True)[1]]
 
 
 def _phases(axes: Axes, robot: RobotRun, length_s: float, row: float) -> None:
