@@ -96,7 +96,8 @@ def test_a_recording_is_scrubbed_in_the_scene_and_is_never_taken_for_the_cell(op
     # back: the cell as it is
     page.get_by_role("button", name="Back to the live cell").click()
     page.wait_for_function(f"home => Math.abs({SHOWN}.at(-1) - home) < 0.4", arg=home)
-    page.wait_for_function("deltaq.live.cannotDrive('gr') === ''")
+    page.wait_for_function("deltaq.live.cannotDrive('gr') === 'take control of it first'")
+    take_control(page)
     assert page.locator(".badge").is_visible()
     assert not banner.is_visible()
 

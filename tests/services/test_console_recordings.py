@@ -136,6 +136,8 @@ def test_behind_a_recording_nothing_is_commanded_but_a_stop():
     bench.outputs.clear()
     assert anna.send("replay", shown=True).outcome is DONE
     assert bench.outputs[0] == ToDriver("fr", driving.Wish()), "what it drives rests"
+    assert isinstance(bench.outputs[1].request, driving.Release), "and is free for others"
+    bench.driver_answers("fr")
     bench.outputs.clear()
     for kind, fields in (
         ("jog", {"robot": "fr", "wish": [0.1, 0, 0, 0, 0, 0]}),
@@ -152,6 +154,8 @@ def test_behind_a_recording_nothing_is_commanded_but_a_stop():
     assert anna.send("stop").outcome is ASKED
     assert bench.asked("stop")
     anna.send("replay", shown=False)
+    assert "take it" in anna.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).text
+    anna.takes()
     assert anna.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
 
 

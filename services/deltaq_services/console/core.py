@@ -271,13 +271,13 @@ class ConsoleCore:
         return self._obey_for_robot(client, command, now_s)
 
     def _replay(self, client: Client, shown: bool) -> list[ConsoleOutput]:
-        """A browser shows a recording from now on, or no more: what it drives rests."""
+        """A browser shows a recording from now on, or no more: what it drives rests and is released, for others."""
         client.shows_replay = shown
-        return [
-            ToDriver(side.name, driving.Wish())
-            for side in self.robots.values()
-            if shown and side.seat.holder is client
-        ]
+        outputs: list[ConsoleOutput] = []
+        if shown:
+            for side in self.robots.values():
+                outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
+        return outputs
 
     def _obey_for_robot(self, client: Client, command: RobotCommand, now_s: float) -> list[ConsoleOutput]:
         side = self.robots.get(command.robot)
