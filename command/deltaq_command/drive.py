@@ -39,8 +39,8 @@ def drive(
         Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
     ] = None,
     gamepad: Annotated[
-        Path | None, typer.Option(help="A joystick device, e.g. /dev/input/js0, in place of the keyboard.")
-    ] = None,
+        bool, typer.Option("--gamepad", help="Take the first gamepad that is plugged in, not the keyboard.")
+    ] = False,
     speed_m_s: Annotated[
         float, typer.Option(min=0.001, max=0.5, help="Hand speed of keyboard and gamepad.")
     ] = 0.1,
@@ -58,7 +58,7 @@ def drive(
         raise typer.BadParameter(f"no mode {mode!r}; there are {', '.join(MODES)}", param_hint="--mode")
     if frame not in FRAMES:
         raise typer.BadParameter(f"no frame {frame!r}; there are {', '.join(FRAMES)}", param_hint="--frame")
-    if script is not None and gamepad is not None:
+    if script is not None and gamepad:
         raise typer.BadParameter("choose one of --script and --gamepad")
     description = load_cell(cell)
     known_robot(description, robot)
@@ -87,7 +87,7 @@ class _Choice:
     frame: str
     weights: dict[str, float] | None
     script: Path | None
-    gamepad: Path | None
+    gamepad: bool
     speed_m_s: float
 
     def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
@@ -151,14 +151,13 @@ class _Choice:
         return summary(self.robot, log, statistics, ended_by), ended_by
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
-        from deltaq_controllers.operator_input.gamepad import Gamepad
-        from deltaq_controllers.operator_input.keyboard import HELP, Keyboard
+        from deltaq_controllers.operator_input import gamepad, keyboard
         from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
         teleoperator.make_modes()  # the operator may switch to any of them
-        if self.gamepad is not None:
-            return Gamepad(teleoperator, self.gamepad, self.speed_m_s)
-        print(HELP, file=sys.stderr)
-        return Keyboard(teleoperator, speed_m_s=self.speed_m_s)
+        print(gamepad.HELP if self.gamepad else keyboard.HELP, file=sys.stderr)
+        if self.gamepad:
+            return gamepad.Gamepad(teleoperator, self.speed_m_s)
+        return keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)

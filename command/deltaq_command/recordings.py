@@ -1,4 +1,4 @@
-"""Verbs that write, replay and draw recordings."""
+"""Verbs that write, replay, draw and report recordings."""
 
 from __future__ import annotations
 
@@ -137,3 +137,35 @@ def plot(
     for line in notices:
         typer.echo(f"deltaq: {line}", err=True)
     typer.echo(f"{picture}")
+
+
+def report(
+    file: Annotated[Path, typer.Argument(help="MCAP file that deltaq recorded.")],
+    output: Annotated[
+        Path | None, typer.Option(help="HTML page to write; beside the recording if not given.")
+    ] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the figures as JSON, and write a page only for --output.")
+    ] = False,
+) -> None:
+    """Report a recording on one HTML page: verdicts, stops and faults over time, clearance, joints and limits."""
+    from deltaq_command.console import print_json
+    from deltaq_command.progress import progress_bar
+    from deltaq_experiments.run_report.figures import figures
+    from deltaq_experiments.run_report.page import page
+    from deltaq_experiments.run_report.run import read_run
+    from deltaq_experiments.run_report.write import must_be_free, write
+
+    place = output or (None if json else file.with_suffix(".html"))
+    if place is not None:
+        must_be_free(place)
+    with progress_bar(f"reading {file}") as progress:
+        run = read_run(file, progress)
+        if place is not None:
+            write(place, page(run))
+    for line in run.notices:
+        typer.echo(f"deltaq: {line}", err=True)
+    if json:
+        print_json({**figures(run), "page": place and str(place)})
+    else:
+        typer.echo(f"{place}")

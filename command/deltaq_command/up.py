@@ -19,6 +19,9 @@ def up(
     real: Annotated[bool, typer.Option("--real", help="Real robots: start no emulator.")] = False,
     record: Annotated[str, typer.Option(metavar="FILE", help="Also record to this MCAP file.")] = "",
     with_console: ConsoleOption = True,
+    recordings: Annotated[
+        str, typer.Option(metavar="FOLDER", help="Let the console write and open recordings in this folder.")
+    ] = "",
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from contextlib import nullcontext
@@ -45,12 +48,12 @@ def up(
     if record:
         services = (*services, recorder(cell, record))
     if with_console and console_is_installed():
-        services = (*services, console_service(description, cell, services))
+        services = (*services, console_service(description, cell, services, recordings))
     if only:
         services = select(services, [name.strip() for name in only.split(",")])
         if any(service.role is Role.CONSOLE for service in services):
             others = tuple(service for service in services if service.role is not Role.CONSOLE)
-            services = (*others, console_service(description, cell, others))
+            services = (*others, console_service(description, cell, others, recordings))
     if real:
         servers = [service for service in services if service.role is Role.ROBOT_SERVER]
         refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])

@@ -18,7 +18,8 @@ KEPT_LINES = 200
 
 NICENESS = -10
 """Services run ahead of ordinary programs where the system allows it: a cycle does not wait.
-Those between a controller and the motors ask for real-time priority themselves, however they are started."""
+Those between a controller and the motors ask for real-time priority themselves, however they are started. The console
+shows and asks, and so do its drivers, which inherit its priority: it runs as an ordinary program does."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ class Child:
         on_event: Callable[[Ready | Exited], None],
         on_line: Callable[[str, str], None],
         environment: Mapping[str, str] | None = None,
+        is_ordinary: bool = False,
     ) -> None:
         """Start it.
 
@@ -81,6 +83,7 @@ class Child:
             on_event: called from a thread of this child when it serves and when it has ended.
             on_line: called from a thread of this child with its name and each line of its output.
             environment: what its environment has besides this process's own.
+            is_ordinary: it does not run ahead of ordinary programs.
         """
         self.name = name
         self.lines: deque[str] = deque(maxlen=KEPT_LINES)
@@ -91,8 +94,9 @@ class Child:
         assert self._process.stdout is not None  # a pipe was asked for
         self.pid = self._process.pid
         self.output = self._process.stdout.fileno()
-        with contextlib.suppress(PermissionError, ProcessLookupError):
-            os.setpriority(os.PRIO_PROCESS, self.pid, NICENESS)
+        if not is_ordinary:
+            with contextlib.suppress(PermissionError, ProcessLookupError):
+                os.setpriority(os.PRIO_PROCESS, self.pid, NICENESS)
         self._reader = threading.Thread(target=self._read, name=f"read {name}", daemon=True)
         self._waiter = threading.Thread(target=self._wait, name=f"wait {name}", daemon=True)
         self._reader.start()

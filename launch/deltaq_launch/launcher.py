@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
 from deltaq_launch.launch_key import LaunchKey
-from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Service
+from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.guarded_key import KEY_FILE
@@ -195,8 +195,14 @@ class Launcher:
                 waiting.remove(service)
                 pending.add(service.name)
                 command = [*self._python, *service.arguments]
-                environment = self._secrets_of(service)
-                child = Child(service.name, command, self._events.put, self._on_line, environment)
+                child = Child(
+                    service.name,
+                    command,
+                    self._events.put,
+                    self._on_line,
+                    environment=self._secrets_of(service),
+                    is_ordinary=service.role is Role.CONSOLE,
+                )
                 self._warden.keep(child.pid, child.output, brakes=service.role in BRAKING_ROLES)
                 self.children[service.name] = child
             match self.wait(max(0.0, deadline - time.monotonic())):

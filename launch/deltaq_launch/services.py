@@ -172,7 +172,9 @@ def demo_controllers(cell: CellDescription) -> tuple[Service, ...]:
     )
 
 
-def console_service(cell: CellDescription, cell_name: str, services: Sequence[Service]) -> Service:
+def console_service(
+    cell: CellDescription, cell_name: str, services: Sequence[Service], recordings: str = ""
+) -> Service:
     """The operator's console: a client like any other, and nothing needs it.
 
     It says that the robots are emulated only if emulators for all of them run beside it. It waits for no HLI: it says
@@ -182,8 +184,11 @@ def console_service(cell: CellDescription, cell_name: str, services: Sequence[Se
         cell: the cell's description.
         cell_name: the name or path that it is told to load it by.
         services: those that run beside it.
+        recordings: folder in which it writes and opens recordings; empty for none.
     """
-    arguments = ("-m", "deltaq_services.console", "--cell", cell_name)
+    arguments: tuple[str, ...] = ("-m", "deltaq_services.console", "--cell", cell_name)
+    if recordings:
+        arguments = (*arguments, "--recordings", recordings)
     emulators = {service.robot: service.name for service in services if service.role is Role.EMULATOR}
     is_emulated = set(emulators) == set(cell.robots)
     return Service(

@@ -30,9 +30,10 @@ TIMEOUT_MS = 60_000
 class ServedCell:
     """A cell that runs, and where its console is."""
 
-    def __init__(self, cell, url):
+    def __init__(self, cell, url, recordings):
         self.model = cell
         self.url = url
+        self.recordings = recordings
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +41,11 @@ def served_cell(tmp_path_factory):
     file = write_private_cell(tmp_path_factory.mktemp("cell"))
     cell = CellModel.load(file)
     services = cell_services(cell.description, str(file))
-    console = console_service(cell.description, str(file), services)
+    recordings = tmp_path_factory.mktemp("recordings")
+    console = console_service(cell.description, str(file), services, str(recordings))
     with Launcher([*services, console], lambda name, line: print(name, line)) as launcher:
         launcher.start()
-        yield ServedCell(cell, console.endpoint)
+        yield ServedCell(cell, console.endpoint, recordings)
 
 
 @pytest.fixture(scope="module")

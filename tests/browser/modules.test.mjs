@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -157,6 +157,45 @@ test("STOP without a line says that it is not sent, and is given up after ten se
   assert.deepEqual(Socket.last.commands("stop"), []);
 });
 
+test("nine seconds without a network: nothing that was held goes on, and a STOP of that time goes out when the line is back", (t) => {
+  const { connection, live, wish, socket } = driving(t);
+  const stop = new Stop(live, () => {});
+  mock.method(performance, "now", () => Date.now());
+  wish.hold("button", { 0: 0.2 });
+  passWithNews(socket, 200);
+  pass(2000); // nothing comes, and nothing closes either
+  assert.equal(connection.isUp, false);
+  assert.equal(wish.isActive, false);
+  stop.press();
+  assert.equal(stop.state, "not_sent");
+  pass(7000);
+  assert.equal(stop.state, "not_sent");
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  pass(120);
+  assert.notEqual(Socket.last, socket);
+  assert.ok(Socket.last.commands("stop").length >= 1);
+  assert.deepEqual(Socket.last.commands("jog"), []);
+  assert.equal(wish.isActive, false);
+  Socket.last.says(frame({ server_s: Date.now() / 1000 }));
+  Socket.last.says(status());
+  pass(120);
+  assert.deepEqual(Socket.last.commands("jog"), [], "it has to be pressed anew");
+});
+
+test("a tab in the background lets go at once, and holds nothing when it is in front again", (t) => {
+  const { wish, socket } = driving(t);
+  wish.hold("button", { 0: 0.2 });
+  document.hidden = true;
+  t.after(() => (document.hidden = false));
+  document.dispatchEvent(new Event("visibilitychange"));
+  assert.deepEqual(socket.commands("jog").map(({ wish: [speed] }) => speed), [0.2, 0]);
+  passWithNews(socket, 2000);
+  document.hidden = false;
+  document.dispatchEvent(new Event("visibilitychange"));
+  passWithNews(socket, 400);
+  assert.equal(socket.commands("jog").length, 2);
+});
+
 test("a wish is renewed while it is held, and its end is one wish for rest", (t) => {
   const { wish, socket } = driving(t);
   assert.equal(wish.hold("button", { 0: 0.2 }), true);
@@ -249,4 +288,83 @@ test("a saved event cannot become a formula of a spreadsheet", () => {
   assert.equal(csvCell("=1+1"), "'=1+1");
   assert.equal(csvCell(-0.5), "-0.5");
   assert.equal(csvCell('say "a, b"'), '"say ""a, b"""');
+});
+
+const RECORDED = {
+  name: "run.mcap", begin_s: null, period_s: 0.04, notices: [],
+  robots: { fr: { q: [[0], [1], [1], null], phase: [2, 2, 4, -1], outcome: [0, 2, null, null], clearance_m: [0.1, null, null, null] } },
+  nearest: [[0, "fr/link_1", "tank", 0.2, [0, 0, 0], [0, 0, 1]]],
+  verdicts: [
+    { time_s: 0.03, until_s: 0.05, count: 2, robot: "fr", outcome: "scaled", code: "velocity_limit", what: "a1", text: "too fast (a1)" },
+    { time_s: 0.07, until_s: 0.09, count: 1, robot: "fr", outcome: "held", code: "clearance", what: "fr/link_1 tank", text: "too near" },
+  ],
+};
+const replay = () => new Replay(RECORDED, { robots: [{ name: "fr", home: [0], joints: [{}] }], bodies: ["fr/link_1", "tank"] });
+
+test("a recording is played between its steps, and silence in it is shown", () => {
+  const shown = replay();
+  assert.deepEqual(shown.frame(0.01).robots[0].q, [0.25]);
+  assert.equal(shown.frame(0.01).robots[0].phase, "engaged");
+  assert.deepEqual(shown.frame(0.01).nearest, { a: 0, b: 1, distance: 0.2, points: [[0, 0, 0], [0, 0, 1]] });
+  assert.equal(shown.frame(99).robots[0].isStale, true);
+  assert.equal(shown.frame(99).server_s, shown.length_s);
+  assert.equal(shown.frame(-1).server_s, 0);
+});
+
+test("the next refusal is found from wherever one is, and what binds is told then only", () => {
+  const shown = replay();
+  shown.frame(0);
+  assert.equal(shown.nextRefusal(), 0.07);
+  assert.equal(shown.bound("fr"), null);
+  shown.frame(0.04);
+  assert.deepEqual(shown.bound("fr").joint, "a1");
+  shown.frame(shown.nextRefusal());
+  assert.deepEqual(shown.bound("fr").bodies, ["fr/link_1", "tank"]);
+  assert.equal(shown.nextRefusal(), null);
+});
+
+test("a recording plays at its speed, waits while it is paused, and ends at its end", () => {
+  const player = new Player(10);
+  player.advance(100);
+  player.toggle(100);
+  assert.equal(player.advance(101), 1);
+  player.speed = 8;
+  assert.equal(player.advance(101.5), 5);
+  player.toggle(101.5);
+  assert.equal(player.advance(200), 5);
+  player.toggle(200);
+  assert.equal(player.advance(300), 10);
+  assert.equal(player.isPlaying, false);
+  player.toggle(301);
+  assert.equal(player.advance(301), 0);
+});
+
+test("while a recording is shown nothing is driven, the cell's frames are not drawn, and stop goes out", async (t) => {
+  const { live, wish, socket } = driving(t);
+  const drawn = [];
+  live.addEventListener("shown", ({ detail }) => drawn.push(detail));
+  assert.equal(wish.hold("button", { 0: 0.2 }), true);
+  live.showReplay(replay());
+  assert.equal(wish.isActive, false, "what is held is let go");
+  assert.deepEqual(socket.commands("replay").map(({ shown }) => shown), [true]);
+  assert.equal(wish.hold("button", { 0: 0.2 }), false);
+  assert.equal(live.cannotDrive("fr"), "a recording is shown");
+  drawn.length = 0;
+  socket.says(frame({ server_s: Date.now() / 1000 }));
+  assert.deepEqual(drawn, []);
+  const stop = new Stop(live, () => {});
+  stop.press();
+  assert.equal(socket.commands("stop").length, 1);
+  live.showReplay(null);
+  assert.equal(drawn.at(-1), live.frame);
+  assert.equal(live.cannotDrive("fr"), "");
+});
+
+test("a line that comes back while a recording is shown is told so", (t) => {
+  const { live } = driving(t);
+  live.showReplay(replay());
+  Socket.last.close();
+  pass(400);
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  assert.deepEqual(Socket.last.commands("replay").map(({ shown }) => shown), [true]);
 });

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import os
 import pty
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from driving import CYCLE_S, model
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.gamepad import Gamepad
 from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, TAP_SHARE
 from deltaq_controllers.operator_input.keyboard import Keyboard
 from deltaq_controllers.operator_input.script import Script
@@ -179,98 +177,3 @@ def test_a_keyboard_without_a_terminal_says_what_to_use() -> None:
         Keyboard(teleoperator(), read).__enter__()
     os.close(read)
     os.close(write)
-
-
-EVENT = struct.Struct("=IhBB")
-BUTTON, AXIS, INITIAL = 0x01, 0x02, 0x80
-
-
-def test_a_gamepad_moves_only_while_a_shoulder_button_is_held(tmp_path: Path) -> None:
-    device = tmp_path / "js0"
-    os.mkfifo(device)
-    pad = Gamepad(teleoperator(mode=ModeName.COUPLED), device)
-    with pad:
-        writer = os.open(device, os.O_WRONLY)
-        os.write(writer, EVENT.pack(0, -32767, AXIS, 1))
-        assert pad.read(0.0) == OperatorCommand()
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 4))
-        command = pad.read(0.1)
-        assert command is not None
-        assert command.rates["x"] == pytest.approx(0.1)
-        assert command.rates["y"] == 0.0
-        os.write(writer, EVENT.pack(0, 0, BUTTON, 4))
-        assert pad.read(0.2) == OperatorCommand()
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 1))
-        assert pad.read(0.3) == OperatorCommand(mode=ModeName.DECOUPLED)
-        os.close(writer)
-        assert pad.read(0.4) is None  # unplugged
-
-
-def test_a_shoulder_button_that_is_held_as_the_drive_begins_must_be_pressed_anew(tmp_path: Path) -> None:
-    device = tmp_path / "js0"
-    os.mkfifo(device)
-    pad = Gamepad(teleoperator(mode=ModeName.COUPLED), device)
-    with pad:
-        writer = os.open(device, os.O_WRONLY)
-        # the device begins with how everything stands, marked as such
-        os.write(writer, EVENT.pack(0, 1, BUTTON | INITIAL, 4) + EVENT.pack(0, -32767, AXIS | INITIAL, 1))
-        assert pad.read(0.0) == OperatorCommand()
-        os.write(writer, EVENT.pack(0, 0, BUTTON, 4) + EVENT.pack(0, 1, BUTTON, 4))
-        command = pad.read(0.1)
-        assert command is not None
-        assert command.rates["x"] == pytest.approx(0.1)
-        os.close(writer)
-
-
-def test_speed_grows_from_zero_at_the_edge_of_the_dead_zone(tmp_path: Path) -> None:
-    device = tmp_path / "js0"
-    os.mkfifo(device)
-    pad = Gamepad(teleoperator(mode=ModeName.COUPLED), device)
-    told = []
-    with pad:
-        writer = os.open(device, os.O_WRONLY)
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 4))
-        for deflection in (0.0, 0.09, 0.11, 0.55, 1.0):
-            os.write(writer, EVENT.pack(0, -round(32767 * deflection), AXIS, 1))
-            command = pad.read(0.0)
-            assert command is not None
-            told.append(command.rates["x"])
-        os.close(writer)
-    assert told == pytest.approx([0.0, 0.0, 0.1 * 0.01 / 0.9, 0.05, 0.1], abs=1e-5)
-
-
-def test_the_stick_drives_the_chosen_joint_in_modes_of_joints(tmp_path: Path) -> None:
-    device = tmp_path / "js0"
-    os.mkfifo(device)
-    pad = Gamepad(teleoperator(mode=ModeName.SELF_MOTION), device)
-    with pad:
-        writer = os.open(device, os.O_WRONLY)
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
-        os.write(writer, EVENT.pack(0, -round(0.55 * 32767), AXIS, 1))
-        assert pad.read(0.0) == OperatorCommand({"e2": pytest.approx(0.05, rel=1e-3)})
-        os.close(writer)
-
-
-def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed_and_a_shoulder_button_is_held(
-    tmp_path: Path,
-) -> None:
-    device = tmp_path / "js0"
-    os.mkfifo(device)
-    pad = Gamepad(advised(model("gr")), device)
-    with pad:
-        writer = os.open(device, os.O_WRONLY)
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 5) + EVENT.pack(0, 1, BUTTON, 7))
-        assert pad.read(0.0) == OperatorCommand()
-        assert pad.status == "option 2, held"
-        os.write(writer, EVENT.pack(0, -32767, AXIS, 1))
-        assert pad.read(0.1) == OperatorCommand(option=2)
-        os.write(writer, EVENT.pack(0, 0, BUTTON, 5))
-        assert pad.read(0.2) == OperatorCommand()
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 3))
-        assert pad.read(0.3) == OperatorCommand(mode=ModeName.JOINT)
-        os.close(writer)
-
-
-def test_a_gamepad_that_is_not_there_says_what_to_use(tmp_path: Path) -> None:
-    with pytest.raises(ControllerError, match=r"no gamepad at .*js0: No such file.* use the keyboard"):
-        Gamepad(teleoperator(), tmp_path / "js0").__enter__()

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,17 +10,13 @@ from driving import CYCLE_S
 from first_cycles import Operator, QuietCell, Waits
 
 from deltaq_command.drive_summary import summary
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.gamepad import Gamepad
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.reasons import ReasonCode
-
-EVENT = struct.Struct("=IhBB")
-BUTTON, AXIS = 0x01, 0x02
 
 
 class Restless(Operator):
@@ -51,26 +44,6 @@ async def test_an_end_that_is_told_while_the_robot_moves_is_remembered_until_it_
     )
     assert abs(places[49] - places[48])[3] > 0.5 * 0.2 * CYCLE_S, "it moved when the end was told"
     assert len(places) < 80
-    assert teleoperator.is_at_rest
-
-
-async def test_a_gamepad_that_is_unplugged_brings_the_robot_to_rest(tmp_path: Path) -> None:
-    device = tmp_path / "js0"
-    os.mkfifo(device)
-    cell = QuietCell("lab", Waits())
-    teleoperator = Teleoperator(cell.models["gr"], CYCLE_S, ModeName.COUPLED)
-    places: list[np.ndarray] = []
-    with Gamepad(teleoperator, device) as pad:
-        writer = os.open(device, os.O_WRONLY)
-        os.write(writer, EVENT.pack(0, 1, BUTTON, 4) + EVENT.pack(0, -32767, AXIS, 4))
-
-        def watch(q: np.ndarray) -> None:
-            places.append(q)
-            if len(places) == 50:
-                os.close(writer)
-
-        await teleoperate(cell, teleoperator, pad, ControlStatistics(), watch, asyncio.Event())
-    assert abs(places[49] - places[48]).max() > 1e-4, "it moved when the device went"
     assert teleoperator.is_at_rest
 
 

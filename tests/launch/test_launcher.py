@@ -1,17 +1,19 @@
 from __future__ import annotations
 
 import os
+import queue
 import select
 import signal
 import socket
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from deltaq_launch.child_process import Exited
+from deltaq_launch.child_process import NICENESS, Exited
 from deltaq_launch.launcher import Interrupted, Launcher, LaunchError, LaunchInterruptedError
 from deltaq_launch.services import ListeningSocket, Role, Service
 from deltaq_protocol.errors import DeltaqError
@@ -48,6 +50,28 @@ def test_a_service_starts_only_after_those_it_needs_are_ready() -> None:
         ("sim", "ready: here"),
         ("hli", "ready: here"),
     ]
+
+
+def test_the_console_runs_as_an_ordinary_program_and_what_the_cell_needs_ahead_of_it() -> None:
+    # started by the service as a driver is by the console, once it is seen to serve
+    tells = (
+        "import os, signal, subprocess, sys\nprint('ready: here', flush=True)\nsys.stdin.read()\n"
+        "signal.sigwait([signal.SIGUSR1])\n"
+        "print(subprocess.check_output([sys.executable, '-c', 'import os; print(os.nice(0))'], text=True), end='')\n"
+        "sys.stdout.flush(); signal.pause()"
+    )
+    tells = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])\n" + tells
+    told: dict[str, queue.SimpleQueue[str]] = {"sim": queue.SimpleQueue(), "console": queue.SimpleQueue()}
+    services = [service("sim", tells), replace(service("console", tells), role=Role.CONSOLE)]
+    with Launcher(services, lambda name, line: told[name].put(line)) as launcher:
+        launcher.start()
+        for name, child in launcher.children.items():
+            assert told[name].get(timeout=30) == "ready: here"
+            os.kill(child.pid, signal.SIGUSR1)
+        found = {name: int(lines.get(timeout=30)) for name, lines in told.items()}
+    own = os.nice(0)
+    may_run_ahead = os.geteuid() == 0
+    assert found == {"sim": NICENESS if may_run_ahead else own, "console": own}
 
 
 def test_leaving_the_block_ends_every_service_the_last_first() -> None:

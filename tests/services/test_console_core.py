@@ -383,3 +383,21 @@ def test_every_type_of_command_has_an_expiry_but_ping_and_stop(bench):
         anna.got[-1].text.partition("expected tags: ")[2].partition(", got")[0].replace("'", "").split(", ")
     )
     assert set(kinds) == {*EXPIRY_S, "ping", "stop"}
+
+
+def test_what_waited_nine_seconds_in_a_line_is_not_carried_out_but_a_stop_is(driving_anna, bench):
+    bench.now_s += 9.0
+    bench.states()
+    wishes = len(bench.driver_requests())
+    late = {
+        "jog": JOG,
+        "mode": {"robot": "fr", "mode": "coupled"},
+        "lease": {"robot": "gr", "action": "take"},
+        "reset": {"robot": "fr"},
+        "dry_run": {"robot": "fr", "dq": [0] * 6},
+    }
+    for kind, fields in late.items():
+        assert driving_anna.send(kind, late_s=9.0, **fields).outcome is EXPIRED, kind
+    assert len(bench.driver_requests()) == wishes
+    assert driving_anna.send("stop", late_s=9.0).outcome is ASKED
+    assert driving_anna.send("jog", **JOG).outcome is DONE

@@ -26,7 +26,9 @@ def setpoints(robot, steps):
 
 
 def judge(robot, steps, unanswered=0, near=(0.1, 0.1), protest=None, altered=0, altered_replies=False):
-    return judged(robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest, altered, altered_replies)
+    return judged(
+        robot, setpoints(robot, steps), CYCLE_S, unanswered, near, protest, altered, altered_replies
+    )
 
 
 def test_a_brake_is_measured_from_the_fault_to_the_last_increment(robot):

@@ -1,52 +1,30 @@
-"""A gamepad as an operator's stick, read from Linux' joystick device.
+"""A gamepad as an operator's stick, laid out as in the console.
 
-The device gives 8 bytes an event: time, value, type, number (Linux, Documentation/input/joydev). The sticks count
-only while a shoulder button is held; an unplugged device ends the drive.
+The sticks count only while a shoulder button is held. A pad that is unplugged is rest; plugged in again it goes on.
 """
 
 from __future__ import annotations
 
-import math
-import os
-import struct
-from collections.abc import Mapping
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.choices import changed_speed, next_hand, next_mode, other_frame
+from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis
 
-DEVICE = Path("/dev/input/js0")
+HELP = (
+    "hold the left shoulder button to move, the right one to turn: left stick x and y, right stick z\n"
+    "Y next mode, X world/tool, A next hand; cross left/right: joint or option, up/down: speed; B or back ends"
+)
+ENDING = {PadButton.B, PadButton.BACK}
 
-_EVENT = struct.Struct("=IhBB")
-_BUTTON, _AXIS, _INITIAL = 0x01, 0x02, 0x80
-_FULL = 32767.0
-_DEAD_ZONE = 0.1
-"""Deflection below which a stick counts as let go; from there on speed grows from zero."""
-_TURN_RAD_M = 3.5
-
-STICKS: Mapping[int, tuple[str, float]] = {
-    0: ("y", -1.0), 1: ("x", -1.0), 3: ("rz", -1.0), 4: ("z", -1.0), 6: ("rx", 1.0), 7: ("ry", -1.0),
-}  # fmt: skip
-"""Number of a stick's axis, as common pads count them, to axis of the hand and direction."""
-
-HOLD_BUTTONS = (4, 5)
-"""Shoulder buttons: one of them must be held."""
-
-MODE_BUTTONS: Mapping[int, ModeName] = {
-    0: ModeName.COUPLED,
-    1: ModeName.DECOUPLED,
-    2: ModeName.SELF_MOTION,
-    3: ModeName.JOINT,
-    9: ModeName.ADVISOR,
+_AXES = {
+    PadButton.LEFT_SHOULDER: {StickAxis.LEFT_Y: "x", StickAxis.LEFT_X: "y", StickAxis.RIGHT_Y: "z"},
+    PadButton.RIGHT_SHOULDER: {StickAxis.LEFT_Y: "rx", StickAxis.LEFT_X: "ry", StickAxis.RIGHT_Y: "rz"},
 }
-"""Face buttons, and the left stick pressed."""
-
-NEXT_BUTTON, QUIT_BUTTON = 7, 6
-"""Start chooses the next joint, or the next option of the advisor; back ends."""
-
+"""Axes of the hand that the sticks move while a button is held; a stick pushed ahead or left is positive."""
+_TURN_RAD_M = 3.5
 _OPTIONS = 9
 _PUSHED = 0.5
 
@@ -59,120 +37,111 @@ class Gamepad:
 
     Args:
         teleoperator: the robot that is driven.
-        device: path of the joystick device.
-        speed_m_s: hand speed at full deflection; other rates follow from it.
+        speed_m_s: hand speed at full deflection to begin with; other rates follow from it.
+
+    Attributes:
+        joint: the joint that the stick drives.
+        option: the advisor's option that it goes to.
+        hand: the hand that the sticks move; None for all.
     """
 
-    def __init__(self, teleoperator: Teleoperator, device: Path = DEVICE, speed_m_s: float = 0.1) -> None:
+    def __init__(self, teleoperator: Teleoperator, speed_m_s: float = 0.1) -> None:
         self._teleoperator = teleoperator
-        self._device = device
+        self._device = PadDevice()
         self._speed_m_s = speed_m_s
-        self._file: int | None = None
-        self._sticks: dict[int, float] = {}
-        self._held: set[int] = set()
+        self._held: frozenset[PadButton] = frozenset()
         self.joint = 0
         self.option = 1
+        self.hand: str | None = None
 
     @property
     def status(self) -> str:
         """The present choice."""
-        joint = f"joint {self._teleoperator.robot.joint_names[self.joint]}"
-        chosen = f"option {self.option}" if self._is_advised else joint
-        return f"{chosen}, {'held' if self._is_held else 'hold a shoulder button to move'}"
+        if not self._device.name:
+            return "the gamepad is unplugged: rest"
+        if self._is_advised:
+            chosen = f"option {self.option}"
+        elif self._is_by_hand:
+            chosen = f"hand {self.hand or 'all'}"
+        else:
+            chosen = f"joint {self._teleoperator.robot.joint_names[self.joint]}"
+        held = "held" if self._holding else "hold a shoulder button to move"
+        return f"{chosen}, {self._speed_m_s:.3f} m/s, {held}"
 
     @property
     def _is_advised(self) -> bool:
         return self._teleoperator.mode is ModeName.ADVISOR
 
     @property
-    def _is_held(self) -> bool:
-        return bool(self._held & set(HOLD_BUTTONS))
+    def _is_by_hand(self) -> bool:
+        return self._teleoperator.mode_named(self._teleoperator.mode).drives_hands
+
+    @property
+    def _holding(self) -> PadButton | None:
+        return next((button for button in _AXES if button in self._held), None)
 
     def read(self, time_s: float) -> OperatorCommand | None:
-        """The command from where sticks and buttons stand; None after the back button or when the device is gone."""
-        del time_s  # a device tells every change
-        try:
-            pressed = self._take_events()
-        except OSError:
-            return None
-        if QUIT_BUTTON in pressed:
-            return None
-        if NEXT_BUTTON in pressed and self._is_advised:
-            self.option = self.option % _OPTIONS + 1
-        elif NEXT_BUTTON in pressed:
-            self.joint = (self.joint + 1) % self._teleoperator.robot.n
-        mode = next((MODE_BUTTONS[button] for button in pressed if button in MODE_BUTTONS), None)
+        """The command from where sticks and buttons stand at a time [s]; None after a button that ends the drive."""
+        state = self._device.look(time_s)
+        if state is None:
+            self._held = frozenset()
+            return OperatorCommand()
+        self._held = state.held
+        mode: ModeName | None = None
+        frame: Frame | None = None
+        for button in state.pressed:
+            if button in ENDING:
+                return None
+            if button is PadButton.Y:
+                mode = next_mode(self._teleoperator)
+            elif button is PadButton.X:
+                frame = other_frame(self._teleoperator)
+            else:
+                self._choose(button)
         if self._is_advised:
-            goes = self._is_held and self._sticks.get(1, 0.0) < -_PUSHED
-            return OperatorCommand({}, self._possible(mode), option=self.option if goes else None)
-        return OperatorCommand(self._rates() if self._is_held else {}, self._possible(mode))
+            goes = self._holding is not None and state.sticks[StickAxis.LEFT_Y] < -_PUSHED
+            return OperatorCommand({}, mode, frame, self.option if goes else None)
+        return OperatorCommand(self._rates(state), mode, frame)
 
-    def _possible(self, mode: ModeName | None) -> ModeName | None:
-        try:
-            return mode and self._teleoperator.mode_named(mode).name
-        except ControllerError:
-            return None  # this robot is not redundant
+    def _choose(self, button: PadButton) -> None:
+        match button:
+            case PadButton.A:
+                self.hand = next_hand(self._teleoperator, self.hand)
+            case PadButton.UP | PadButton.DOWN:
+                self._speed_m_s = changed_speed(self._speed_m_s, is_faster=button is PadButton.UP)
+            case PadButton.LEFT | PadButton.RIGHT:
+                step = 1 if button is PadButton.RIGHT else -1
+                if self._is_advised:
+                    self.option = (self.option - 1 + step) % _OPTIONS + 1
+                else:
+                    self.joint = (self.joint + step) % self._teleoperator.robot.n
 
-    def _rates(self) -> dict[str, float]:
-        driver = self._teleoperator.mode_named(self._teleoperator.mode)
-        if not driver.drives_hands:
+    def _rates(self, state: PadState) -> dict[str, float]:
+        holding = self._holding
+        if holding is None:
+            return {}
+        if not self._is_by_hand:
             robot = self._teleoperator.robot
             factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
-            return {robot.joint_names[self.joint]: -factor * self._speed_m_s * self._sticks.get(1, 0.0)}
-        rates = {}
-        for stick, (axis, sign) in STICKS.items():
-            factor = _TURN_RAD_M if axis.startswith("r") else 1.0
-            rates[axis] = sign * factor * self._speed_m_s * self._sticks.get(stick, 0.0)
-        return rates
-
-    def _take_events(self) -> list[int]:
-        """Read all waiting events; returns the buttons pressed.
-
-        Raises:
-            OSError: the device is gone.
-        """
-        assert self._file is not None  # within the block
-        pressed: list[int] = []
-        while True:
-            try:
-                data = os.read(self._file, _EVENT.size)
-            except BlockingIOError:
-                return pressed
-            if len(data) < _EVENT.size:
-                raise OSError("the device ended")
-            _, value, kind, number = _EVENT.unpack(data)
-            if kind & _AXIS:
-                self._sticks[number] = _beyond_dead_zone(value / _FULL)
-            elif kind & _BUTTON and value:
-                if not kind & _INITIAL:  # a button held since before the drive was not pressed for it
-                    self._held.add(number)
-                    pressed.append(number)
-            elif kind & _BUTTON:
-                self._held.discard(number)
+            return {robot.joint_names[self.joint]: -factor * self._speed_m_s * state.sticks[StickAxis.LEFT_Y]}
+        factor = _TURN_RAD_M if holding is PadButton.RIGHT_SHOULDER else 1.0
+        prefix = f"{self.hand}." if self.hand else ""
+        return {
+            f"{prefix}{axis}": -factor * self._speed_m_s * state.sticks[stick]
+            for stick, axis in _AXES[holding].items()
+        }
 
     def __enter__(self) -> Self:
-        """Open the device.
+        """Find the gamepad.
 
         Raises:
             ControllerError: there is none.
         """
-        try:
-            self._file = os.open(self._device, os.O_RDONLY | os.O_NONBLOCK)
-        except OSError as error:
-            raise ControllerError(
-                f"no gamepad at {self._device}: {error.strerror}; plug one in, or use the keyboard or `--script`"
-            ) from None
+        self._device.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the device."""
-        if self._file is not None:
-            os.close(self._file)
-
-
-def _beyond_dead_zone(share: float) -> float:
-    """Deflection from -1 to 1, zero in the dead zone and continuous at its edge."""
-    beyond = (abs(share) - _DEAD_ZONE) / (1.0 - _DEAD_ZONE)
-    return math.copysign(min(1.0, beyond), share) if beyond > 0.0 else 0.0
+        """Give the device back."""
+        self._device.__exit__(kind, error, trace)

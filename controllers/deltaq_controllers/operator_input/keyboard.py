@@ -16,8 +16,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.choices import changed_speed, next_hand, next_mode, other_frame
 from deltaq_controllers.operator_input.held_key import HOLD_S, TAP_S, HeldKey
 
 HAND_KEYS = {
@@ -37,9 +38,7 @@ OPTION_KEYS = "123456789"
 """Keys of the advisor's options; a choice holds until another key is pressed."""
 
 _ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
-_STEP = 1.5
 _TURN_RAD_M = 3.5
-_LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
 
 
 class Keyboard:
@@ -81,14 +80,13 @@ class Keyboard:
                 return None
             self._option = int(key) if key in OPTION_KEYS else None
             if key == "m":
-                mode = self._next_mode()
+                mode = next_mode(self._teleoperator)
             elif key == "t":
-                frame = Frame.WORLD if self._teleoperator.frame is Frame.TOOL else Frame.TOOL
+                frame = other_frame(self._teleoperator)
             elif key == "h":
-                self._next_hand()
+                self.hand = next_hand(self._teleoperator, self.hand)
             elif key in "+-":
-                factor = _STEP if key == "+" else 1.0 / _STEP
-                self._speed_m_s = min(_GREATEST_SPEED_M_S, max(_LEAST_SPEED_M_S, factor * self._speed_m_s))
+                self._speed_m_s = changed_speed(self._speed_m_s, is_faster=key == "+")
             elif key in ("left", "right"):
                 self.joint = (self.joint + (1 if key == "right" else -1)) % self._teleoperator.robot.n
             elif key in ("up", "down"):
@@ -113,22 +111,6 @@ class Keyboard:
         robot = self._teleoperator.robot
         factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
         return robot.joint_names[self.joint], sign * factor * self._speed_m_s
-
-    def _next_mode(self) -> ModeName:
-        modes = list(ModeName)
-        place = modes.index(self._teleoperator.mode)
-        for offset in range(1, len(modes)):
-            mode = modes[(place + offset) % len(modes)]
-            try:
-                self._teleoperator.mode_named(mode)
-            except ControllerError:
-                continue  # this robot is not redundant
-            return mode
-        return self._teleoperator.mode
-
-    def _next_hand(self) -> None:
-        hands = (None, *self._teleoperator.hand_names)
-        self.hand = hands[(hands.index(self.hand) + 1) % len(hands)]
 
     def _keys(self) -> list[str]:
         """Keys pressed, arrows by name; an empty one is the end of the input."""

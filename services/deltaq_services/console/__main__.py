@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
 
 from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import DeltaqError
@@ -25,6 +26,7 @@ def main() -> None:
     parser.add_argument("--address", help="to be reached at (default: the cell's console_address)")
     parser.add_argument("--port", type=int, help="to be reached at (default: the cell's console_port)")
     parser.add_argument("--emulated", action="store_true", help="no robot of the cell is real")
+    parser.add_argument("--recordings", type=Path, help="folder in which recordings are written and opened")
     options = parser.parse_args()
     description = load_cell(options.cell)
     settings = Settings(
@@ -34,6 +36,7 @@ def main() -> None:
         port=options.port if options.port is not None else description.console_port,
         token=os.environ.get(TOKEN_VARIABLE, ""),
         operator_token=os.environ.get(OPERATOR_TOKEN_VARIABLE) or None,
+        recordings=options.recordings,
     )
     # after the settings were found good: this import takes seconds
     try:

@@ -23,6 +23,7 @@ class Client:
         is_operator: it may command; one that may not looks, and stops.
         clocks: its clock against this one.
         rate: bounds what it sends.
+        shows_replay: it shows a recording, and commands nothing but a stop.
     """
 
     number: int
@@ -30,6 +31,7 @@ class Client:
     is_operator: bool
     clocks: ClockOffset = field(default_factory=ClockOffset)
     rate: RateLimit = field(default_factory=lambda: RateLimit(MOST_MESSAGES_S))
+    shows_replay: bool = False
     _answers: OrderedDict[str, Ack] = field(default_factory=OrderedDict)
 
     def answered(self, command_id: str) -> Ack | None:

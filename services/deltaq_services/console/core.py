@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import driving
-from deltaq_protocol.messages import Message, Verdict
+from deltaq_protocol.messages import Verdict
 from deltaq_services.console.client import Client
 from deltaq_services.console.decoding import InvalidCommandError, command_of
 from deltaq_services.console.event_log import EventLog
@@ -27,11 +27,16 @@ from deltaq_services.console.messages import (
     LeaseVerb,
     Ping,
     Pong,
+    Record,
+    ReplayShown,
     Reset,
+    RobotCommand,
     Stop,
 )
 from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
+from deltaq_services.console.pending import PendingRequests, acknowledged
 from deltaq_services.console.picture import Picture
+from deltaq_services.console.recordings import RecordingDesk
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.seat import Handled
 from deltaq_services.console.status_board import StatusBoard
@@ -48,6 +53,7 @@ class ConsoleCore:
         cell: its description.
         bodies: names of its bodies, as the scene lists them.
         token_needed: whether a client without the token is an observer.
+        has_recordings: whether it was given a folder for recordings.
 
     Attributes:
         clients: who is connected, by the number of the connection.
@@ -56,9 +62,16 @@ class ConsoleCore:
         picture: what is seen of the cell.
         stop: how far the newest stop is.
         board: what browsers are told when it changes.
+        desk: the recording that is being written.
     """
 
-    def __init__(self, cell: CellDescription, bodies: tuple[str, ...], token_needed: bool) -> None:
+    def __init__(
+        self,
+        cell: CellDescription,
+        bodies: tuple[str, ...],
+        token_needed: bool,
+        has_recordings: bool = False,
+    ) -> None:
         self.clients: dict[int, Client] = {}
         self.counters: Counter[str] = Counter()
         self.stop = StopProgress()
@@ -68,10 +81,11 @@ class ConsoleCore:
         }
         self._log = EventLog()
         self.picture = Picture(cell, bodies, self.robots, self._log)
-        self.board = StatusBoard(self.robots, self._log)
+        self.desk = RecordingDesk(cell.cell, has_recordings)
+        self.board = StatusBoard(self.robots, self.desk, self._log)
         self._token_needed = token_needed
-        self._numbers, self._requests = itertools.count(1), itertools.count(1)
-        self._asked: dict[str, tuple[Client | None, str, AskHli | ToDriver]] = {}
+        self._numbers = itertools.count(1)
+        self._pending = PendingRequests()
 
     def connect(
         self, name: str, is_operator: bool, now_s: float
@@ -104,7 +118,7 @@ class ConsoleCore:
         self._log.add(now_s, "client", f"{client.name} has gone")
         outputs: list[ConsoleOutput] = []
         for side in self.robots.values():
-            outputs += self._sent(side.seat.leave(client, self._request), None, "")
+            outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
         return outputs
 
     def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
@@ -115,7 +129,7 @@ class ConsoleCore:
             command = command_of(message)
         except InvalidCommandError as error:
             self.counters["malformed"] += 1
-            return [_ack(client, error.id, AckOutcome.REFUSED, str(error))] if allowed else []
+            return [acknowledged(client, error.id, AckOutcome.REFUSED, str(error))] if allowed else []
         if isinstance(command, Stop):
             return self._stop(client, command, now_s)
         if not allowed:
@@ -133,18 +147,18 @@ class ConsoleCore:
         if late_s > EXPIRY_S[command.type]:
             self.counters["expired"] += 1
             text = f"sent_ms: the command came {late_s:.2f} s late; bound {EXPIRY_S[command.type]:g} s"
-            return [_ack(client, command.id, AckOutcome.EXPIRED, text)]
+            return [acknowledged(client, command.id, AckOutcome.EXPIRED, text)]
         try:
             return self._obey(client, command, now_s)
         except ValueError as error:
             self.counters["refused"] += 1
-            return [_ack(client, command.id, AckOutcome.REFUSED, str(error))]
+            return [acknowledged(client, command.id, AckOutcome.REFUSED, str(error))]
 
     def answered(
         self, request: str, done: bool, text: str, now_s: float, verdict: Verdict | None = None
     ) -> list[ConsoleOutput]:
         """The HLI's answer to a request, or why there is none."""
-        client, command, asked = self._asked.pop(request)
+        client, command, asked = self._pending.answered(request)
         assert isinstance(asked, AskHli)
         if asked.kind == "stop":
             if done:
@@ -171,15 +185,15 @@ class ConsoleCore:
             if said.stage is driving.DriverStage.FREE and side.seat.lost():
                 self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
             return []
-        client, command, asked = self._asked.pop(said.id, (None, "", None))
+        client, command, asked = self._pending.answered(said.id)
         outputs: list[ConsoleOutput] = []
         if isinstance(asked, ToDriver):
-            handled = side.seat.answered(asked.request, said, self._request)
+            handled = side.seat.answered(asked.request, said, self._pending.new_id)
             self._tell(handled, robot, now_s)
-            outputs += self._sent(handled.requests, None, "")
+            outputs += self._pending.send(handled.requests, None, "")
         if client is not None and client.number in self.clients:
             outcome = AckOutcome.DONE if said.done else AckOutcome.REFUSED
-            outputs.append(_ack(client, command, outcome, said.text))
+            outputs.append(acknowledged(client, command, outcome, said.text))
         return outputs
 
     def driver_ended(self, robot: str, text: str, now_s: float) -> list[ConsoleOutput]:
@@ -188,13 +202,15 @@ class ConsoleCore:
         side.seat.driver_ended()
         side.report = None
         self._log.add(now_s, "lease", f"the driver has ended: {text}", robot)
-        outputs: list[ConsoleOutput] = []
-        for request, (client, command, asked) in list(self._asked.items()):
-            if isinstance(asked, ToDriver) and asked.robot == robot:
-                del self._asked[request]
-                if client is not None and client.number in self.clients:
-                    outputs.append(_ack(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}"))
-        return outputs
+        return [
+            acknowledged(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}")
+            for client, command, _ in self._pending.given_up(robot)
+            if client is not None and client.number in self.clients
+        ]
+
+    def recorder_ended(self, why: str, now_s: float) -> None:
+        """The recorder has ended; `why` is empty if it was asked to."""
+        self._log.add(now_s, "recording", self.desk.ended(why))
 
     def signals(self, robot: str, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> None:
         """A robot's digital outputs and inputs."""
@@ -229,25 +245,53 @@ class ConsoleCore:
             for side in self.robots.values()
             if side.seat.holder is not None
         ]
-        return [*self._ask(client, command.id, AskHli(self._request(), "stop")), *rest]
+        return [*self._pending.ask(client, command.id, AskHli(self._pending.new_id(), "stop")), *rest]
 
     def _obey(self, client: Client, command: AnyCommand, now_s: float) -> list[ConsoleOutput]:
         """Carry a command out, or raise `ValueError` with the reason why not."""
+        assert not isinstance(command, Ping | Stop)  # served before
+        if isinstance(command, ReplayShown):
+            return [
+                *self._replay(client, command.shown),
+                acknowledged(client, command.id, AckOutcome.DONE, ""),
+            ]
+        if client.shows_replay:
+            raise ValueError("a recording is shown in this browser: close it to command the cell")
         if not client.is_operator:
             raise ValueError(
                 "an observer looks on, and may press STOP; the console's token makes an operator"
             )
-        assert not isinstance(command, Ping | Stop)  # served before
+        if isinstance(command, Record):
+            to_recorder = self.desk.handle(command, now_s)
+            begins = f"{client.name} records {to_recorder.file}"
+            self._log.add(
+                now_s, "recording", begins if to_recorder.file else f"{client.name} ends the recording"
+            )
+            return [to_recorder, acknowledged(client, command.id, AckOutcome.DONE, "")]
+        return self._obey_for_robot(client, command, now_s)
+
+    def _replay(self, client: Client, shown: bool) -> list[ConsoleOutput]:
+        """A browser shows a recording from now on, or no more: what it drives rests and is released, for others."""
+        client.shows_replay = shown
+        outputs: list[ConsoleOutput] = []
+        if shown:
+            for side in self.robots.values():
+                outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
+        return outputs
+
+    def _obey_for_robot(self, client: Client, command: RobotCommand, now_s: float) -> list[ConsoleOutput]:
         side = self.robots.get(command.robot)
         if side is None:
             raise ValueError(
                 f"robot: the cell has no robot {command.robot!r}; it has {', '.join(self.robots)}"
             )
         if isinstance(command, Reset):
-            return self._ask(client, command.id, AskHli(self._request(), "reset", side.name))
+            return self._pending.ask(client, command.id, AskHli(self._pending.new_id(), "reset", side.name))
         if isinstance(command, DryRun):
             dq = side.checked(command)
-            return self._ask(client, command.id, AskHli(self._request(), "dry_run", side.name, dq))
+            return self._pending.ask(
+                client, command.id, AskHli(self._pending.new_id(), "dry_run", side.name, dq)
+            )
         if isinstance(command, LeaseCommand):
             return self._lease(client, command, side, now_s)
         if not side.seat.is_held_by(client):
@@ -261,45 +305,24 @@ class ConsoleCore:
             cannot = side.cannot_move(now_s)
             if cannot:
                 raise ValueError(cannot)
-            return [ToDriver(side.name, wish), _ack(client, command.id, AckOutcome.DONE, "")]
-        request = side.request_of(command, self._request())
-        sent = self._sent([ToDriver(side.name, request)], client, command.id)
-        return [*sent, _ack(client, command.id, AckOutcome.ASKED, "asked")]
+            return [ToDriver(side.name, wish), acknowledged(client, command.id, AckOutcome.DONE, "")]
+        request = side.request_of(command, self._pending.new_id())
+        sent = self._pending.send([ToDriver(side.name, request)], client, command.id)
+        return [*sent, acknowledged(client, command.id, AckOutcome.ASKED, "asked")]
 
     def _lease(
         self, client: Client, command: LeaseCommand, side: RobotSide, now_s: float
     ) -> list[ConsoleOutput]:
-        handled = side.seat.handle(client, command.action, self._request)
+        handled = side.seat.handle(client, command.action, self._pending.new_id)
         if handled.refusal:
             raise ValueError(f"action: {handled.refusal}")
         self._tell(handled, side.name, now_s)
         # who grants a robot is not told when it was taken by another
         waits = client if command.action in (LeaseVerb.TAKE, LeaseVerb.RELEASE) else None
         outcome = AckOutcome.ASKED if waits is not None and not handled.is_done else AckOutcome.DONE
-        sent = self._sent(handled.requests, waits, command.id)
-        return [*sent, _ack(client, command.id, outcome, "")]
-
-    def _ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
-        self._asked[asked.request] = (client, command, asked)
-        return [asked, _ack(client, command, AckOutcome.ASKED, "asked")]
-
-    def _sent(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[ConsoleOutput]:
-        """Requests on their way to drivers, whose answers are awaited."""
-        sent: list[ConsoleOutput] = []
-        for request in requests:
-            sent.append(request)
-            if not isinstance(request.request, driving.Wish):
-                self._asked[request.request.id] = (client, command, request)
-        return sent
-
-    def _request(self) -> str:
-        return f"r{next(self._requests)}"
+        sent = self._pending.send(handled.requests, waits, command.id)
+        return [*sent, acknowledged(client, command.id, outcome, "")]
 
     def _tell(self, handled: Handled, robot: str, now_s: float) -> None:
         if handled.told:
             self._log.add(now_s, "lease", handled.told, robot)
-
-
-def _ack(client: Client, command: str, outcome: AckOutcome, text: str) -> ToClient:
-    ack: Message = client.answer(Ack(id=command, outcome=outcome, text=text))
-    return ToClient(client.number, ack)

@@ -30,6 +30,8 @@ EXPIRY_S = {
     "view_distance": _MOTION_S,
     "output": _MOTION_S,
     "dry_run": _OTHER_S,
+    "record": _OTHER_S,
+    "replay": _OTHER_S,
 }
 """How late a command may come, by its type [s]: later it is not carried out. A stop is, whenever it comes."""
 
@@ -131,7 +133,22 @@ class DryRun(ConsoleCommand):
     dq: Joints
 
 
-AnyCommand = Ping | Stop | Reset | LeaseCommand | SetMode | Jog | ViewDistance | SetOutput | DryRun
+class Record(ConsoleCommand):
+    """Begin to record the cell to a new file in the console's folder, or end it."""
+
+    type: Literal["record"]
+    action: Literal["start", "stop"]
+
+
+class ReplayShown(ConsoleCommand):
+    """Whether this browser shows a recording: while it does, it commands nothing but a stop."""
+
+    type: Literal["replay"]
+    shown: bool
+
+
+RobotCommand = Reset | LeaseCommand | SetMode | Jog | ViewDistance | SetOutput | DryRun
+AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand
 COMMANDS: TypeAdapter[AnyCommand] = TypeAdapter(Annotated[AnyCommand, Field(discriminator="type")])
 
 
@@ -223,10 +240,22 @@ class RobotStatusView(Message):
     inputs: dict[SignalState, bool] = {}
 
 
+class RecordingView(Message):
+    """What becomes of recordings: `file` is being written since `since_s`, which is None until it is.
+
+    `text` says what became of the last one.
+    """
+
+    file: str = ""
+    since_s: FiniteFloat | None = None
+    text: str = ""
+
+
 class ConsoleStatus(Message):
     """What changes seldom; sent when it has changed, and once a second.
 
-    `hli` is False while the HLI is not heard: then `text` says why, and all else is old.
+    `hli` is False while the HLI is not heard: then `text` says why, and all else is old. `recording` is None for a
+    console that was given no folder for recordings.
     """
 
     type: Literal["status"] = "status"
@@ -236,6 +265,7 @@ class ConsoleStatus(Message):
     stop: StopPhase = StopPhase.NONE
     wanted_by: str | None = None
     clients: Count = 0
+    recording: RecordingView | None = None
 
 
 class ConsoleEvent(Message):
@@ -243,7 +273,7 @@ class ConsoleEvent(Message):
 
     type: Literal["event"] = "event"
     time_s: FiniteFloat
-    kind: Literal["verdict", "lease", "stop", "phase", "link", "client"]
+    kind: Literal["verdict", "lease", "stop", "phase", "link", "client", "recording"]
     robot: str = ""
     text: str
     count: Count = 1

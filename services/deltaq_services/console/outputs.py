@@ -35,4 +35,11 @@ class ToDriver:
     request: driving.DriverRequest
 
 
-ConsoleOutput = ToClient | AskHli | ToDriver
+@dataclass(frozen=True, slots=True)
+class ToRecorder:
+    """Begin to write a recording of this name, or end the one that is written."""
+
+    file: str | None
+
+
+ConsoleOutput = ToClient | AskHli | ToDriver | ToRecorder

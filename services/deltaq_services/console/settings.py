@@ -5,6 +5,7 @@ from __future__ import annotations
 import hmac
 from dataclasses import dataclass
 from ipaddress import ip_address
+from pathlib import Path
 
 from deltaq_protocol.errors import DeltaqError
 
@@ -14,6 +15,10 @@ LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
 
 class NoTokenError(DeltaqError):
     """The console is to be reached from other machines, and nothing tells operators from strangers."""
+
+
+class NoFolderError(DeltaqError):
+    """The console was given a folder for recordings that is not there."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +32,11 @@ class Settings:
         port: it is bound to.
         token: makes an operator of whoever knows it; empty: whoever is on this machine is one.
         operator_token: the HLI's, which a reset needs where it was given one.
+        recordings: folder in which recordings are written and opened; None for none.
 
     Raises:
         NoTokenError: another address than this machine's loopback without a token.
+        NoFolderError: there is no such folder for recordings.
     """
 
     cell: str
@@ -38,6 +45,7 @@ class Settings:
     port: int
     token: str = ""
     operator_token: str | None = None
+    recordings: Path | None = None
 
     def __post_init__(self) -> None:
         if not self.is_loopback and not self.token:
@@ -45,6 +53,8 @@ class Settings:
                 f"the console would be reached from other machines at {self.address}: set DELTAQ_CONSOLE_TOKEN, which "
                 "its operators then have to know, or bind it to 127.0.0.1"
             )
+        if self.recordings is not None and not self.recordings.is_dir():
+            raise NoFolderError(f"--recordings {self.recordings}: there is no such folder; make it first")
 
     @property
     def is_loopback(self) -> bool:

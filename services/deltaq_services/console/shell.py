@@ -7,6 +7,7 @@ import time
 import traceback
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 from deltaq_cell.cell_model import CellModel
@@ -35,7 +36,10 @@ from deltaq_services.console.core import ConsoleCore
 from deltaq_services.console.driver_process import DriverProcess
 from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.messages import StopPhase
-from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToDriver
+from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToDriver, ToRecorder
+from deltaq_services.console.recorder_process import RecorderProcess
+from deltaq_services.console.recordings import RecordingFolder
+from deltaq_services.console.replay_process import ReplayReader
 from deltaq_services.console.scene import BrowserScene, scene_of
 
 M = TypeVar("M", bound=Message)
@@ -62,18 +66,33 @@ class Console:
         emulated: no robot of it is real.
         token_needed: whether a client without the token is an observer.
         operator_token: the HLI's, which a reset needs where it was given one.
+        cell_name: name or file of the cell, for the recorder.
+        recordings: folder of recordings; None for none.
 
     Attributes:
         scene: what browsers draw.
         core: what is decided.
+        folder: of the recordings.
+        reader: reads them for browsers.
     """
 
     def __init__(
-        self, cell: CellModel, emulated: bool, token_needed: bool, operator_token: str | None
+        self,
+        cell: CellModel,
+        emulated: bool,
+        token_needed: bool,
+        operator_token: str | None,
+        cell_name: str = "",
+        recordings: Path | None = None,
     ) -> None:
         description = cell.description
+        self.folder = None if recordings is None else RecordingFolder(recordings)
+        self.reader = ReplayReader(str(cell.identity))
+        self._recorder = RecorderProcess(cell_name, self._recorder_began, self._recorder_ended)
         self.scene: BrowserScene = scene_of(cell, emulated)
-        self.core = ConsoleCore(description, self.scene.bodies, token_needed)
+        self.core = ConsoleCore(
+            description, self.scene.bodies, token_needed, has_recordings=recordings is not None
+        )
         self._identity = content_identity(description)
         self._operator_token = operator_token
         self._link = HliLink(description.hli, description.cell, tuple(description.robots))
@@ -98,7 +117,9 @@ class Console:
                 await self._tick()
             finally:
                 polling.cancel()
+                # a recording goes on until the robots rest
                 await asyncio.gather(*(driver.end() for driver in self._drivers.values()))
+                await self._recorder.end()
 
     def now_s(self) -> float:
         """Time of day as it was at the start, and counted on without steps [s]."""
@@ -131,8 +152,23 @@ class Console:
                 task.add_done_callback(self._tasks.discard)
             elif isinstance(output, ToDriver):
                 self._drivers[output.robot].send(output.request)
+            elif isinstance(output, ToRecorder):
+                self._record(output)
             elif (connection := self._connections.get(output.client)) is not None:
                 connection.put_text(output.message.model_dump_json())
+
+    def _record(self, wanted: ToRecorder) -> None:
+        if wanted.file is None:
+            self._recorder.stop()
+        else:
+            assert self.folder is not None  # the core has none to record without one
+            self._recorder.start(self.folder.path / wanted.file)
+
+    def _recorder_began(self) -> None:
+        self.core.desk.began(self.now_s())
+
+    def _recorder_ended(self, why: str) -> None:
+        self.core.recorder_ended(why, self.now_s())
 
     async def _ask(self, asked: AskHli) -> None:
         verdict: Verdict | None = None

@@ -8,6 +8,7 @@ from deltaq_services.console.client import Client
 from deltaq_services.console.event_log import EventLog
 from deltaq_services.console.messages import ConsoleStatus
 from deltaq_services.console.outputs import ConsoleOutput, ToClient
+from deltaq_services.console.recordings import RecordingDesk
 from deltaq_services.console.robot_side import RobotSide
 from deltaq_services.console.stop_progress import StopProgress
 
@@ -20,6 +21,7 @@ class StatusBoard:
 
     Args:
         robots: each robot's side.
+        desk: the recording that is being written.
         log: whose lines are told too.
 
     Attributes:
@@ -27,9 +29,9 @@ class StatusBoard:
         text: why it is not.
     """
 
-    def __init__(self, robots: Mapping[str, RobotSide], log: EventLog) -> None:
+    def __init__(self, robots: Mapping[str, RobotSide], desk: RecordingDesk, log: EventLog) -> None:
         self.hli, self.text = False, "the HLI is not heard yet"
-        self._robots, self._log = robots, log
+        self._robots, self._desk, self._log = robots, desk, log
         self._told: dict[int, tuple[float, ConsoleStatus]] = {}
 
     def heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
@@ -65,6 +67,7 @@ class StatusBoard:
                 stop=stop.phase,
                 wanted_by=stop.by,
                 clients=len(clients),
+                recording=self._desk.view,
             )
             told_s, told = self._told.get(client.number, (0.0, None))
             if status != told or now_s - told_s >= STATUS_S:

@@ -22,6 +22,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.console import page
 from deltaq_services.console.connection import BrowserConnection
+from deltaq_services.console.recordings_web import add_recordings
 from deltaq_services.console.scene import MESHES
 from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
 from deltaq_services.console.shell import Console
@@ -40,7 +41,12 @@ def serve(settings: Settings) -> None:
     """
     with listening_socket(settings) as listening:
         console = Console(
-            CellModel.load(settings.cell), settings.emulated, settings.token_needed, settings.operator_token
+            CellModel.load(settings.cell),
+            settings.emulated,
+            settings.token_needed,
+            settings.operator_token,
+            settings.cell,
+            settings.recordings,
         )
         asyncio.run(_serve(console, settings, listening))
 
@@ -105,6 +111,8 @@ def application(console: Console, settings: Settings) -> FastAPI:
     async def mesh(name: str) -> Response:
         text = console.scene.meshes.get(name)
         return Response(status_code=404) if text is None else Response(text, media_type="model/obj")
+
+    add_recordings(app, console)
 
     @app.websocket("/live")
     async def live(websocket: WebSocket) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
+import threading
 from pathlib import Path
 
 from deltaq_cell.load import load_cell
@@ -17,10 +20,25 @@ def main() -> None:
     )
     parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
     parser.add_argument("--file", required=True, type=Path, help="file to write; it must not exist")
+    parser.add_argument(
+        "--until-input-ends",
+        action="store_true",
+        help="end when whoever started it closes its input, or has gone",
+    )
     options = parser.parse_args()
+    if options.until_input_ends:
+        threading.Thread(target=_end_with_input, daemon=True).start()
     with Recorder(load_cell(options.cell), options.file) as recorder:
         print(f"ready: recorder writes {options.file}", flush=True)
         recorder.run()
+
+
+def _end_with_input() -> None:
+    """End this process as SIGTERM does, when its input has ended."""
+    # not `sys.stdin`, whose lock this thread would hold as the interpreter ends
+    while os.read(0, 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == "__main__":

@@ -26,10 +26,12 @@ def lay_out() -> None:
                 _part("div", "notices", "notices").props('role="status" aria-live="polite"')
                 _part("div", "nearest", "nearest")
                 _part("figure", "follower", "follower")
+                _part("section", "replay", "replay").props('aria-label="Recording" hidden')
             _part("section", "log", "log").props('aria-label="Events"')
         with _part("aside", "figures", "panel right").props('aria-label="Figures"'):
             pass
         _part("div", "cover", "cover")
+        _part("section", "library", "library").props('aria-label="Recordings" hidden')
 
 
 def _bar() -> None:
@@ -41,6 +43,8 @@ def _bar() -> None:
         ui.element("span").classes("spring")
         _part("span", "age", "age").props('title="Age of the picture"')
         _part("span", "who", "who")
+        with _part("button", "recordings", "plain recordings").props("hidden"):
+            pass
         with _part("button", "look", "plain").props('title="Light or dark" aria-label="Light or dark"'):
             pass
         with _part("button", "stop", "stop").props('aria-describedby="stop-answer"'):

@@ -29,7 +29,7 @@ export class FollowerPicture {
 
   /** What the camera is to look at: as the server says, else the hand of another robot. */
   focus() {
-    if (this.live.frame?.focus) return this.live.frame.focus;
+    if (this.live.shown?.focus) return this.live.shown.focus;
     const pose = this.others[0]?.toolPose();
     return pose ? [pose[12], pose[13], pose[14]] : null;
   }

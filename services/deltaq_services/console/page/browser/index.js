@@ -14,6 +14,8 @@ import { Motion } from "./motion.js";
 import { Overlays } from "./overlays.js";
 import { padDrawing } from "./pad_drawing.js";
 import { livePlots } from "./plots.js";
+import { recordings } from "./recordings.js";
+import { replayBar } from "./replay_bar.js";
 import { RobotView, StructureView } from "./robots.js";
 import { Stage } from "./scene.js";
 import { coverStale, showBar } from "./status_bar.js";
@@ -44,8 +46,9 @@ export async function start(holder) {
   const stop = new Stop(live, (state, title, text) => {
     part("stop").dataset.state = state;
     say(part("stop-title"), title);
-    say(part("stop-answer"), text);
+    say(part("stop-answer"), live.replay && state === "ready" ? "stops the LIVE robots" : text);
   });
+  live.addEventListener("replay", () => stop.update());
   bindStop(stop, part("stop"));
   connection.open();
 
@@ -73,6 +76,8 @@ export async function start(holder) {
   const wish = new Wish(live, driven);
   const { ask } = drivingPanel(live, scene, driven, wish);
   eventLog(live);
+  const player = replayBar(live, scene);
+  recordings(live, scene, player.open);
   const bars = jointBars(live, scene);
   livePlots(live, scene, picture, bars);
   const actions = {
@@ -103,7 +108,7 @@ export async function start(holder) {
   const gamepad = new Gamepad(driven, wish, actions, drawing.show);
 
   // for tests and the curious: what is behind the page
-  window.deltaq = { scene, live, stage, views, stop, wish, driven, picture, overlays, motion, gamepad };
+  window.deltaq = { scene, live, stage, views, stop, wish, driven, picture, overlays, motion, gamepad, player };
   part("console").dataset.ready = "true";
   return () => connection.close();
 }

@@ -18,9 +18,9 @@ export function jointBars(live, scene) {
   });
   const share = (joint, q) => Math.min(1, Math.max(0, (q - joint.lower) / (joint.upper - joint.lower)));
   setInterval(() => {
-    if (!live.frame || document.hidden) return;
+    if (!live.shown || document.hidden) return;
     robots.forEach((rows, index) => {
-      const { q, rest: q_rest } = live.frame.robots[index];
+      const { q, rest: q_rest } = live.shown.robots[index];
       rows.forEach(({ joint, row, mark, rest, value }, k) => {
         const [at, end] = [share(joint, q[k]), share(joint, q_rest[k])];
         mark.style.left = `${100 * at}%`;

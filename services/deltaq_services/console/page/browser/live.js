@@ -6,10 +6,14 @@ export const STALE_S = 0.4; // a picture older than this is frozen, and nothing 
 const OFFSET_WINDOW_S = 10;
 
 export class Live extends EventTarget {
-  /** Events: "frame", "status", "event", "line"; @param connection Connection. */
+  /**
+   * Events: "frame" of the cell, "shown" with the frame to be drawn, which may be a recording's, "replay" when that
+   * changes, "status", "event", "line".
+   * @param connection Connection.
+   */
   constructor(connection, scene) {
     super();
-    Object.assign(this, { connection, scene, frame: null, status: null, hello: null, _arrived_s: -Infinity, _late_s: 0 });
+    Object.assign(this, { connection, scene, frame: null, shown: null, replay: null, status: null, hello: null, _arrived_s: -Infinity, _late_s: 0 });
     this._offsets = [];
     connection.addEventListener("frame", ({ detail }) => this._takeFrame(detail));
     connection.addEventListener("status", ({ detail }) => this._take("status", detail));
@@ -17,6 +21,7 @@ export class Live extends EventTarget {
     connection.addEventListener("up", ({ detail }) => {
       this.hello = detail;
       this._offsets = [];
+      if (this.replay) this.send("replay", { shown: true });
       this._tell("line");
     });
     connection.addEventListener("down", () => this._tell("line"));
@@ -44,6 +49,7 @@ export class Live extends EventTarget {
 
   /** Why nothing can be asked of the cell now, in words; empty if it can. */
   locked(name = null) {
+    if (this.replay) return "a recording is shown";
     if (!this.connection.isUp) return "no connection to the console";
     if (this.isStale(name === null ? null : this.indexOf(name))) return "the picture is old";
     if (!this.hello?.operator) return "you are an observer";
@@ -61,6 +67,26 @@ export class Live extends EventTarget {
     return robot.phase === "offline" ? "it is offline" : "";
   }
 
+  /** What bound the newest verdict on robot `name`, of what is shown; null if nothing did. */
+  bound(name) {
+    return this.replay ? this.replay.bound(name) : (this.robot(name)?.bound ?? null);
+  }
+
+  /** Show a recording, or with null the cell again. Nothing can be commanded meanwhile but a stop of the cell. */
+  showReplay(replay) {
+    this.replay = replay;
+    this.send("replay", { shown: replay !== null });
+    this._tell("replay", replay);
+    this._tell("line"); // what is held is let go
+    if (!replay && this.frame) this.show(this.frame);
+  }
+
+  /** Draw a frame. */
+  show(frame) {
+    this.shown = frame;
+    this._tell("shown", frame);
+  }
+
   send(type, fields, heard) {
     return this.connection.send(type, fields, heard);
   }
@@ -75,6 +101,7 @@ export class Live extends EventTarget {
     while (now - this._offsets[0][0] > OFFSET_WINDOW_S) this._offsets.shift();
     this._late_s = difference - this._offsets.reduce((least, [, one]) => Math.min(least, one), Infinity);
     this._tell("frame", this.frame);
+    if (!this.replay) this.show(this.frame);
   }
 
   _take(kind, message) {

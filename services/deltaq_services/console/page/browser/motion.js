@@ -8,7 +8,7 @@ export class Motion {
   constructor(live, views, stage) {
     Object.assign(this, { views, stage });
     this._from = this._to = null;
-    live.addEventListener("frame", ({ detail }) => this._take(detail));
+    live.addEventListener("shown", ({ detail }) => this._take(detail));
     stage.beforeEach((now) => this._glide(now));
   }
 

@@ -21,7 +21,7 @@ export class Overlays {
     this._nearest();
     this._brakes();
     if (picture) this._sight();
-    live.addEventListener("frame", ({ detail }) => this._take(detail));
+    live.addEventListener("shown", ({ detail }) => this._take(detail));
     stage.beforeEach(() => this._follow());
     stage.afterEach(() => this._label());
   }
@@ -106,7 +106,7 @@ export class Overlays {
     const now = performance.now();
     const words = [];
     this.scene.robots.forEach((robot, index) => {
-      const bound = this.live.robot(robot.name)?.bound;
+      const bound = this.live.bound(robot.name);
       if (["scaled", "held", "refused"].includes(frame.robots[index].outcome)) this._boundAt = { ...this._boundAt, [robot.name]: now };
       if (!bound || !(now - (this._boundAt?.[robot.name] ?? -Infinity) < MARKED_MS)) return;
       words.push(`${robot.name} ${bound.text}`);

@@ -114,7 +114,7 @@ export function livePlots(live, scene, picture, joints) {
   }
 
   live.addEventListener("frame", ({ detail }) => {
-    if (live.isStale()) return;
+    if (live.isStale() || live.replay) return; // what the camera sees then is not the cell
     for (const { lines } of plots) for (const { series, value } of lines) series.add(detail.server_s, value());
   });
   setInterval(() => {

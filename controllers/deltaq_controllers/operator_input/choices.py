@@ -1,0 +1,41 @@
+"""What a key or a button of an operator's device chooses next."""
+
+from __future__ import annotations
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.modes.motion import Frame, ModeName
+from deltaq_controllers.modes.teleoperator import Teleoperator
+
+SPEED_STEP = 1.5
+_LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
+
+
+def next_mode(teleoperator: Teleoperator) -> ModeName:
+    """The mode after the present one that the robot can be driven in."""
+    modes = list(ModeName)
+    place = modes.index(teleoperator.mode)
+    for offset in range(1, len(modes)):
+        mode = modes[(place + offset) % len(modes)]
+        try:
+            teleoperator.mode_named(mode)
+        except ControllerError:
+            continue  # this robot is not redundant
+        return mode
+    return teleoperator.mode
+
+
+def next_hand(teleoperator: Teleoperator, hand: str | None) -> str | None:
+    """The hand after this one; None is all of them."""
+    hands = (None, *teleoperator.hand_names)
+    return hands[(hands.index(hand) + 1) % len(hands)]
+
+
+def other_frame(teleoperator: Teleoperator) -> Frame:
+    """The axes in which hands are not moved now."""
+    return Frame.WORLD if teleoperator.frame is Frame.TOOL else Frame.TOOL
+
+
+def changed_speed(speed_m_s: float, is_faster: bool) -> float:
+    """The next hand speed, up or down, within its bounds [m/s]."""
+    factor = SPEED_STEP if is_faster else 1.0 / SPEED_STEP
+    return min(_GREATEST_SPEED_M_S, max(_LEAST_SPEED_M_S, factor * speed_m_s))

@@ -1,0 +1,1 @@
+"""A recording as one HTML page that an operator attaches to a log: `deltaq report`."""

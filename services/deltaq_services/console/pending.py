@@ -1,0 +1,58 @@
+"""Requests to the HLI and to drivers whose answers are awaited, and the commands that they came of."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+
+from deltaq_protocol import driving
+from deltaq_services.console.client import Client
+from deltaq_services.console.messages import Ack, AckOutcome
+from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
+
+Awaited = tuple[Client | None, str, AskHli | ToDriver | None]
+"""Who waits, for which command, and what was asked; nobody, if nobody is to be told."""
+
+
+class PendingRequests:
+    """What is on its way."""
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count(1)
+        self._asked: dict[str, Awaited] = {}
+
+    def new_id(self) -> str:
+        """An id that no request had before."""
+        return f"r{next(self._numbers)}"
+
+    def ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
+        """Ask the HLI; the client is told that it was asked."""
+        self._asked[asked.request] = (client, command, asked)
+        return [asked, acknowledged(client, command, AckOutcome.ASKED, "asked")]
+
+    def send(self, requests: Iterable[ToDriver], client: Client | None, command: str) -> list[ConsoleOutput]:
+        """Send requests to drivers; wishes are not answered."""
+        sent: list[ConsoleOutput] = []
+        for request in requests:
+            sent.append(request)
+            if not isinstance(request.request, driving.Wish):
+                self._asked[request.request.id] = (client, command, request)
+        return sent
+
+    def answered(self, request: str) -> Awaited:
+        """What a request was about, which is awaited no more."""
+        return self._asked.pop(request, (None, "", None))
+
+    def given_up(self, robot: str) -> list[Awaited]:
+        """What a robot's driver was asked and will not answer."""
+        lost = [
+            request
+            for request, (_, _, asked) in self._asked.items()
+            if isinstance(asked, ToDriver) and asked.robot == robot
+        ]
+        return [self._asked.pop(request) for request in lost]
+
+
+def acknowledged(client: Client, command: str, outcome: AckOutcome, text: str) -> ToClient:
+    """The answer to a client's command."""
+    return ToClient(client.number, client.answer(Ack(id=command, outcome=outcome, text=text)))

@@ -1,0 +1,170 @@
+"""A recording as the console shows it: where the robots were at even times, and the verdicts that were not admitted.
+
+`python -m deltaq_services.recorder.replayed FILE --identity IDENTITY` prints it as one JSON object. Reading takes
+processor time, and so it is a process of its own, behind all others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from deltaq_protocol import topics
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.identity import CellIdentity, mismatch
+from deltaq_protocol.messages import Outcome, Phase, Proximity, RobotState, Verdict
+from deltaq_protocol.reasons import EXPLANATIONS
+from deltaq_services.process import run
+from deltaq_services.recorder.reader import Recording
+
+PERIOD_S = 0.04
+MOST_TICKS = 60_000
+"""A recording of more than 40 minutes is told at greater steps."""
+STALE_S = 0.25
+"""A robot without a state for so long is shown as one that is not heard."""
+VERDICT_S = 0.5
+SAME_S = 2.0
+"""The same reason again within this is one line of the list."""
+NO_STATE = -1
+_NICENESS = 10
+_PHASES, _OUTCOMES = tuple(Phase), tuple(Outcome)
+
+
+class OtherCellRecordedError(DeltaqError):
+    """The recording is of another cell than the one that is shown."""
+
+
+class EmptyReplayError(DeltaqError):
+    """A recording in which no robot has a state."""
+
+
+def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[str, Any]:
+    """The recording as a JSON object; times from its beginning [s], joints in rad or m.
+
+    Args:
+        path: the file.
+        identity: of the cell in whose scene it is shown.
+        most_ticks: times at which it is told at most; the step is doubled until they suffice.
+
+    Raises:
+        UnreadableRecordingError: it is no recording.
+        OtherCellRecordedError: it is of another cell.
+        EmptyReplayError: no robot has a state in it.
+    """
+    recording = Recording.open(path)
+    theirs, ours = CellIdentity.parse(recording.about.get("identity", "")), CellIdentity.parse(identity)
+    if not ours.is_same(theirs):
+        raise OtherCellRecordedError(mismatch(path.name, theirs, ours))
+    track = _Track(recording.robots, most_ticks)
+    begin_ns: int | None = None
+    for item in recording.messages((topics.STATE, topics.VERDICT, topics.PROXIMITY)):
+        begin_ns = item.time_ns if begin_ns is None else begin_ns
+        time_s = (item.time_ns - begin_ns) / 1e9
+        track.go_on(time_s)
+        match item.message:
+            case RobotState() as state:
+                track.states[state.robot] = (time_s, state)
+            case Verdict() as verdict:
+                track.take_verdict(verdict, time_s)
+            case Proximity(pairs=pairs) if pairs:
+                near = pairs[0]
+                track.nearest.append([time_s, *near.pair, near.distance_m, *near.points_m])
+    track.tick()
+    if not track.states:
+        raise EmptyReplayError(f"{path.name} has no state of any robot: there is nothing to show")
+    return {
+        "name": path.name,
+        "begin_s": None if recording.about.get("source") != "live" else (begin_ns or 0) / 1e9,
+        "source": recording.about.get("source", ""),
+        "period_s": track.period_s,
+        "robots": track.ticks,
+        "nearest": track.nearest,
+        "verdicts": track.verdicts,
+        "notices": recording.notices,
+    }
+
+
+class _Track:
+    """What is known at each tick."""
+
+    def __init__(self, robots: tuple[str, ...], most_ticks: int) -> None:
+        self.period_s = PERIOD_S
+        self.states: dict[str, tuple[float, RobotState]] = {}
+        self.ticks: dict[str, dict[str, list[Any]]] = {
+            name: {"q": [], "phase": [], "outcome": [], "clearance_m": []} for name in robots
+        }
+        self.nearest: list[list[Any]] = []
+        self.verdicts: list[dict[str, Any]] = []
+        self._newest: dict[str, tuple[float, Verdict]] = {}
+        self._last: dict[tuple[Any, ...], dict[str, Any]] = {}
+        self._most_ticks = most_ticks
+        self._count = 0
+
+    def go_on(self, time_s: float) -> None:
+        """Note every tick before this time."""
+        while self._count * self.period_s < time_s:
+            self.tick()
+            if self._count >= self._most_ticks:
+                self._thin()
+
+    def tick(self) -> None:
+        """Note where everything is."""
+        now_s = self._count * self.period_s
+        for name, columns in self.ticks.items():
+            told_s, state = self.states.get(name, (0.0, None))
+            is_old = state is None or now_s - told_s > STALE_S
+            columns["q"].append(None if state is None else [round(q, 5) for q in state.q])
+            columns["phase"].append(NO_STATE if is_old or state is None else _PHASES.index(state.phase))
+            judged_s, verdict = self._newest.get(name, (0.0, None))
+            if verdict is not None and now_s - judged_s > VERDICT_S:
+                verdict = None
+            columns["outcome"].append(None if verdict is None else _OUTCOMES.index(verdict.outcome))
+            columns["clearance_m"].append(None if verdict is None else verdict.clearance_m)
+        self._count += 1
+
+    def take_verdict(self, verdict: Verdict, time_s: float) -> None:
+        self._newest[verdict.robot] = (time_s, verdict)
+        if verdict.outcome is Outcome.ADMITTED:
+            return
+        reason = verdict.reasons[0] if verdict.reasons else None
+        text = "no reason given" if reason is None else EXPLANATIONS[reason.code]
+        line = {
+            "robot": verdict.robot,
+            "outcome": verdict.outcome.value,
+            "code": reason and reason.code.value,
+            "what": reason.what if reason else "",
+            "text": f"{text} ({reason.what})" if reason and reason.what else text,
+        }
+        key = tuple(line.values())
+        before = self._last.get(key)
+        if before is not None and time_s - before["until_s"] <= SAME_S:
+            before["until_s"] = time_s
+            before["count"] += 1
+            return
+        self._last[key] = {"time_s": time_s, "until_s": time_s, "count": 1, **line}
+        self.verdicts.append(self._last[key])
+
+    def _thin(self) -> None:
+        self.period_s *= 2.0
+        for columns in self.ticks.values():
+            for column in columns.values():
+                del column[1::2]
+        self._count = (self._count + 1) // 2
+
+
+def main() -> None:
+    """Print a recording as JSON."""
+    parser = argparse.ArgumentParser(description="Print a recording as the console shows it")
+    parser.add_argument("file", type=Path, help="MCAP file that deltaq recorded")
+    parser.add_argument("--identity", required=True, help="identity of the cell in whose scene it is shown")
+    options = parser.parse_args()
+    os.nice(_NICENESS)
+    json.dump(replayed(options.file, options.identity), sys.stdout, separators=(",", ":"), allow_nan=False)
+
+
+if __name__ == "__main__":
+    run(main)

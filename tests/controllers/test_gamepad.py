@@ -1,0 +1,236 @@
+"""`deltaq drive --gamepad`, with a virtual gamepad of SDL in the place of a real one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from advising import advised
+from driving import CYCLE_S, model
+from first_cycles import QuietCell, Waits
+from virtual_pad import VirtualPad
+
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.gamepad import Gamepad
+from deltaq_controllers.operator_input.pad_device import DEAD_ZONE, SETTLE_S, PadButton, StickAxis
+from deltaq_controllers.statistics import ControlStatistics
+from deltaq_controllers.teleoperation import teleoperate
+
+REST = OperatorCommand()
+AHEAD = (StickAxis.LEFT_Y, -1.0)
+MOVE, TURN = PadButton.LEFT_SHOULDER, PadButton.RIGHT_SHOULDER
+
+
+def teleoperator(robot: str = "gr", mode: ModeName = ModeName.COUPLED) -> Teleoperator:
+    return Teleoperator(model(robot), CYCLE_S, mode)
+
+
+@pytest.fixture
+def pad(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualPad]:
+    # a real pad that is plugged in here is not looked at; the virtual one has no maker and no product
+    monkeypatch.setenv("SDL_GAMECONTROLLER_IGNORE_DEVICES_EXCEPT", "0x0000/0x0000")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with VirtualPad() as pad:
+        yield pad
+
+
+class Settled(Gamepad):
+    """A gamepad whose pad was found a while ago; time goes on by a cycle with each look."""
+
+    time_s = 0.0
+
+    def look(self) -> OperatorCommand:
+        self.time_s += CYCLE_S
+        command = self.read(self.time_s)
+        assert command is not None
+        return command
+
+    def __enter__(self) -> Settled:
+        super().__enter__()
+        self.settle()
+        return self
+
+    def settle(self) -> None:
+        assert self.look() == REST
+        self.time_s += SETTLE_S
+        assert self.look() == REST
+
+
+# --- what must not move ---------------------------------------------------------------------------------------
+
+
+def test_no_gamepad_says_what_to_use(pad: VirtualPad) -> None:
+    pad.pull_out()
+    with pytest.raises(ControllerError, match=r"no gamepad is plugged in.* use the keyboard or `--script`"):
+        Gamepad(teleoperator()).__enter__()
+
+
+def test_what_is_held_as_the_drive_begins_has_to_be_let_go_first(pad: VirtualPad) -> None:
+    pad.press(MOVE)
+    pad.push(*AHEAD)
+    with Settled(teleoperator()) as gamepad:
+        assert gamepad.look() == REST, "neither was meant for the robot"
+        pad.release(MOVE)
+        assert gamepad.look() == REST
+        pad.press(MOVE)
+        assert gamepad.look().rates == {"x": 0.0, "y": 0.0, "z": 0.0}, "the stick is still pushed"
+        pad.push(StickAxis.LEFT_Y, 0.0)
+        assert not any(gamepad.look().rates.values())
+        pad.push(*AHEAD)
+        assert gamepad.look().rates["x"] == pytest.approx(0.1)
+
+
+def test_what_a_pad_tells_of_itself_as_it_is_found_is_no_press(pad: VirtualPad) -> None:
+    with Gamepad(teleoperator()) as gamepad:
+        assert gamepad.read(0.0) == REST
+        # as a pad does whose first report comes late
+        pad.press(MOVE, PadButton.Y, PadButton.B)
+        pad.push(*AHEAD)
+        assert gamepad.read(0.5 * SETTLE_S) == REST
+        assert gamepad.read(2.0 * SETTLE_S) == REST
+
+
+def test_a_pad_that_is_unplugged_is_rest_and_goes_on_when_it_is_back(pad: VirtualPad) -> None:
+    with Settled(teleoperator()) as gamepad:
+        pad.press(MOVE)
+        pad.push(*AHEAD)
+        assert gamepad.look().rates["x"] == pytest.approx(0.1)
+        pad.pull_out()
+        assert gamepad.look() == REST
+        assert gamepad.status == "the gamepad is unplugged: rest"
+        pad.plug_in()
+        pad.press(MOVE)
+        gamepad.settle()
+        assert gamepad.look() == REST, "it has to be pressed anew"
+        pad.release(MOVE)
+        assert gamepad.look() == REST
+        pad.press(MOVE)
+        pad.push(*AHEAD)
+        assert gamepad.look().rates["x"] == pytest.approx(0.1)
+
+
+def test_a_second_pad_is_not_listened_to(pad: VirtualPad) -> None:
+    with Settled(teleoperator()) as gamepad, VirtualPad() as other:
+        other.press(MOVE, PadButton.B)
+        other.push(*AHEAD)
+        assert gamepad.look() == REST
+
+
+def test_the_sticks_count_only_while_a_shoulder_button_is_held(pad: VirtualPad) -> None:
+    with Settled(teleoperator()) as gamepad:
+        pad.push(*AHEAD)
+        assert gamepad.look() == REST
+        pad.press(MOVE)
+        assert gamepad.look().rates["x"] == pytest.approx(0.1)
+        pad.release(MOVE)
+        assert gamepad.look() == REST
+
+
+# --- what moves -------------------------------------------------------------------------------------------------
+
+
+def test_speed_grows_from_zero_at_the_edge_of_the_dead_zone(pad: VirtualPad) -> None:
+    with Settled(teleoperator()) as gamepad:
+        pad.press(MOVE)
+        told = []
+        for share in (0.0, DEAD_ZONE - 0.01, DEAD_ZONE + 0.01, 0.5 * (1.0 + DEAD_ZONE), 1.0):
+            pad.push(StickAxis.LEFT_Y, -share)
+            told.append(gamepad.look().rates["x"])
+    assert told == pytest.approx([0.0, 0.0, 0.1 * 0.01 / (1.0 - DEAD_ZONE), 0.05, 0.1], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("button", "stick", "share", "rates"),
+    [
+        (MOVE, StickAxis.LEFT_Y, -1.0, {"x": 0.1, "y": 0.0, "z": 0.0}),
+        (MOVE, StickAxis.LEFT_X, -1.0, {"x": 0.0, "y": 0.1, "z": 0.0}),
+        (MOVE, StickAxis.RIGHT_Y, 1.0, {"x": 0.0, "y": 0.0, "z": -0.1}),
+        (TURN, StickAxis.LEFT_Y, -1.0, {"rx": 0.35, "ry": 0.0, "rz": 0.0}),
+        (TURN, StickAxis.RIGHT_Y, -1.0, {"rx": 0.0, "ry": 0.0, "rz": 0.35}),
+    ],
+)
+def test_the_left_shoulder_button_moves_and_the_right_one_turns(
+    pad: VirtualPad, button: PadButton, stick: StickAxis, share: float, rates: dict[str, float]
+) -> None:
+    with Settled(teleoperator()) as gamepad:
+        pad.press(button)
+        pad.push(stick, share)
+        assert gamepad.look().rates == pytest.approx(rates, abs=1e-4)
+
+
+def test_a_tap_between_two_looks_counts_once(pad: VirtualPad) -> None:
+    with Settled(teleoperator(mode=ModeName.JOINT)) as gamepad:
+        pad.press(PadButton.RIGHT)
+        pad.release(PadButton.RIGHT)
+        gamepad.look()
+        gamepad.look()
+        assert gamepad.joint == 1
+
+
+def test_the_stick_drives_the_joint_that_the_cross_chose(pad: VirtualPad) -> None:
+    with Settled(teleoperator(mode=ModeName.SELF_MOTION)) as gamepad:
+        pad.press(TURN, PadButton.LEFT)
+        pad.push(*AHEAD)
+        assert gamepad.look() == OperatorCommand({"a6": pytest.approx(0.35)})
+        assert gamepad.status == "joint a6, 0.100 m/s, held"
+
+
+def test_buttons_choose_mode_axes_hand_and_speed(pad: VirtualPad) -> None:
+    with Settled(teleoperator()) as gamepad:
+        pad.press(PadButton.Y)
+        assert gamepad.look() == OperatorCommand(mode=ModeName.JOINT)
+        pad.press(PadButton.X)
+        assert gamepad.look() == OperatorCommand(frame=Frame.TOOL)
+        (hand,) = gamepad._teleoperator.hand_names
+        pad.press(PadButton.A, PadButton.UP, MOVE)
+        pad.push(*AHEAD)
+        assert gamepad.look().rates[f"{hand}.x"] == pytest.approx(0.15)
+        pad.press(PadButton.DOWN)
+        assert gamepad.look().rates[f"{hand}.x"] == pytest.approx(0.1)
+
+
+def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed(pad: VirtualPad) -> None:
+    with Settled(advised(model("gr"))) as gamepad:
+        pad.press(TURN, PadButton.RIGHT)
+        assert gamepad.look() == REST
+        assert gamepad.status == "option 2, 0.100 m/s, held"
+        pad.push(*AHEAD)
+        assert gamepad.look() == OperatorCommand(option=2)
+        pad.release(TURN)
+        assert gamepad.look() == REST
+
+
+@pytest.mark.parametrize("button", [PadButton.B, PadButton.BACK])
+def test_b_and_back_end_the_drive(pad: VirtualPad, button: PadButton) -> None:
+    with Settled(teleoperator()) as gamepad:
+        pad.press(button)
+        assert gamepad.read(gamepad.time_s + CYCLE_S) is None
+
+
+async def test_a_robot_comes_to_rest_when_its_pad_is_unplugged(pad: VirtualPad) -> None:
+    cell = QuietCell("lab", Waits())
+    driven = Teleoperator(cell.models["gr"], CYCLE_S, ModeName.COUPLED)
+    places: list[np.ndarray] = []
+    enough = asyncio.Event()
+    with Settled(driven) as gamepad:
+
+        def watch(q: np.ndarray) -> None:
+            places.append(q)
+            if len(places) == 60:  # the pad is found anew on the clock of the cell
+                pad.press(MOVE)
+                pad.push(StickAxis.RIGHT_Y, -1.0)
+            elif len(places) == 100:
+                assert abs(places[-1] - places[-2]).max() > 1e-4, "it moves as the device goes"
+                pad.pull_out()
+            elif len(places) == 160:
+                assert driven.is_at_rest
+                assert not enough.is_set()
+                enough.set()
+
+        async with asyncio.timeout(60):
+            await teleoperate(cell, driven, gamepad, ControlStatistics(), watch, enough)
+    assert abs(places[-1] - places[-2]).max() < 1e-9

@@ -1,0 +1,237 @@
+"""The console's recordings: nothing outside the folder is opened, and nothing is driven from behind a recording."""
+
+import asyncio
+import json
+from contextlib import asynccontextmanager
+from urllib.parse import quote
+
+import pytest
+from console_bench import BODIES, CELL, ConsoleBench
+from private_cell import free_ports, write_private_cell
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol import driving
+from deltaq_services.console.core import ConsoleCore
+from deltaq_services.console.messages import AckOutcome
+from deltaq_services.console.outputs import ToDriver, ToRecorder
+from deltaq_services.console.recorder_process import RecorderProcess
+from deltaq_services.console.recordings import NoSuchRecordingError, RecordingFolder
+from deltaq_services.console.settings import NoFolderError, Settings
+from deltaq_services.console.shell import Console
+from deltaq_services.console.web import application, listening_socket, server_of
+from deltaq_services.recorder.writer import RecordingWriter
+
+REFUSED, ASKED, DONE = AckOutcome.REFUSED, AckOutcome.ASKED, AckOutcome.DONE
+OUTSIDE = [
+    "../secret.mcap", "..", ".", "", "/etc/passwd", "a/b.mcap", "..\\secret.mcap", ".hidden.mcap", "link.mcap",
+    "folder.mcap", "notes.txt", "missing.mcap", "run.mcap\0", "run.mcap/", "run.mcap.", "~/run.mcap",
+    "x" * 300 + ".mcap", "../" + "inside/run.mcap",
+]  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with one recording, and around it what must not be opened."""
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    (tmp_path / "secret.mcap").write_text("secret")
+    (inside / "run.mcap").write_text("recorded")
+    (inside / "notes.txt").write_text("notes")
+    (inside / ".hidden.mcap").write_text("hidden")
+    (inside / "folder.mcap").mkdir()
+    (inside / "link.mcap").symlink_to(tmp_path / "secret.mcap")
+    return inside
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_nothing_but_a_recording_in_the_folder_is_opened(folder, name):
+    with pytest.raises(NoSuchRecordingError, match="no recording"):
+        RecordingFolder(folder).file(name)
+
+
+def test_only_recordings_are_listed(folder):
+    listed = RecordingFolder(folder)
+    assert [each["name"] for each in listed.listed()] == ["run.mcap"]
+    assert listed.file("run.mcap").read_text() == "recorded"
+    assert RecordingFolder(folder / "gone").listed() == []
+
+
+def test_a_folder_that_is_not_there_is_told_at_the_start(tmp_path):
+    with pytest.raises(NoFolderError, match="there is no such folder"):
+        Settings("lab", True, "127.0.0.1", free_ports(1)[0], recordings=tmp_path / "nowhere")
+
+
+@asynccontextmanager
+async def served(tmp_path, folder):
+    cell = CellModel.load(write_private_cell(tmp_path))
+    settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, recordings=folder)
+    console = Console(cell, True, False, None, "lab", folder)
+    server = server_of(application(console, settings))
+    with listening_socket(settings) as listening:
+        serving = asyncio.ensure_future(server.serve(sockets=[listening]))
+        try:
+            yield console, cell, settings.port
+        finally:
+            server.should_exit = True
+            await asyncio.gather(serving, return_exceptions=True)
+
+
+async def get(port, path, **headers):
+    """Status and body of an answer to exactly this path."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    lines = [f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Connection: close"]
+    lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
+    writer.write(("\r\n".join(lines) + "\r\n\r\n").encode())
+    answer = (await reader.read()).decode(errors="replace")
+    writer.close()
+    return int(answer.split()[1]), answer.partition("\r\n\r\n")[2]
+
+
+async def test_no_address_leads_out_of_the_folder(tmp_path, folder):
+    async with served(tmp_path, folder) as (_, _, port):
+        names = [
+            "../secret.mcap",
+            "%2e%2e/secret.mcap",
+            "..%2fsecret.mcap",
+            "..%252fsecret.mcap",
+            "%2fetc%2fpasswd",
+        ]
+        names += ["link.mcap", ".hidden.mcap", "folder.mcap", "notes.txt", "run.mcap%00", "....//secret.mcap"]
+        for name in [*names, *(quote(name, safe="") for name in OUTSIDE if name)]:
+            status, body = await get(port, f"/recordings/{name}")
+            # at most it leads to the same name without the slash behind it
+            assert status in (307, 400, 404), name
+            assert "secret" not in body.replace("secret.mcap", "")
+            assert "root:" not in body
+
+
+async def test_recordings_are_for_the_console_s_own_page(tmp_path, folder):
+    async with served(tmp_path, folder) as (_, _, port):
+        for path in ("/recordings", "/recordings/run.mcap"):
+            assert (await get(port, path, Sec_Fetch_Site="cross-site"))[0] == 403
+            assert (await get(port, path, Sec_Fetch_Site="same-site"))[0] == 403
+        status, body = await get(port, "/recordings", Sec_Fetch_Site="same-origin")
+        assert (status, [each["name"] for each in json.loads(body)]) == (200, ["run.mcap"])
+
+
+async def test_a_file_that_is_no_recording_is_told_and_one_is_read_at_a_time(tmp_path, folder):
+    async with served(tmp_path, folder) as (console, cell, port):
+        RecordingWriter(folder / "empty.mcap", cell.description_message(), "live").close()
+        asked = [asyncio.ensure_future(get(port, f"/recordings/{name}.mcap")) for name in ("run", "empty")]
+        answers = sorted([await each for each in asked])
+        assert [status for status, _ in answers] == [422, 503]
+        assert "try again" in answers[1][1]
+        status, body = await get(port, "/recordings/empty.mcap")
+        assert (status, "nothing to show" in body) == (422, True)
+        assert str(tmp_path) not in body, "where the folder lies is nobody's business"
+        assert console.core.health()
+
+
+def test_behind_a_recording_nothing_is_commanded_but_a_stop():
+    bench = ConsoleBench()
+    bench.states()
+    anna = bench.browser("anna")
+    anna.send("ping")
+    anna.takes()
+    bench.outputs.clear()
+    assert anna.send("replay", shown=True).outcome is DONE
+    assert bench.outputs[0] == ToDriver("fr", driving.Wish()), "what it drives rests"
+    assert isinstance(bench.outputs[1].request, driving.Release), "and is free for others"
+    bench.driver_answers("fr")
+    bench.outputs.clear()
+    for kind, fields in (
+        ("jog", {"robot": "fr", "wish": [0.1, 0, 0, 0, 0, 0]}),
+        ("mode", {"robot": "fr", "mode": "coupled"}),
+        ("reset", {"robot": "fr"}),
+        ("lease", {"robot": "gr", "action": "take"}),
+        ("dry_run", {"robot": "fr", "dq": [0, 0, 0, 0, 0, 0]}),
+        ("record", {"action": "start"}),
+    ):
+        ack = anna.send(kind, **fields)
+        assert (ack.outcome, "a recording is shown" in ack.text) == (REFUSED, True), kind
+    assert not bench.driver_requests("fr")
+    assert not bench.driver_requests("gr")
+    assert anna.send("stop").outcome is ASKED
+    assert bench.asked("stop")
+    anna.send("replay", shown=False)
+    assert "take it" in anna.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).text
+    anna.takes()
+    assert anna.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
+
+
+def test_a_recording_shown_in_one_browser_binds_no_other():
+    bench = ConsoleBench()
+    bench.states()
+    anna, bert = bench.browser("anna"), bench.browser("bert")
+    for browser in (anna, bert):
+        browser.send("ping")
+    anna.send("replay", shown=True)
+    bert.takes()
+    assert bert.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
+
+
+@pytest.fixture
+def recording_bench():
+    bench = ConsoleBench()
+    bench.core = ConsoleCore(CELL, BODIES, token_needed=False, has_recordings=True)
+    return bench
+
+
+def test_without_a_folder_nothing_is_recorded_and_the_page_offers_nothing():
+    bench = ConsoleBench()
+    anna = bench.browser()
+    assert anna.send("ping")
+    ack = anna.send("record", action="start")
+    assert (ack.outcome, "--recordings" in ack.text) == (REFUSED, True)
+    assert anna.status().recording is None
+
+
+def test_one_recording_is_written_at_a_time_and_its_end_is_told(recording_bench):
+    bench = recording_bench
+    anna = bench.browser()
+    anna.send("ping")
+    assert "nothing is being recorded" in anna.send("record", action="stop").text
+    assert anna.send("record", action="start").outcome is DONE
+    (begun,) = [output for output in bench.outputs if isinstance(output, ToRecorder)]
+    assert begun.file == "lab-19700101-001640.mcap"
+    assert "already" in anna.send("record", action="start").text
+    view = anna.status(1.0).recording
+    assert (view.file, view.since_s) == (begun.file, None), "it is not said to be written before it is"
+    bench.core.desk.began(bench.now_s)
+    assert anna.status(1.0).recording.since_s == bench.now_s - 1.0
+    assert anna.send("record", action="stop").outcome is DONE
+    assert bench.outputs.count(ToRecorder(None)) == 1
+    bench.core.recorder_ended("", bench.now_s)
+    status = anna.status(1.0)
+    assert (status.recording.file, status.recording.text) == ("", f"{begun.file} was recorded")
+    assert anna.send("record", action="start").outcome is DONE
+
+
+def test_a_recorder_that_dies_is_told_and_another_recording_can_begin(recording_bench):
+    anna = recording_bench.browser()
+    anna.send("ping")
+    anna.send("record", action="start")
+    recording_bench.core.recorder_ended("No space left on device", recording_bench.now_s)
+    assert "No space left" in anna.status(1.0).recording.text
+    assert any("No space left" in text for text in anna.events("recording"))
+    assert anna.send("record", action="start").outcome is DONE
+
+
+def test_an_observer_records_nothing(recording_bench):
+    observer = recording_bench.browser(operator=False)
+    observer.send("ping")
+    assert "observer" in observer.send("record", action="start").text
+
+
+async def test_a_recorder_that_cannot_begin_says_why(tmp_path):
+    """There is no HLI; and one that is ended before it wrote is not said to have recorded."""
+    told = asyncio.Queue()
+    cell = str(write_private_cell(tmp_path))
+    recorder = RecorderProcess(cell, lambda: told.put_nowait("began"), told.put_nowait)
+    recorder.start(tmp_path / "run.mcap")
+    await recorder.end()
+    async with asyncio.timeout(60):
+        assert "before anything was written" in await told.get()
+        recorder.start(tmp_path / "run.mcap")
+        assert "is the cell up" in await told.get()
+    assert not (tmp_path / "run.mcap").exists()

@@ -1,0 +1,128 @@
+"""A recording as the console shows it: even steps, what was not admitted, and nothing of another cell."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol import topics
+from deltaq_protocol.messages import NearestPair, Outcome, Phase, Proximity, Reason, RobotState, Verdict
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.recorder.reader import UnreadableRecordingError
+from deltaq_services.recorder.replayed import (
+    NO_STATE,
+    PERIOD_S,
+    EmptyReplayError,
+    OtherCellRecordedError,
+    replayed,
+)
+from deltaq_services.recorder.writer import RecordingWriter
+
+CYCLE_S = 0.012
+CYCLES = 250
+GAP = range(100, 160)
+
+
+@pytest.fixture(scope="module")
+def cell() -> CellModel:
+    return CellModel.load("lab")
+
+
+@pytest.fixture(scope="module")
+def recorded(cell: CellModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fr turns A1; for a while no states come; from cycle 200 on every increment is held."""
+    file = tmp_path_factory.mktemp("replayed") / "run.mcap"
+    robot = cell.robots["fr"]
+    with RecordingWriter(file, cell.description_message(), "live") as writer:
+        for cycle in range(CYCLES):
+            at = round(1e9 * CYCLE_S * cycle)
+            q = (robot.home[0] + 0.001 * cycle, *robot.home[1:].tolist())
+            if cycle not in GAP:
+                state = RobotState(
+                    robot="fr", cycle=cycle, ipoc=cycle, time_s=0.0, q=q, q_cmd=q,
+                    tool=robot.tool_pose(robot.home), phase=Phase.ENGAGED,
+                )  # fmt: skip
+                writer.publish(topics.STATE, state, at)
+            reasons = (
+                (Reason(code=ReasonCode.CLEARANCE, what="fr/link_4 structure/tank_1"),)
+                if cycle >= 200
+                else ()
+            )
+            outcome = Outcome.HELD if reasons else Outcome.ADMITTED
+            verdict = Verdict(
+                robot="fr", cycle=cycle, seq=cycle, outcome=outcome, reasons=reasons, clearance_m=0.1
+            )
+            writer.publish(topics.VERDICT, verdict, at)
+            if cycle % 10 == 0:
+                pair = NearestPair(
+                    pair=("fr/link_4", "structure/tank_1"), distance_m=0.3, points_m=((0, 0, 0), (0, 0, 1))
+                )
+                writer.publish(topics.PROXIMITY, Proximity(time_s=0.0, pairs=(pair,)), at)
+    return file
+
+
+def test_a_recording_of_another_cell_is_refused(recorded: Path) -> None:
+    with pytest.raises(OtherCellRecordedError, match=r"run\.mcap has read cell lab .*, and here it is dawm"):
+        replayed(recorded, str(CellModel.load("dawm").identity))
+
+
+def test_a_recording_without_states_and_a_file_that_is_none_are_refused(
+    cell: CellModel, tmp_path: Path
+) -> None:
+    RecordingWriter(tmp_path / "empty.mcap", cell.description_message(), "live").close()
+    with pytest.raises(EmptyReplayError, match="nothing to show"):
+        replayed(tmp_path / "empty.mcap", str(cell.identity))
+    (tmp_path / "notes.mcap").write_text("notes")
+    with pytest.raises(UnreadableRecordingError):
+        replayed(tmp_path / "notes.mcap", str(cell.identity))
+
+
+def test_robots_are_told_at_even_steps_and_silence_is_told_too(recorded: Path, cell: CellModel) -> None:
+    told = replayed(recorded, str(cell.identity))
+    fr, gr = told["robots"]["fr"], told["robots"]["gr"]
+    steps = len(fr["q"])
+    assert (steps - 1) * PERIOD_S == pytest.approx(CYCLE_S * CYCLES, abs=2 * PERIOD_S)
+    for step in range(1, 20):
+        cycle = (step * PERIOD_S) // CYCLE_S
+        assert fr["q"][step][0] == pytest.approx(cell.robots["fr"].home[0] + 0.001 * cycle, abs=1.1e-3)
+    assert NO_STATE in fr["phase"], "the gap"
+    assert fr["phase"][0] != NO_STATE
+    assert fr["phase"][-1] != NO_STATE
+    assert set(gr["phase"]) == {NO_STATE}
+    assert set(gr["q"]) == {None}
+
+
+def test_verdicts_that_repeat_are_one_line(recorded: Path, cell: CellModel) -> None:
+    (line,) = replayed(recorded, str(cell.identity))["verdicts"]
+    assert (line["robot"], line["outcome"], line["code"], line["count"]) == ("fr", "held", "clearance", 50)
+    assert line["time_s"] == pytest.approx(200 * CYCLE_S)
+    assert line["until_s"] == pytest.approx(249 * CYCLE_S)
+
+
+def test_a_long_recording_is_told_at_greater_steps(recorded: Path, cell: CellModel) -> None:
+    told = replayed(recorded, str(cell.identity), most_ticks=30)
+    q = told["robots"]["fr"]["q"]
+    assert told["period_s"] == pytest.approx(4 * PERIOD_S)
+    assert len(q) <= 31
+    assert (len(q) - 1) * told["period_s"] == pytest.approx(CYCLE_S * CYCLES, abs=2 * told["period_s"])
+    assert q[5][0] == pytest.approx(
+        cell.robots["fr"].home[0] + 0.001 * 5 * told["period_s"] / CYCLE_S, abs=2e-3
+    )
+
+
+def test_the_process_prints_it_and_errors_are_one_line(recorded: Path, cell: CellModel) -> None:
+    def run(file: Path) -> subprocess.CompletedProcess[str]:
+        command = ["-m", "deltaq_services.recorder.replayed", str(file), "--identity", str(cell.identity)]
+        return subprocess.run(
+            [sys.executable, *command], capture_output=True, text=True, timeout=90, check=False
+        )
+
+    assert json.loads(run(recorded).stdout) == json.loads(json.dumps(replayed(recorded, str(cell.identity))))
+    missing = run(recorded.with_name("missing.mcap"))
+    assert (missing.returncode, missing.stdout) == (2, "")
+    assert missing.stderr.count("\n") == 1
