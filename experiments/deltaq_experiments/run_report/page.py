@@ -92,7 +92,11 @@ def _summary(run: RecordedRun) -> str:
 
 
 def _rate_tile(robot: RobotRun) -> tuple[str, str, str]:
-    told = (_percent(robot.admission_rate), "of its cycles") if robot.outcomes else ("–", "nobody drove it")
+    told = (
+        (_percent(robot.admission_rate), "of its cycles while driven")
+        if robot.outcomes
+        else ("–", "nobody drove it")
+    )
     return f"admission rate, {robot.name}", *told
 
 
@@ -185,7 +189,8 @@ def _cycles(run: RecordedRun) -> str:
     )  # fmt: skip
     told = (
         f"A cycle is {1000 * run.cycle_s:g} ms. The times are those between two states, as the recorder saw them. "
-        "The admission rate is the share of cycles in which a fresh, admitted increment reached the robot."
+        "The admission rate is the share of cycles in which a fresh, admitted increment reached the robot, "
+        "from the first such cycle to the last."
     )
     return _table(columns, rows, numbers=set(range(1, 8))) + f'<p class="soft">{told}</p>'
 

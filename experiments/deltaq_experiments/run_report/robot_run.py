@@ -80,7 +80,7 @@ class RobotRun:
         self._fastest = np.zeros(len(summary.joints))
         self._last: RobotState | None = None
         self._last_server: ServerState | None = None
-        self._server_cycles = 0
+        self._driven_cycles = self._cycles_since = 0
 
     def add_state(self, state: RobotState, time_s: float, cycle_s: float) -> None:
         """One cycle."""
@@ -118,12 +118,16 @@ class RobotRun:
         before, self._last_server = self._last_server, state
         if before is None or before.process != state.process:
             return {}
-        self._server_cycles += max(state.cycle - before.cycle, 0)
+        self._cycles_since += max(state.cycle - before.cycle, 0)
         grown = {
             name: count - before.counters.get(name, 0)
             for name, count in state.counters.items()
             if count > before.counters.get(name, 0)
         }
+        if "admissions" in grown:
+            # before the first nobody drove it, and after the last nobody does
+            self._driven_cycles += self._cycles_since if self.counters["admissions"] else grown["admissions"]
+            self._cycles_since = 0
         self.counters.update(grown)
         return {name: count for name, count in grown.items() if name not in ORDINARY_COUNTERS}
 
@@ -149,8 +153,11 @@ class RobotRun:
 
     @property
     def admission_rate(self) -> float | None:
-        """Share of the cycles in which a fresh, admitted increment reached the robot; None without cycles."""
-        return self.counters["admissions"] / self._server_cycles if self._server_cycles else None
+        """Share of the cycles in which a fresh, admitted increment reached the robot, from the first to the last.
+
+        None without any.
+        """
+        return self.counters["admissions"] / self._driven_cycles if self._driven_cycles else None
 
     @property
     def intervals_s(self) -> tuple[float, float, float] | None:
