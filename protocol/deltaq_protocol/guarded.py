@@ -66,7 +66,11 @@ class ServerState(Message):
 
 
 class Request(Message):
-    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat."""
+    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat.
+
+    A heartbeat's `cycle` is that of the newest state that the HLI has, and its `lease_epoch` that of the lease that stands,
+    0 if none does.
+    """
 
     robot: Name
     cycle: Count
@@ -209,12 +213,17 @@ class OrdersMemory(Message):
 
 
 class RobotMemory(Message):
-    """Snapshot of one robot in the gate: motion, orders, and the sequence of its requests."""
+    """Snapshot of one robot in the gate: motion, orders, and the sequence of its requests.
+
+    `decided` is the request behind the admission in flight, and `spoken_cycle` the cycle in which the HLI spoke last.
+    """
 
     tracker: TrackerMemory
     orders: OrdersMemory
     waiting: Request | None = None
+    decided: Request | None = None
     decided_cycle: int
+    spoken_cycle: int = -1
     lease_epoch: Count
     seq: int
     dry_run_cycle: int = -1

@@ -103,7 +103,11 @@ class Increment(Message):
 
 
 class Verdict(Message):
-    """The gate's answer to one increment.
+    """The gate's answer to one increment, decided on the state of `cycle`; of one that is refused, `cycle` is what it answers.
+
+    `setpoint_cycle` is the cycle that it goes into: the first whose setpoint has `dq` in it; None if it goes into none. An
+    admission that comes too late for that cycle is decided once more for the next, if nothing newer has come by then:
+    another verdict on the same `seq` says so, and the last one counts.
 
     `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of
     `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.
@@ -116,6 +120,7 @@ class Verdict(Message):
     cycle: Count
     seq: Count
     outcome: Outcome
+    setpoint_cycle: Count | None = None
     scale: FiniteFloat = 0.0
     dq: tuple[FiniteFloat, ...] = ()
     time_to_stop_s: FiniteFloat | None = None

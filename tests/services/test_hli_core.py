@@ -277,6 +277,16 @@ def test_an_increment_that_went_stale_while_it_waited_is_refused_and_the_gate_ge
     assert only(Verdict, outputs).reasons[0].code is ReasonCode.STALE_CYCLE
 
 
+def test_an_increment_waits_for_one_state_and_not_for_the_one_after_it() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    outputs = bench.state(102)
+    assert [r.dq for r in sent(Request, outputs)] == [None]
+    reason = only(Verdict, outputs).reasons[0]
+    assert (reason.code, reason.value, reason.bound) == (ReasonCode.STALE_CYCLE, 100, 101)
+
+
 def test_an_increment_that_waits_when_the_robot_is_held_is_refused() -> None:
     bench = Bench().ready()
     bench.move(1)

@@ -35,7 +35,8 @@ class Increments:
         if reason is not None or lease is None or link is None:
             return outputs + self._state.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
         lease.used = True
-        send, replaced = link.offer(Asked(increment, lease.epoch, sender))
+        assert link.state is not None  # without one it would have been refused
+        send, replaced = link.offer(Asked(increment, lease.epoch, sender, came=link.state.cycle))
         if replaced is not None:
             outputs += self._state.refuse_asked(
                 replaced, Reason(code=ReasonCode.SUPERSEDED, what="increment")
@@ -78,9 +79,8 @@ class Increments:
         outputs: list[Output] = []
         waited = link.drop()
         if waited is not None:
-            reason = self._state.mismatch() or link.fault(
-                waited.increment, time_s
-            )  # it may have gone stale, or the robot been held
+            # the robot may have been held, or a state been lost
+            reason = self._state.mismatch() or link.fault(waited.increment, time_s) or link.outdated(waited)
             if reason is not None:
                 outputs = self._state.refuse_asked(waited, reason)
             else:
