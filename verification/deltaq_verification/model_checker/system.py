@@ -137,6 +137,7 @@ class System(GateSide):
             begins=begins,
         )
         monitor = system_state.monitor.telegram(telegram)
+        used = system_state.used.server_took(before, server.state)
         if not begins:
             soundness.judge(system_state.gate.robots[ROBOT].tracker, _sent(server.state), monitor.course)
         return replace(
@@ -150,6 +151,7 @@ class System(GateSide):
             new_admission=False,
             new_supervision=False,
             monitor=monitor,
+            used=used,
         )
 
     def _silence(self, system_state: SystemState) -> SystemState:
