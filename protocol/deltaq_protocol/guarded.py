@@ -68,8 +68,8 @@ class ServerState(Message):
 class Request(Message):
     """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat.
 
-    A heartbeat's `cycle` is that of the newest state that the HLI has, and its `lease_epoch` that of the lease that stands,
-    0 if none does.
+    A heartbeat's `cycle` is that of the newest state that the HLI has, its `lease_epoch` that of the lease that stands,
+    or 0 if none does.
     """
 
     robot: Name

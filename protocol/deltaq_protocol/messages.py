@@ -103,10 +103,11 @@ class Increment(Message):
 
 
 class Verdict(Message):
-    """The gate's answer to one increment, decided on the state of `cycle`; of one that is refused, `cycle` is what it answers.
+    """The gate's answer to one increment.
 
-    `setpoint_cycle` is the cycle that it goes into: the first whose setpoint has `dq` in it; None if it goes into none. An
-    admission that comes too late for that cycle is decided once more for the next, if nothing newer has come by then:
+    `cycle` is that of the state that it was decided on; of an increment that was refused, the one that it answers.
+    `setpoint_cycle` is the cycle that it goes into, the first whose setpoint has `dq` in it; null if it goes into
+    none. Where its admission came too late for that cycle, the increment may be decided once more for the next one:
     another verdict on the same `seq` says so, and the last one counts.
 
     `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of

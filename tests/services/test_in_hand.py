@@ -1,4 +1,4 @@
-"""An increment in hand: the gate with real Robot Servers' cores behind it, and anything that may happen between them."""
+"""An increment in hand: the gate, real Robot Servers' cores behind it, and anything that may happen between them."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""The requests of one robot: which is the newest, which are invalid, which is in hand, and what has been decided already.
+"""The requests of one robot: which is the newest, which is in hand, which are invalid, and what has been decided.
 
-At most one request is *in hand* from one cycle to the next: the one that came when its cycle had been decided already, or
-the one whose admission the Robot Server did not take in time. It is decided on the next state, as soon as the HLI has
-spoken in that cycle: only then is it known that nothing newer has come, and that its lease stands. After that it is
-out of date.
+At most one request is *in hand* from one cycle to the next: one that came when its cycle had been decided already, or
+one whose admission the Robot Server did not take in time. It is decided on the next state, as soon as the HLI has
+spoken in that cycle: only then is it known that nothing newer has come and that its lease stands. Then it is out of
+date.
 """
 
 from __future__ import annotations
@@ -74,7 +74,11 @@ class Inbox:
         return replaced
 
     def heartbeat(self, request: Request, newest_cycle: int) -> Request | None:
-        """The HLI has nothing newer in a cycle; returns what waits under a lease that stands no more, and forgets it."""
+        """The HLI has nothing newer in a cycle.
+
+        Returns:
+            The request that waited under a lease that stands no more, and waits no longer.
+        """
         if not newest_cycle <= request.cycle <= newest_cycle + _AHEAD_CYCLES:
             return None  # it was said in a cycle before, or of another Robot Server process
         self.spoken_cycle = max(self.spoken_cycle, request.cycle)
@@ -85,12 +89,15 @@ class Inbox:
         return None
 
     def cycle_passed(self, cycle: int, missed: bool) -> Request | None:
-        """A new state has come; returns the request that has waited for too long, and forgets it.
+        """A new state has come.
 
         Args:
             cycle: of the state.
             missed: the Robot Server did not take the admission in flight. It takes none for an earlier state after it
                 has published a new one, so the request behind it has moved nothing, and never will.
+
+        Returns:
+            The request that has waited for too long, and waits no longer.
         """
         oldest = cycle - _IN_HAND_CYCLES
         decided, self.decided = self.decided, None

@@ -21,6 +21,7 @@ from deltaq_verification.model_checker.gate_side import Act, GateSide
 from deltaq_verification.model_checker.one_joint import ROBOT, STEP
 from deltaq_verification.model_checker.safety_monitor import Property, SafetyMonitor, Telegram, Violation
 from deltaq_verification.model_checker.system_state import KEPT, SentState, SystemState, Turn
+from deltaq_verification.model_checker.used_requests import UsedRequests
 
 _PUSHED = 32 * STEP
 """How far a robot is pushed off its path: more than it may be off [m]."""
@@ -62,6 +63,7 @@ class System(GateSide):
             new_admission=False,
             new_supervision=False,
             monitor=SafetyMonitor(),
+            used=UsedRequests(),
         )
 
     def moves(self, system_state: SystemState) -> Iterator[Move]:

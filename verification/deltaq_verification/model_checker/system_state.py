@@ -90,8 +90,8 @@ class SystemState:
     new_admission: bool
     new_supervision: bool
     monitor: SafetyMonitor
+    used: UsedRequests
     line: RsiLine | None = None
-    used: UsedRequests = UsedRequests()
 
     def key(self) -> tuple[Any, ...]:
         """What tells this moment from others, apart from the faults left.
@@ -121,7 +121,7 @@ class _Key:
         admissions = [*system_state.admissions]
         if gate.tracker.in_flight is not None:
             admissions.append(gate.tracker.in_flight)
-        cycles = [-1, 0, gate.decided_cycle, *(one.cycle for one in (*states, *admissions))]
+        cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
         cycles += [one.cycle for one in (gate.waiting, gate.decided) if one is not None]
         self._cycle = ranks(cycles, _CYCLES_APART)
         sequences = [0, system_state.gate.sequence, *(s.sequence for s in states)]
