@@ -68,12 +68,14 @@ class ServerState(Message):
 class Request(Message):
     """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat.
 
-    A heartbeat's `cycle` is that of the newest state that the HLI has, its `lease_epoch` that of the lease that stands,
-    or 0 if none does.
+    An increment answers the state of `cycle`; `newest` is the cycle of the newest state that the HLI had when it sent
+    this, where that may be another. A heartbeat's `cycle` is that of the newest state, its `lease_epoch` that of the
+    lease that stands, or 0 if none does.
     """
 
     robot: Name
     cycle: Count
+    newest: Count | None = None
     lease_epoch: Count
     seq: Count = 0
     dq: Joints | None = None

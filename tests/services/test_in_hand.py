@@ -121,7 +121,7 @@ def test_nothing_outlives_the_robot_server(rig):
 # --- anything that may happen ------------------------------------------------------------------------------
 
 EVENTS = st.one_of(
-    st.tuples(st.just("request"), st.integers(0, 3), st.integers(0, 1)),
+    st.tuples(st.just("request"), st.integers(0, 3), st.integers(0, 1), st.integers(0, 1)),
     st.tuples(st.just("heartbeat"), st.integers(0, 1), st.just(0)),
     st.tuples(st.sampled_from(["cycle", "missed", "cycle", "missed", "lease", "stop", "reset"])),
 )
@@ -143,13 +143,22 @@ class Watch:
     taken: list[int] = field(default_factory=list)
     followed: int = 0
 
-    def request(self, age: int, fault: int) -> None:
+    def request(self, age: int, ahead: int, overtakes: int) -> None:
+        """Answer a state of this age, or one that is still to come, after the HLI had this state or the next."""
         self.seq += 1
-        newest = self.rig.state.cycle
-        cycle = max(0, newest - age + fault)
+        cycle = max(0, self.rig.state.cycle - age + ahead)
+        newest = self.rig.state.cycle + overtakes
         self.asked[self.seq] = (cycle, newest, self.lease_epoch)
-        message = Request(robot="fr", cycle=cycle, lease_epoch=self.lease_epoch, seq=self.seq, dq=SMALL)
-        self.hear(message)
+        self.hear(
+            Request(
+                robot="fr",
+                cycle=cycle,
+                newest=newest,
+                lease_epoch=self.lease_epoch,
+                seq=self.seq,
+                dq=SMALL,
+            )
+        )
 
     def heartbeat(self, age: int, _: int) -> None:
         cycle = self.rig.state.cycle - age

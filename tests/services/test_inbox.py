@@ -97,6 +97,13 @@ def test_a_heartbeat_may_overtake_its_state_and_one_from_far_off_says_nothing(in
     assert inbox.due(state(HERE + 1))
 
 
+def test_what_waited_in_the_hli_for_a_state_waits_for_it_here_too(inbox):
+    inbox.put(request(seq=1).model_copy(update={"newest": HERE + 1}), HERE)
+    assert not inbox.due(state())
+    inbox.cycle_passed(HERE + 1, missed=False)
+    assert inbox.due(state(HERE + 1))
+
+
 def test_a_heartbeat_of_another_lease_takes_what_waits_away(inbox):
     waiting = request()
     inbox.put(waiting, HERE)

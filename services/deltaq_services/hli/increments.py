@@ -42,7 +42,7 @@ class Increments:
                 replaced, Reason(code=ReasonCode.SUPERSEDED, what="increment")
             )
         if send is not None:
-            outputs.append(self._request(robot, send))
+            outputs.append(self._request(robot, link, send))
         return outputs
 
     def on_bad_increment(
@@ -86,15 +86,16 @@ class Increments:
             else:
                 send, _ = link.offer(waited)
                 if send is not None:
-                    return [self._request(robot, send)]
+                    return [self._request(robot, link, send)]
         self._state.counters["signs_of_life"] += 1
         assert link.state is not None  # it has just come
         lease = self._state.leases.of(robot)
         alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
         return [ToTopic(topics.REQUEST, robot, alive), *outputs]
 
-    def _request(self, robot: str, asked: Asked) -> Output:
+    def _request(self, robot: str, link: RobotLink, asked: Asked) -> Output:
         self._state.counters["requests"] += 1
+        assert link.state is not None  # nothing is due before the first state
         increment = asked.increment
         return ToTopic(
             topics.REQUEST,
@@ -102,6 +103,7 @@ class Increments:
             Request(
                 robot=robot,
                 cycle=increment.cycle,
+                newest=link.state.cycle,
                 lease_epoch=asked.lease_epoch,
                 seq=increment.seq,
                 dq=increment.dq,

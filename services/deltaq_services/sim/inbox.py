@@ -67,8 +67,9 @@ class Inbox:
             newest_cycle: that of the robot's newest state, -1 before the first.
         """
         self.lease_epoch, self.seq = request.lease_epoch, request.seq
-        ahead = newest_cycle < request.cycle <= newest_cycle + _AHEAD_CYCLES
-        self.spoken_cycle = max(self.spoken_cycle, request.cycle if ahead else newest_cycle)
+        sent = _sent_in(request)
+        is_near = sent <= newest_cycle + _AHEAD_CYCLES
+        self.spoken_cycle = max(self.spoken_cycle, newest_cycle, sent if is_near else -1)
         self.decided = None
         replaced, self.waiting = self.waiting, request
         return replaced
@@ -126,7 +127,8 @@ class Inbox:
         """Whether a request waits that can be decided, or refused, on this state."""
         if self.waiting is None or self.decided_cycle == state.cycle or self.spoken_cycle < state.cycle:
             return False
-        return not state.cycle < self.waiting.cycle <= state.cycle + _AHEAD_CYCLES
+        # what was sent after a state that is still on its way here would be too late on this one
+        return not state.cycle < _sent_in(self.waiting) <= state.cycle + _AHEAD_CYCLES
 
     def fault_on(self, state: ServerState, stopping: bool) -> Reason | None:
         """Why the waiting request cannot be decided on this state."""
@@ -141,3 +143,8 @@ class Inbox:
         if state.phase not in MAY_MOVE or stopping:
             return Reason(code=ReasonCode.STOPPED)
         return None
+
+
+def _sent_in(request: Request) -> int:
+    """The cycle in which the HLI sent a request, as far as it is told."""
+    return max(request.cycle, request.newest or 0)

@@ -125,6 +125,11 @@ class GateSide:
                 1,
                 lambda w: self._asks(w, _request(w, cycle + 1, min(FASTEST, now + 1))),
             )
+            yield (
+                "request that waited for a state which it overtakes",
+                1,
+                lambda w: self._asks(w, _request(w, cycle, min(FASTEST, now + 1), newest=cycle + 1)),
+            )
         for kind in _KINDS:
             yield kind, 0, partial(self._commanded_after, kind=kind)
 
@@ -196,6 +201,6 @@ def _commanded(
     return monitor if refused or believed is None else monitor.reset_accepted(believed)
 
 
-def _request(system_state: SystemState, cycle: int, steps: int) -> Request:
+def _request(system_state: SystemState, cycle: int, steps: int, newest: int | None = None) -> Request:
     seq = system_state.gate.robots[ROBOT].seq + 1
-    return Request(robot=ROBOT, cycle=cycle, lease_epoch=LEASE, seq=seq, dq=(steps * STEP,))
+    return Request(robot=ROBOT, cycle=cycle, newest=newest, lease_epoch=LEASE, seq=seq, dq=(steps * STEP,))

@@ -122,7 +122,9 @@ class _Key:
         if gate.tracker.in_flight is not None:
             admissions.append(gate.tracker.in_flight)
         cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
-        cycles += [one.cycle for one in (gate.waiting, gate.decided) if one is not None]
+        for request in (gate.waiting, gate.decided):
+            if request is not None:
+                cycles += [request.cycle, request.cycle if request.newest is None else request.newest]
         self._cycle = ranks(cycles, _CYCLES_APART)
         sequences = [0, system_state.gate.sequence, *(s.sequence for s in states)]
         for admission in admissions:
@@ -199,7 +201,10 @@ class _Key:
         )
 
     def _request(self, request: Request | None) -> tuple[Any, ...] | None:
-        return None if request is None else (self._cycle[request.cycle], request.dq)
+        if request is None:
+            return None
+        newest = request.cycle if request.newest is None else request.newest
+        return (self._cycle[request.cycle], self._cycle[newest], request.dq)
 
     def _admission(self, admission: Admission | None) -> tuple[Any, ...] | None:
         if admission is None:
