@@ -11,6 +11,7 @@ import pinocchio as pin
 from deltaq_cell.bodies import Bodies
 from deltaq_cell.extents import Extents, corners_of
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Placed
+from deltaq_cell.oriented_box import oriented_box
 from deltaq_protocol.arrays import Array
 
 
@@ -45,6 +46,17 @@ def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -
     moved_by = np.zeros((len(bodies), joints), dtype=bool)
     for number, robot in enumerate(robots):
         moved_by[owner == number, robot.slice_q] = robot.moved_by
+    axis, disc, ball = (
+        np.concatenate([getattr(extent, name) for extent in extents]) for name in ("axis", "disc", "ball")
+    )
+    own = [_own(points) for points in corners]
+    edges, box_centre, half_edges = zip(
+        *(
+            oriented_box(corners[body, : own[body]], axis[body], disc[body], ball[body])
+            for body in range(len(bodies))
+        ),
+        strict=True,
+    )
     return Anatomy(
         parent=np.array([model.parents[joint] - 1 for joint in range(1, joints + 1)], dtype=np.int64),
         rotation=rotation,
@@ -57,13 +69,16 @@ def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -
         moved_by=moved_by,
         robot=owner.astype(np.int64),
         corners=corners,
-        corner_count=np.array([_own(points) for points in corners], dtype=np.int64),
-        axis=np.concatenate([extent.axis for extent in extents]),
-        disc=np.concatenate([extent.disc for extent in extents]),
-        ball=np.concatenate([extent.ball for extent in extents]),
+        corner_count=np.array(own, dtype=np.int64),
+        axis=axis,
+        disc=disc,
+        ball=ball,
         middle=middle,
         radius=np.concatenate([np.zeros(standing), *(robot.radii for robot in robots)]),
         box=box,
+        edges=np.array(edges),
+        box_centre=np.array(box_centre),
+        half_edges=np.array(half_edges),
     )
 
 
@@ -80,6 +95,8 @@ def placed_at_first(cell: Anatomy) -> Placed:
         corners=cell.corners.copy(),
         axis=cell.axis.copy(),
         centre=cell.middle.copy(),
+        edges=cell.edges.copy(),
+        box_centre=cell.box_centre.copy(),
         arms=np.zeros((bodies, joints)),
         travel=np.zeros(bodies),
     )

@@ -17,7 +17,7 @@ from numba.core import event
 
 from deltaq_cell.machine_code import folder, package_of
 
-__all__ = ["compiled", "told_of_compiling"]
+__all__ = ["compiled", "inlined", "told_of_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -36,6 +36,14 @@ def compiled(function: Function) -> Function:
         return cast(Function, numba.njit(cache=bool(kept), error_model="numpy")(function))
     finally:
         numba.config.CACHE_DIR = users_own
+
+
+def inlined(function: Function) -> Function:
+    """Decorate a compiled function whose code is put wherever it is called.
+
+    For short functions of named tuples: to hand over some thirty arrays costs several times what such a function does.
+    """
+    return cast(Function, numba.njit(error_model="numpy", inline="always")(function))
 
 
 @contextmanager

@@ -8,6 +8,7 @@ what they show differs by no more than coal's iterations are off, 2e-6 m.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.kernel.arrays import Integers, Pairs
+from deltaq_cell.kernel.certify import certify
 from deltaq_cell.kernel.gap import ROUNDING_M
 from deltaq_cell.kernel.look import NONE, look
+from deltaq_cell.kernel.pieces import Tube, stack_of
 from deltaq_cell.kernel.place import place
-from deltaq_cell.kernel.planes import keeps
+from deltaq_cell.kernel.planes import keeps_apart
 from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
@@ -49,6 +52,25 @@ class PairedGroups(list[Group]):
         super().__init__(groups)
         self.numbers, self.group, self.pairs = numbers, group, pairs
         self.of = self if of is None else of
+
+
+@dataclass(frozen=True)
+class Division:
+    """What came of dividing tubes.
+
+    Attributes:
+        holds: whether every pair keeps what is asked anywhere in them.
+        left: what is left of the budget.
+        tightest: the pair with the least room, in the first look or in that which failed; None if there are none.
+        stop_distance_m: of that pair [m].
+        failing: the pairs that were left open where it failed; none if it holds.
+    """
+
+    holds: bool
+    left: int
+    tightest: Nearest | None
+    stop_distance_m: float
+    failing: Sequence[Group]
 
 
 class CompiledProximity(ProximityEngine):
@@ -82,6 +104,8 @@ class CompiledProximity(ProximityEngine):
         self.between = {names: self._listed(groups) for names, groups in self.between.items()}
         self._found = findings(max(len(pairs), 1))
         self._strips: dict[str, tuple[Array, Array, Array]] = {}
+        self._every = np.ones(len(bodies), dtype=bool)
+        self._stack = stack_of(self.model.nv, len(bodies), len(pairs))
         self._told: dict[str, bytes] = {}
         self._greatest: dict[str, float] = {}
         self._moved: set[str] = set()
@@ -89,8 +113,15 @@ class CompiledProximity(ProximityEngine):
         for name, (joints, _) in self._ranges.items():
             q = self._q[joints[0] : joints[1]]
             self.place(name, q, np.zeros_like(q))
+        self._compile()
+
+    def _compile(self) -> None:
+        """Call everything once, so that no decision waits for machine code."""
         for listed in (*self.alone.values(), *self.between.values()):
-            self.look(listed, 0.0)  # so that no decision waits for the machine code
+            self.look(listed, 0.0)
+        for name, (middle, _, _) in self._strips.items():
+            self.certify(self.whole_tube(name, middle[None], 0, 0, 0), None, self.alone[name], 0.0, 0)
+        keeps_apart(self._anatomy, self._where, 0, 0, np.array([0.0, 0.0, 1.0]), 0.0, 0.0, self._found.twist)
         strip_around(self._q[None])
 
     def place(
@@ -107,10 +138,12 @@ class CompiledProximity(ProximityEngine):
         if self._told.get(robot) == told:
             return self._greatest[robot]
         self._told[robot] = told
-        strip = self._strips[robot] = q.copy(), half.copy(), along.copy()
+        middle, _, direction = self._strips[robot] = q.copy(), half.copy(), along.copy()
         joints, bodies = self._ranges[robot]
         self._q[joints[0] : joints[1]] = q
-        greatest = self._greatest[robot] = place(self._anatomy, self._where, joints, bodies, *strip)
+        greatest = self._greatest[robot] = place(
+            self._anatomy, self._where, joints, bodies, self._every, middle, direction, half - np.abs(along)
+        )
         self._moved.add(robot)
         self._is_measured = False
         return greatest
@@ -129,10 +162,14 @@ class CompiledProximity(ProximityEngine):
             groups: one of this object's own lists, what a look found failing, or a few of their groups; not empty.
             room_m: what is asked for beyond each stop distance [m].
         """
-        listed = groups if isinstance(groups, PairedGroups) else self._paired(groups)
+        listed = self._as_listed(groups)
         if not listed.numbers.size:
             return DistanceQuery([], False, None, 0.0)
-        tightest, too_near = look(self._anatomy, self._where, listed.pairs, room_m, self._found)
+        self._found.open[: listed.numbers.size] = False
+        chosen = np.flatnonzero(listed.pairs.active)
+        tightest, too_near, _ = look(
+            self._anatomy, self._where, listed.pairs, chosen, room_m, True, True, self._found
+        )
         if tightest == NONE:
             return DistanceQuery([], False, None, 0.0)
         open_ = np.flatnonzero(self._found.open[: listed.numbers.size])
@@ -146,14 +183,84 @@ class CompiledProximity(ProximityEngine):
             open_ = np.setdiff1d(open_, kept)
         return DistanceQuery(_part(listed, open_) if open_.size else [], too_near, *told)
 
+    def whole_tube(self, robot: str, points: Array, lag: int, first: int, last: int) -> Tube:
+        """A robot's tube as the kernel takes it.
+
+        Args:
+            robot: its name.
+            points: (k, n) setpoints, past and to come [rad or m].
+            lag: how many setpoints back the drives may be.
+            first: the first window.
+            last: the last window.
+        """
+        return Tube(points, lag, first, last, *self._ranges[robot])
+
+    def keep_a_depth(self, groups: Sequence[Group], room_m: float) -> bool:
+        """Whether bodies that may be in one another are asked to get no deeper, which only coal can tell."""
+        stops = self._as_listed(groups).pairs.stop_m
+        return bool(stops.size) and bool(stops.min() + room_m <= 0.0)
+
+    def certify(
+        self,
+        mine: Tube,
+        theirs: Tube | None,
+        groups: Sequence[Group],
+        room_m: float,
+        budget: int,
+        tells: bool = True,
+    ) -> Division:
+        """Whether groups keep `room_m` beyond their stop distance anywhere in one tube or two.
+
+        Afterwards no robot counts as placed.
+
+        Args:
+            mine: tube of one robot.
+            theirs: tube of another; None if the groups are of the one robot and what stands.
+            groups: one of this object's own lists, or a few of their groups.
+            room_m: what is asked for beyond each stop distance, which is positive with it [m].
+            budget: how many pairs may be searched in parts of the tubes and be followed by others.
+            tells: whether the tightest pair is asked for.
+        """
+        listed = self._as_listed(groups)
+        other = Tube(mine.points[:0], 0, 0, 0, *mine[4:]) if theirs is None else theirs
+        self._told.clear()
+        verdict = certify(
+            self._anatomy,
+            self._where,
+            mine,
+            other,
+            listed.pairs,
+            room_m,
+            budget,
+            tells,
+            self._stack,
+            self._found,
+        )
+        open_ = self._stack.chosen[verdict.first_open : verdict.last_open]
+        failing = _alone(listed, open_) if open_.size else []
+        if verdict.told == NONE or not tells:
+            return Division(verdict.holds, verdict.left, None, 0.0, failing)
+        for tube, middle in zip((mine, other), self._stack.told, strict=True):
+            if len(tube.points):
+                first, last = tube.joints
+                self._q[first:last] = middle[: last - first]
+        self._is_measured = False
+        told = self._measure(listed, verdict.told, verdict.travel_m)
+        deepest = open_[self._found.at_most_m[open_] < _OVERLAP_M].tolist() if verdict.too_near else []
+        for index in deepest:  # of bodies in one another only coal tells how deep they are
+            told = min(told, self._measure(listed, index), key=lambda item: item[0].swept_m - item[1])
+        return Division(verdict.holds, verdict.left, *told, failing)
+
     def _listed(self, groups: Sequence[Group]) -> PairedGroups:
         """One of this object's own lists, whose groups are numbered one after the other."""
         paired = self._paired(groups)
         first = int(paired.numbers[0]) if groups else 0
-        active = self._active[
-            first : first + len(paired.numbers)
-        ]  # what is left out of a group is left out here
+        # what is left out of a group is left out here
+        active = self._active[first : first + len(paired.numbers)]
         return PairedGroups(groups, paired.numbers, paired.group, paired.pairs._replace(active=active))
+
+    def _as_listed(self, groups: Sequence[Group]) -> PairedGroups:
+        return groups if isinstance(groups, PairedGroups) else self._paired(groups)
 
     def _paired(self, groups: Sequence[Group]) -> PairedGroups:
         counts = [len(group.pairs) for group in groups]
@@ -167,12 +274,18 @@ class CompiledProximity(ProximityEngine):
         )
         return PairedGroups(groups, numbers, np.repeat(np.arange(len(groups)), counts), pairs)
 
-    def _measure(self, listed: PairedGroups, index: int) -> tuple[Nearest, float]:
-        """Measure a pair, by its index in a list that was looked at; and its stop distance [m]."""
+    def _measure(
+        self, listed: PairedGroups, index: int, travel_m: float | None = None
+    ) -> tuple[Nearest, float]:
+        """Measure a pair, by its index in a list that was looked at; and its stop distance [m].
+
+        Its bodies travel by `travel_m` together, if that is not what the last look found.
+        """
         if not self._is_measured:
             self._meter.place(self._q)
             self._is_measured = True
-        nearest = self._meter.measure(int(listed.numbers[index]), float(self._found.travel_m[index]))
+        travel_m = float(self._found.travel_m[index]) if travel_m is None else travel_m
+        nearest = self._meter.measure(int(listed.numbers[index]), travel_m)
         return nearest, float(listed.pairs.stop_m[index])
 
     def _keeps_depth(self, listed: PairedGroups, index: int, room_m: float) -> bool:
@@ -189,7 +302,7 @@ class CompiledProximity(ProximityEngine):
         length = float(np.linalg.norm(normal))
         if not 0.5 < length < 2.0:  # coal found no way out
             return False
-        return keeps(
+        return keeps_apart(
             self._anatomy,
             self._where,
             int(listed.pairs.first[index]),
@@ -204,6 +317,13 @@ class CompiledProximity(ProximityEngine):
         first, last = self._ranges[robot][0]
         J: Array = self._where.columns[first:last].T
         return J
+
+
+def _alone(listed: PairedGroups, open_: Integers) -> PairedGroups:
+    """Some pairs of a list, without the others of their groups."""
+    first, second, stop_m, active = listed.pairs
+    pairs = Pairs(first[open_], second[open_], stop_m[open_], active[open_])
+    return PairedGroups([], listed.numbers[open_], listed.group[open_], pairs, listed.of)
 
 
 def _part(listed: PairedGroups, open_: Integers) -> PairedGroups:

@@ -123,21 +123,21 @@ def test_a_robot_is_placed_where_the_readable_code_has_it(cell, reference, proxi
 
 @seeded(12)
 def test_what_is_left_out_has_more_room_than_was_asked_for(cell, proximity, seed):
-    """Every pair, as coal measures it: by balls and boxes, and by the search that ends early."""
+    """Every pair, as coal measures it: by balls, by boxes, and by the search that ends early."""
     random = np.random.default_rng(seed)
     drawn = strips(cell, random)
     placed((proximity,), drawn)
-    room_m = float(random.choice([1e-5, 0.05]))
+    room_m, tells = float(random.choice([1e-5, 0.05])), bool(random.integers(2))
     anatomy, where, found = proximity._anatomy, proximity._where, proximity._found
     for (listed,) in lists(proximity):
         if not listed:
             continue
-        kernel._screen(anatomy, where, listed.pairs, found)
+        every = np.arange(len(listed.numbers))
+        kernel._screen(anatomy, where, listed.pairs, every, True, found)
         by_balls = found.room_m[: len(listed.numbers)].copy()
-        kernel.look(anatomy, where, listed.pairs, room_m, found)
+        too_near = kernel.look(anatomy, where, listed.pairs, every, room_m, True, tells, found)[1]
         told = found.room_m[: len(listed.numbers)].copy()
         open_ = found.open[: len(listed.numbers)].copy()
-        too_near = kernel.look(anatomy, where, listed.pairs, room_m, found)[1]
         for index in random.choice(len(listed.numbers), min(40, len(listed.numbers)), replace=False):
             nearest, stop_m = proximity._measure(listed, int(index))
             room = nearest.swept_m - stop_m
@@ -261,6 +261,9 @@ for _ in range(4):
     proximity.place("dawm", q, np.abs(direction) + 0.002, direction)
     look = proximity.look(proximity.alone["dawm"], 0.02)
     print(look.too_near, *look.tightest.pair, *proximity._found.open.astype(int), *proximity._found.normal.ravel())
+    tube = proximity.whole_tube("dawm", np.array([q, q + direction, q + 2 * direction + 0.01]), 1, 0, 3)
+    told = proximity.certify(tube, None, proximity.alone["dawm"], 0.001, 50)
+    print(told.holds, *told.tightest.pair, told.left, told.tightest.swept_m)
 """
 
 
@@ -284,5 +287,11 @@ def test_the_machine_code_says_what_its_python_does():
 
 def test_no_liberties_are_taken_with_numbers():
     """Else sums would be ordered as the processor likes."""
-    for function in (kernel.look, kernel.gap, kernel.keeps, compiled_proximity.place):
+    for function in (
+        kernel.look,
+        kernel.gap,
+        kernel.keeps,
+        compiled_proximity.place,
+        compiled_proximity.certify,
+    ):
         assert not getattr(function, "targetoptions", {}).get("fastmath")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.hull import hull_corners, hull_shape
 from deltaq_cell.kernel.arrays import PlacedBody
-from deltaq_cell.kernel.gap import ROUNDING_M, body_at, farthest, gap
+from deltaq_cell.kernel.gap import CLOSED_M, ROUNDING_M, body_at, farthest, gap
 from deltaq_cell.kernel.simplex import towards_origin
 
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
@@ -56,8 +56,8 @@ def measured(objects):
     return result.min_distance
 
 
-def searched(bodies, enough_m=np.inf, towards=(1.0, 0.0, 0.0)):
-    return gap(*bodies, *towards, enough_m, np.zeros((4, 3)))
+def searched(bodies, enough_m=np.inf, towards=(1.0, 0.0, 0.0), closed_m=CLOSED_M):
+    return gap(*bodies, *towards, enough_m, closed_m, np.zeros((4, 3)))
 
 
 @settings(max_examples=300, deadline=None)
@@ -72,6 +72,19 @@ def test_a_distance_lies_between_the_bounds_and_they_meet(seed):
     assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-12)
     if distance > 1e-5:
         assert upper - lower < 2e-6
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_coarse_bounds_hold_as_well_and_are_as_near_as_was_asked(seed):
+    random = np.random.default_rng(seed)
+    objects, bodies = two_bodies(random, 3.0)
+    distance = measured(objects)
+    lower, upper, *_ = searched(bodies, towards=random.normal(size=3), closed_m=1e-2)
+    assert lower <= max(distance, 0.0) + coal_m(distance)
+    assert upper >= distance - coal_m(distance)
+    if distance > 1e-5:
+        assert upper - lower <= 1e-2 + 2 * ROUNDING_M
 
 
 @pytest.mark.parametrize("one", KINDS)

@@ -17,6 +17,7 @@ from gate_bench import (
 
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_services.sim.certificate import Certifier
+from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.tube import Windows
 
 BESIDE = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
@@ -31,8 +32,14 @@ def path(start, end, count=40):
     return Windows(np.linspace(start, end, count), 0, 0, count - 1)
 
 
-def certify(robot, tube, *others, **keywords):
-    return Certifier(PROXIMITY).certify(robot, tube, list(others), **keywords)
+@pytest.fixture(params=[Certifier, CompiledCertifier])
+def certifier(request):
+    return request.param
+
+
+@pytest.fixture
+def certify(certifier):
+    return lambda robot, tube, *others: certifier(PROXIMITY).certify(robot, tube, list(others))
 
 
 LOW, HIGH = above_the_floor(-1e-3), above_the_floor(-1e-3) - one_joint("fr", 1, 0.2)
@@ -41,7 +48,7 @@ FAR = NEAR - one_joint("gr", 4, 0.1)
 
 
 @pytest.mark.parametrize(("start", "end"), [(LOW, HIGH), (HIGH, LOW)])
-def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(start, end):
+def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(certify, start, end):
     middle = (start + end) / 2
     assert certify("fr", path(middle, HIGH)).holds is True
     failed = certify("fr", path(start, end))
@@ -51,7 +58,9 @@ def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(s
 
 
 @pytest.mark.parametrize(("start", "end"), [(NEAR, FAR), (FAR, NEAR)])
-def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_whoever_moves(start, end):
+def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_whoever_moves(
+    certify, start, end
+):
     beside = standing("fr", FR_BESIDE_GR)
     middle = (start + end) / 2
     assert certify("gr", path(middle, FAR), ("fr", beside)).holds is True
@@ -71,7 +80,7 @@ def there_and_back(start, far, end):
     return Windows(points, 0, 0, len(points) - 1)
 
 
-def test_each_part_of_a_path_that_comes_near_twice_is_looked_at():
+def test_each_part_of_a_path_that_comes_near_twice_is_looked_at(certify):
     clear_low, clear_near = LOW - one_joint("fr", 1, 0.005), NEAR - one_joint("gr", 4, 0.005)
     beside = standing("fr", FR_BESIDE_GR)
     assert certify("fr", there_and_back(clear_low, HIGH, clear_low)).holds is True
@@ -85,7 +94,7 @@ def test_each_part_of_a_path_that_comes_near_twice_is_looked_at():
 
 @pytest.mark.parametrize("end_clear", [0.005, 0.1])
 @pytest.mark.parametrize("turn", [0.4, -0.4])
-def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(turn, end_clear):
+def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(certify, turn, end_clear):
     """Another joint goes further, one way or the other, so that the end that is too near is divided first or last."""
     turned, rolled = one_joint("fr", 0, turn), one_joint("gr", 8, turn)
     low, clear = LOW - one_joint("fr", 1, 0.004), LOW - one_joint("fr", 1, end_clear)
@@ -99,7 +108,7 @@ def test_the_part_of_a_path_that_is_looked_at_last_counts_whichever_it_is(turn, 
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_part_that_waits_while_another_is_divided_twice_still_counts_whoever_moves(order):
+def test_a_part_that_waits_while_another_is_divided_twice_still_counts_whoever_moves(certify, order):
     """The other part comes back with its gripper turned: near enough for two divisions, and never too near."""
     far, turned = NEAR - one_joint("gr", 4, 0.3), NEAR - one_joint("gr", 4, 0.005) + one_joint("gr", 8, 0.05)
     beside = standing("fr", FR_BESIDE_GR)
@@ -110,7 +119,7 @@ def test_a_part_that_waits_while_another_is_divided_twice_still_counts_whoever_m
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(order):
+def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(certify, order):
     folded = np.array((0.202, -0.063, 2.412, -1.8, -1.435, -1.305))  # the camera at its own base
     open_wide = folded - one_joint("fr", 1, 1.2)
     assert certify("fr", standing("fr", open_wide)).holds is True
@@ -119,7 +128,7 @@ def test_a_path_that_brings_a_robot_too_near_to_itself_is_not_certified(order):
     assert set(failed.binding.nearest.pair) == {"fr/tool_camera", "fr/base"}
 
 
-def test_of_several_courses_of_another_robot_each_counts():
+def test_of_several_courses_of_another_robot_each_counts(certify):
     near, far = ("gr", standing("gr", NEAR)), ("gr", standing("gr", FAR))
     beside = standing("fr", FR_BESIDE_GR)
     assert certify("fr", beside, far, far).holds is True
@@ -127,12 +136,12 @@ def test_of_several_courses_of_another_robot_each_counts():
     assert certify("fr", beside, far, near).holds is False
 
 
-def test_the_structure_is_told_before_the_other_robot():
+def test_the_structure_is_told_before_the_other_robot(certify):
     low = standing("fr", LOW)
     assert certify("fr", low, ("gr", standing("gr", HOME["gr"]))).binding.nearest.pair[1] == "structure/floor"
 
 
-def test_what_holds_names_the_pair_with_the_least_room_of_all_that_were_looked_at():
+def test_what_holds_names_the_pair_with_the_least_room_of_all_that_were_looked_at(certify):
     beside = standing("fr", FR_BESIDE_GR)
     close = standing("gr", with_room(5e-4, "gr", BESIDE, 4))
     for binding in (
@@ -147,7 +156,7 @@ def test_what_holds_names_the_pair_with_the_least_room_of_all_that_were_looked_a
     assert not any(name.startswith("gr") for name in alone.nearest.pair)
 
 
-def test_a_path_that_was_divided_names_the_pair_of_the_first_look():
+def test_a_path_that_was_divided_names_the_pair_of_the_first_look(certify):
     whole = path(NEAR - one_joint("gr", 4, 0.01), FAR)
     beside = ("fr", standing("fr", FR_BESIDE_GR))
     divided = certify("gr", whole, beside)
@@ -155,12 +164,12 @@ def test_a_path_that_was_divided_names_the_pair_of_the_first_look():
     assert set(divided.binding.nearest.pair) == {"fr/base", "gr/tool_gripper"}  # inflated by all of the path
 
 
-def test_pairs_that_are_left_out_are_neither_judged_nor_told():
+def test_pairs_that_are_left_out_are_neither_judged_nor_told(certifier):
     low, gr = standing("fr", LOW), standing("gr", HOME["gr"])
     proximity = CompiledProximity(CELL)
 
     def certify_low():
-        return Certifier(proximity).certify("fr", low, [("gr", gr)])
+        return certifier(proximity).certify("fr", low, [("gr", gr)])
 
     assert certify_low().holds is False
     proximity.leave_out([("fr/link_3", "structure/floor")])
@@ -182,7 +191,7 @@ def corner(first, second, third):
     return Windows(np.array([first, second, third]), 2, 2, 2)
 
 
-def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all():
+def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all(certify):
     beside = standing("fr", FR_BESIDE_GR)
     around = corner(FAR, NEAR, NEAR + one_joint("gr", 0, 0.05))
     failed = certify("gr", around, ("fr", beside))
@@ -194,7 +203,7 @@ def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all():
     assert certify("fr", turning, ("gr", around)).holds is False
 
 
-def test_the_one_that_can_be_divided_is_even_if_the_other_travels_further():
+def test_the_one_that_can_be_divided_is_even_if_the_other_travels_further(certify):
     near = NEAR - one_joint("gr", 4, 0.005)
     mine = path(near, near - one_joint("gr", 4, 0.1))
     wrist = corner(

@@ -25,9 +25,9 @@ from deltaq_cell.description import ContactDescription
 from deltaq_protocol.guarded import Admission
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.certificate import Certificate, Certifier
+from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.contacts import Contacts
-from deltaq_services.sim.gate import Gate, _largest
+from deltaq_services.sim.gate import Gate
 from deltaq_services.sim.tube import Branch
 from deltaq_services.sim.violations import Violations
 
@@ -211,24 +211,6 @@ def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
         brake_cycles=5,
     )
     assert Outcome.HELD in [decide(robot, turn, [gr]).outcome for turn in turns]  # the one that leads nearer
-
-
-@pytest.mark.parametrize("greatest", [0.0, 0.025, 0.03, 0.3, 0.49, 0.79])
-def test_the_greatest_certified_share_is_found_to_a_thirty_second(greatest):
-    refused = 0.8
-    found = _largest(lambda s: Certificate(s <= greatest, None), refused / 32, refused)
-    assert greatest - refused / 32 <= found <= greatest
-
-
-def test_where_the_least_share_is_refused_no_other_is_tried():
-    asked = []
-
-    def certify(scale):
-        asked.append(scale)
-        return Certificate(False, None)
-
-    assert _largest(certify, 0.025, 0.8) == 0.0
-    assert asked == [0.025]
 
 
 def test_what_is_admitted_for_clearance_is_certified_and_hardly_more_would_be():

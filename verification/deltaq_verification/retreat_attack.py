@@ -182,7 +182,7 @@ def main() -> None:
 
 
 def summary(outcomes: list[RetreatOutcome]) -> dict[str, object]:
-    """Figures of many situations: how near, how often it got out, and the worst seed."""
+    """Figures of many situations: how near, how often it got out, the worst seed, and those that stayed in."""
     worst = max(outcomes, key=lambda item: item.nearer_m)
     inside = [
         item for item in outcomes if item.room_m < -TOLERANCE_M and item.ask == "outwards" and not item.moving
@@ -199,6 +199,7 @@ def summary(outcomes: list[RetreatOutcome]) -> dict[str, object]:
         "outwards": {
             "situations": len(inside),
             "let_out": sum(item.gained_m > TOLERANCE_M for item in inside),
+            "left_in": sorted(item.seed for item in inside if item.gained_m <= TOLERANCE_M),
         },
     }
 

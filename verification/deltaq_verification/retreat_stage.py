@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_cell.proximity import ProximityEngine
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, Plan, ServerState
@@ -32,7 +32,7 @@ class Stage:
         longest_brake: cycles after which every robot that is asked for nothing more stands.
     """
 
-    def __init__(self, cell: CellModel, proximity: ProximityEngine, drawn: Situation) -> None:
+    def __init__(self, cell: CellModel, proximity: CompiledProximity, drawn: Situation) -> None:
         description = cell.description
         cycle_s = description.cycle_s
         self._limits = {name: Limits.of(robot, cycle_s) for name, robot in description.robots.items()}

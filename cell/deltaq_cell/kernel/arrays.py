@@ -38,6 +38,10 @@ class Anatomy(NamedTuple):
         middle: (bodies, 3) of the ball around a body, or of the box around one that stands [m].
         radius: (bodies,) of that ball, zero for a box [m].
         box: (bodies, 3) half edges of that box along the world's axes, zero for a ball [m].
+        edges: (bodies, 3, 3) rows of unit vectors along the edges of the tight box around a body, in the frames of
+            the carriers.
+        box_centre: (bodies, 3) of that box, likewise [m].
+        half_edges: (bodies, 3) of that box [m].
     """
 
     parent: Integers
@@ -58,6 +62,9 @@ class Anatomy(NamedTuple):
     middle: Array
     radius: Array
     box: Array
+    edges: Array
+    box_centre: Array
+    half_edges: Array
 
 
 class Placed(NamedTuple):
@@ -73,6 +80,8 @@ class Placed(NamedTuple):
         corners: (bodies, k, 3) [m].
         axis: (bodies, 3).
         centre: (bodies, 3) of balls and boxes [m].
+        edges: (bodies, 3, 3) rows of unit vectors along the edges of the tight boxes.
+        box_centre: (bodies, 3) of those [m].
         arms: (bodies, joints) greatest distances of points from the axes, zero where the strip has no width
             [m/rad or m/m].
         travel: (bodies,) bound of the way of any point within the strip [m].
@@ -87,6 +96,8 @@ class Placed(NamedTuple):
     corners: Array
     axis: Array
     centre: Array
+    edges: Array
+    box_centre: Array
     arms: Array
     travel: Array
 

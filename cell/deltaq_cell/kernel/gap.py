@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import inlined
 from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
 from deltaq_cell.kernel.simplex import towards_origin
 from deltaq_protocol.arrays import Array
@@ -21,11 +21,11 @@ ROUNDING_M = 1e-9
 _ITERATIONS = 40
 """Steps of one search; flat bodies take four to eight, round ones twice as many."""
 
-_CLOSED_M = 1e-7
-"""A search ends when its bounds are as near to one another as this."""
+CLOSED_M = 1e-7
+"""How near to one another bounds of a distance that is told have to be."""
 
 
-@compiled
+@inlined
 def body_at(cell: Anatomy, placed: Placed, number: int) -> PlacedBody:
     """A body where it is placed."""
     axis = placed.axis[number]
@@ -40,9 +40,16 @@ def body_at(cell: Anatomy, placed: Placed, number: int) -> PlacedBody:
     )
 
 
-@compiled
+@inlined
 def gap(
-    first: PlacedBody, second: PlacedBody, x: float, y: float, z: float, enough_m: float, simplex: Array
+    first: PlacedBody,
+    second: PlacedBody,
+    x: float,
+    y: float,
+    z: float,
+    enough_m: float,
+    closed_m: float,
+    simplex: Array,
 ) -> tuple[float, float, float, float, float]:
     """Bounds of the distance of two bodies [m], and a normal n from first to second.
 
@@ -53,6 +60,7 @@ def gap(
         y: likewise.
         z: likewise.
         enough_m: the search ends where a lower bound exceeds it.
+        closed_m: it also ends where the bounds are as near to one another as this.
         simplex: (4, 3), is written to.
 
     Returns:
@@ -75,7 +83,7 @@ def gap(
         bound = x * bx + y * by + z * bz
         if bound > lower:
             lower, nx, ny, nz = bound, x, y, z
-        if lower > enough_m or upper - lower <= _CLOSED_M:
+        if lower > enough_m or upper - lower <= closed_m:
             break
         count, x, y, z = towards_origin(simplex, count + 1, lower > 0.0)
         between = math.sqrt(x * x + y * y + z * z)
@@ -86,7 +94,7 @@ def gap(
     return lower - balls - ROUNDING_M, max(upper - balls, 0.0) + ROUNDING_M, nx, ny, nz
 
 
-@compiled
+@inlined
 def farthest(body: PlacedBody, x: float, y: float, z: float) -> tuple[float, float, float]:
     """The point of a body, without its ball, that is farthest along (x, y, z)."""
     corners = body.corners

@@ -10,68 +10,94 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled
-from deltaq_cell.kernel.arrays import Anatomy, Findings, Pairs, Placed
-from deltaq_cell.kernel.gap import ROUNDING_M, body_at, gap
+from deltaq_cell.compiled import compiled, inlined
+from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
+from deltaq_cell.kernel.boxes import apart
+from deltaq_cell.kernel.gap import CLOSED_M, ROUNDING_M, body_at, gap
 from deltaq_cell.kernel.planes import keeps
 
 NONE = -1
 """The tightest of no pairs."""
 
+_COARSE_M = 1e-4
+"""How near to one another bounds of a distance have to be where nothing is told."""
+
 
 @compiled
-def look(cell: Anatomy, placed: Placed, pairs: Pairs, room_m: float, found: Findings) -> tuple[int, bool]:
+def look(
+    cell: Anatomy,
+    placed: Placed,
+    pairs: Pairs,
+    chosen: Integers,
+    room_m: float,
+    aims: bool,
+    tells: bool,
+    found: Findings,
+) -> tuple[int, bool, int]:
     """Find the pairs that are not shown to have `room_m` beyond their stop distance.
 
     Args:
         cell: what stays.
         placed: where the robots are.
-        pairs: what is looked at.
+        pairs: of the cell.
+        chosen: (k,) indices of those that are looked at.
         room_m: what is asked for [m].
+        aims: whether searches begin anew; if not, they begin with the normals that were found last.
+        tells: whether the tightest pair is asked for also where none is open.
         found: is written to; its `open` tells the pairs.
 
     Returns:
-        Index of the pair with the least swept distance beyond its stop distance, and whether an open pair
-        has not got its room even at the middle of the strip. Then no planes are looked for.
+        Index of the pair with the least swept distance beyond its stop distance, whether an open pair has not
+        got its room even at the middle of the strip, and how many pairs were searched. If one is too near, no planes
+        are looked for.
     """
-    nearest = _screen(cell, placed, pairs, found)
+    nearest = _screen(cell, placed, pairs, chosen, aims, found)
     if nearest == NONE:
-        return NONE, False
+        return NONE, False, 0
     # the one whose ball is nearest has often the least room, so that the others need not be measured to the end
-    tightest, least, any_open = NONE, math.inf, False
-    for step in range(-1, len(pairs.first)):
-        index = nearest if step < 0 else step
-        enough = max(room_m, least)
-        if step == nearest or found.room_m[index] > enough:
+    tightest, least, any_open, searched = NONE, math.inf, False, 0
+    closed_m = CLOSED_M if tells else _COARSE_M
+    for step in range(-1, len(chosen)):
+        index = nearest if step < 0 else chosen[step]
+        enough = max(room_m, least) if tells else room_m
+        if (step >= 0 and index == nearest) or found.room_m[index] > enough:
             continue
         first, second = pairs.first[index], pairs.second[index]
-        one, other = body_at(cell, placed, first), body_at(cell, placed, second)
         kept = pairs.stop_m[index] + found.travel_m[index]
         normal = found.normal[index]
-        lower, upper, x, y, z = gap(one, other, normal[0], normal[1], normal[2], enough + kept, found.simplex)
+        free, x, y, z = apart(cell, placed, first, second)
+        if free - ROUNDING_M - kept > enough:
+            found.room_m[index] = free - ROUNDING_M - kept
+            continue
+        if aims and free > 0.0:
+            normal[0], normal[1], normal[2] = x, y, z
+        one, other = body_at(cell, placed, first), body_at(cell, placed, second)
+        searched += 1
+        lower, upper, x, y, z = gap(
+            one, other, normal[0], normal[1], normal[2], enough + kept, closed_m, found.simplex
+        )
         normal[0], normal[1], normal[2] = x, y, z
         found.at_most_m[index] = upper
         if tightest == NONE or upper - kept < least:
             tightest, least = index, upper - kept
         if lower - kept < room_m:
             found.open[index] = any_open = True
-    return tightest, any_open and _separate(cell, placed, pairs, room_m, found)
+    return tightest, any_open and _separate(cell, placed, pairs, chosen, room_m, found), searched
 
 
-@compiled
-def _screen(cell: Anatomy, placed: Placed, pairs: Pairs, found: Findings) -> int:
+@inlined
+def _screen(
+    cell: Anatomy, placed: Placed, pairs: Pairs, chosen: Integers, aims: bool, found: Findings
+) -> int:
     """Bound the room of every pair by the balls and boxes around its bodies; returns the one with the least.
 
-    What balls do not touch is left as a direction from first to second, to begin a search with.
+    If it `aims`, what balls do not touch is left as a direction from first to second, to begin a search with.
     """
     robot, radius, box, centre = cell.robot, cell.radius, cell.box, placed.centre
     travel, arms, half, moved_by = placed.travel, placed.arms, placed.half, cell.moved_by
     nearest, least = NONE, math.inf
-    for index in range(len(pairs.first)):
+    for index in chosen:
         found.open[index] = False
-        if not pairs.active[index]:
-            found.room_m[index] = math.inf
-            continue
         one, other = pairs.first[index], pairs.second[index]
         if robot[one] != robot[other]:
             swept = travel[one] + travel[other]
@@ -85,9 +111,11 @@ def _screen(cell: Anatomy, placed: Placed, pairs: Pairs, found: Findings) -> int
         for k in range(3):
             way = centre[other, k] - centre[one, k]
             beyond = abs(way) - box[one, k] - box[other, k]
-            found.normal[index, k] = 0.0 if beyond <= 0.0 else math.copysign(beyond, way)
-            square += found.normal[index, k] ** 2
-        if square == 0.0:
+            if beyond > 0.0:
+                square += beyond**2
+            if aims:
+                found.normal[index, k] = math.copysign(beyond, way) if beyond > 0.0 else 0.0
+        if aims and square == 0.0:
             for k in range(3):
                 found.normal[index, k] = centre[other, k] - centre[one, k]
         distance = math.sqrt(square) - radius[one] - radius[other] - ROUNDING_M
@@ -98,13 +126,15 @@ def _screen(cell: Anatomy, placed: Placed, pairs: Pairs, found: Findings) -> int
     return nearest
 
 
-@compiled
-def _separate(cell: Anatomy, placed: Placed, pairs: Pairs, room_m: float, found: Findings) -> bool:
+@inlined
+def _separate(
+    cell: Anatomy, placed: Placed, pairs: Pairs, chosen: Integers, room_m: float, found: Findings
+) -> bool:
     """Close the open pairs that planes keep apart, unless one is too near at the middle; returns whether one is."""
-    for index in range(len(pairs.first)):
+    for index in chosen:
         if found.open[index] and found.at_most_m[index] < pairs.stop_m[index] + room_m:
             return True
-    for index in range(len(pairs.first)):
+    for index in chosen:
         if found.open[index]:
             first, second, asked_m = pairs.first[index], pairs.second[index], pairs.stop_m[index] + room_m
             at_most_m = found.at_most_m[index]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import compiled, inlined
 from deltaq_cell.kernel.arrays import Anatomy, Placed
-from deltaq_protocol.arrays import Array
+from deltaq_protocol.arrays import Array, Flags
 
 
 @compiled
@@ -19,29 +19,33 @@ def place(
     placed: Placed,
     joints: tuple[int, int],
     bodies: tuple[int, int],
-    q: Array,
-    half: Array,
-    along: Array,
+    wanted: Flags,
+    middle: Array,
+    direction: Array,
+    deviation: Array,
 ) -> float:
-    """Place one robot at the middle `q` (n,) of a strip; returns the greatest travel of its bodies [m].
+    """Place one robot at the middle of a strip; returns the greatest travel of those of its bodies that are placed [m].
 
     Args:
         cell: what stays.
         placed: is written to.
         joints: the robot's first joint, and one more than its last.
         bodies: the same of its bodies.
-        q: middle of the strip [rad or m].
-        half: (n,) half-widths of the strip, |direction| + deviation.
-        along: (n,) direction of the strip.
+        wanted: (bodies,) of the cell, which of them are placed.
+        middle: (n,) of the strip, or longer [rad or m].
+        direction: (n,) along which it lies, or longer.
+        deviation: (n,) how far it is wide, or longer.
     """
     first, last = joints
     for joint in range(first, last):
-        placed.half[joint] = half[joint - first]
-        placed.direction[joint] = along[joint - first]
-        placed.deviation[joint] = half[joint - first] - abs(along[joint - first])
-        _place_joint(cell, placed, joint, q[joint - first])
+        placed.half[joint] = abs(direction[joint - first]) + deviation[joint - first]
+        placed.direction[joint] = direction[joint - first]
+        placed.deviation[joint] = deviation[joint - first]
+        _place_joint(cell, placed, joint, middle[joint - first])
     greatest = 0.0
     for body in range(bodies[0], bodies[1]):
+        if not wanted[body]:
+            continue
         _place_body(cell, placed, body)
         travel = 0.0
         for joint in range(first, last):
@@ -53,7 +57,7 @@ def place(
     return greatest
 
 
-@compiled
+@inlined
 def _place_joint(cell: Anatomy, placed: Placed, joint: int, q: float) -> None:
     """Placement of a joint's frame, after its parent's, and its column of the Jacobian."""
     x, y, z = cell.joint_axis[joint, 0], cell.joint_axis[joint, 1], cell.joint_axis[joint, 2]
@@ -90,7 +94,7 @@ def _place_joint(cell: Anatomy, placed: Placed, joint: int, q: float) -> None:
         column[3] = column[4] = column[5] = 0.0
 
 
-@compiled
+@inlined
 def _place_body(cell: Anatomy, placed: Placed, body: int) -> None:
     joint = cell.carrier[body]
     if joint < 0:
@@ -109,12 +113,16 @@ def _place_body(cell: Anatomy, placed: Placed, body: int) -> None:
                 cell.corners[body, corner, 2],
             )
             placed.corners[body, corner, row] = a * x + b * y + c * z + shift
-        axis, middle = cell.axis[body], cell.middle[body]
+        axis, middle, centre = cell.axis[body], cell.middle[body], cell.box_centre[body]
         placed.axis[body, row] = a * axis[0] + b * axis[1] + c * axis[2]
         placed.centre[body, row] = a * middle[0] + b * middle[1] + c * middle[2] + shift
+        placed.box_centre[body, row] = a * centre[0] + b * centre[1] + c * centre[2] + shift
+        for k in range(3):
+            edge = cell.edges[body, k]
+            placed.edges[body, k, row] = a * edge[0] + b * edge[1] + c * edge[2]
 
 
-@compiled
+@inlined
 def _arm(cell: Anatomy, placed: Placed, body: int, joint: int) -> float:
     """Greatest travel of a point of a body per unit of a joint [m/rad or m/m]."""
     if not cell.moved_by[body, joint]:

@@ -7,13 +7,28 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import compiled, inlined
 from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
 from deltaq_cell.kernel.gap import body_at
 from deltaq_protocol.arrays import Array
 
 
 @compiled
+def keeps_apart(
+    cell: Anatomy,
+    placed: Placed,
+    first: int,
+    second: int,
+    normal: Array,
+    distance_m: float,
+    asked_m: float,
+    twist: Array,
+) -> bool:
+    """`keeps`, for callers outside of the kernel."""
+    return keeps(cell, placed, first, second, normal, distance_m, asked_m, twist)
+
+
+@inlined
 def keeps(
     cell: Anatomy,
     placed: Placed,
@@ -52,13 +67,15 @@ def keeps(
         wx, wy, wz = twist[body, 3], twist[body, 4], twist[body, 5]
         x, y, z = wy * nz - wz * ny, wz * nx - wx * nz, wx * ny - wy * nx
         square = x * x + y * y + z * z
+        if square == 0.0:
+            continue
         more = max(asked_m, asked_m * math.sqrt(1.0 + square)) + math.sqrt(square) * slides
         if _shows(one, other, nx, ny, nz, x, y, z, body, together, more, twist):
             return True
     return False
 
 
-@compiled
+@inlined
 def _shows(
     first: PlacedBody,
     second: PlacedBody,
@@ -74,9 +91,11 @@ def _shows(
     twist: Array,
 ) -> bool:
     """Whether a plane shows what is asked, with the normal n + t (x, y, z) at the t of the first or second body."""
+    # a body that stands is the same at both ends of its t
+    stands = _is_zero(twist[0]) or _is_zero(twist[1])
     for corner in range(4):
         mine, theirs = 2.0 * (corner & 1) - 1.0, 2.0 * (corner >> 1) - 1.0
-        if together and mine != theirs:
+        if mine != theirs and (together or stands):
             continue
         t = mine if body == 0 else theirs
         ax, ay, az = nx + t * x, ny + t * y, nz + t * z
@@ -87,7 +106,15 @@ def _shows(
     return True
 
 
-@compiled
+@inlined
+def _is_zero(twist: Array) -> bool:
+    most = 0.0
+    for row in range(6):
+        most = max(most, abs(twist[row]))
+    return most == 0.0
+
+
+@inlined
 def _reach(
     body: PlacedBody, twist: Array, nx: float, ny: float, nz: float, ax: float, ay: float, az: float, t: float
 ) -> float:
@@ -108,7 +135,7 @@ def _reach(
     return float(most + t * (nx * twist[0] + ny * twist[1] + nz * twist[2]))
 
 
-@compiled
+@inlined
 def _motion(cell: Anatomy, placed: Placed, body: int, other: int, twist: Array) -> tuple[float, float]:
     """A body's motion over the strip; joints that move the other one as well leave them as they are.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import inlined
 from deltaq_protocol.arrays import Array
 
 SimplexPoint = tuple[int, float, float, float]
 """Which corners of a simplex hold the point, as bits, and its coordinates."""
 
 
-@compiled
+@inlined
 def towards_origin(simplex: Array, count: int, is_outside: bool) -> SimplexPoint:
     """Nearest point to the origin of the first `count` rows of `simplex` (4, 3), which are reduced to what holds it.
 
@@ -45,7 +45,7 @@ def towards_origin(simplex: Array, count: int, is_outside: bool) -> SimplexPoint
     return kept, x, y, z
 
 
-@compiled
+@inlined
 def _nearer(one: SimplexPoint, other: SimplexPoint) -> SimplexPoint:
     """The one of two points that is nearer to the origin."""
     a = one[1] * one[1] + one[2] * one[2] + one[3] * one[3]
@@ -53,7 +53,7 @@ def _nearer(one: SimplexPoint, other: SimplexPoint) -> SimplexPoint:
     return other if b < a else one
 
 
-@compiled
+@inlined
 def _of_edge(simplex: Array, i: int, j: int) -> SimplexPoint:
     ax, ay, az = simplex[i, 0], simplex[i, 1], simplex[i, 2]
     bx, by, bz = simplex[j, 0] - ax, simplex[j, 1] - ay, simplex[j, 2] - az
@@ -66,7 +66,7 @@ def _of_edge(simplex: Array, i: int, j: int) -> SimplexPoint:
     return 1 << i | 1 << j, ax + t * bx, ay + t * by, az + t * bz
 
 
-@compiled
+@inlined
 def _of_triangle(simplex: Array, i: int, j: int, k: int) -> SimplexPoint:
     ax, ay, az = simplex[i, 0], simplex[i, 1], simplex[i, 2]
     bx, by, bz = simplex[j, 0], simplex[j, 1], simplex[j, 2]
@@ -82,7 +82,7 @@ def _of_triangle(simplex: Array, i: int, j: int, k: int) -> SimplexPoint:
     return _nearer(_nearer(_of_edge(simplex, i, j), _of_edge(simplex, i, k)), _of_edge(simplex, j, k))
 
 
-@compiled
+@inlined
 def _holds_origin(simplex: Array) -> bool:
     """Whether the origin is inside a tetrahedron that has a volume."""
     return (
@@ -93,7 +93,7 @@ def _holds_origin(simplex: Array) -> bool:
     )
 
 
-@compiled
+@inlined
 def _is_behind(simplex: Array, i: int, j: int, k: int, other: int) -> bool:
     """Whether the origin is on the side of face i, j, k where the other corner is."""
     ax, ay, az = simplex[i, 0], simplex[i, 1], simplex[i, 2]

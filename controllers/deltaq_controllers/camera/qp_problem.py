@@ -5,17 +5,17 @@
 
 S picks the slack of each barrier's kind, so that what one kind needs does not loosen the others. The programme
 always has a solution: `slowest <= fastest` leaves at least the brake, and s takes up whatever the barriers demand
-beyond it. The solver is quadprog's dual active-set method (Goldfarb and Idnani, 1983): exact to rounding for
-programmes of this size, and with no state carried from one cycle to the next, so that the same view gives the same
-increment, bit for bit.
+beyond it. The solver is DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)): exact
+to rounding for programmes of this size, and with no state carried from one cycle to the next, so that the same view
+gives the same increment, bit for bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import daqp
 import numpy as np
-from quadprog import solve_qp
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.camera.qp_constraints import Barriers
@@ -24,6 +24,9 @@ from deltaq_protocol.arrays import Array
 
 _MILLI = 1e3
 """Costs count in mm and mrad, so that the solver's numbers are near one."""
+
+_UNBOUNDED = 1e30
+"""What the solver takes for no bound."""
 
 _SLACK_SCALE = 1e-2
 """The slack's unit [m]: its numbers are then of the size of the others'."""
@@ -46,8 +49,7 @@ class QuadraticProgram:
         price = np.array(prices) * _SLACK_SCALE
         # the slacks' own squares keep the programme strictly convex
         self._hessian[n:, n:] = np.diag(1e-6 * price)
-        self._linear[n:] = -price
-        self._bounds = np.hstack([np.eye(n + m), -np.eye(n + m)[:, :n]])
+        self._linear[n:] = price
 
     def solve(
         self,
@@ -69,12 +71,9 @@ class QuadraticProgram:
         """
         n = len(self._scale)
         _cost(tasks, self._scale, self._rest_weight, self._hessian, self._linear)
-        columns, low = _constraints(self._bounds, self._scale, slowest, fastest, barriers)
-        try:
-            solution = solve_qp(self._hessian, self._linear, columns, low)[0]
-        except ValueError:  # rounding made it inconsistent
-            return None
-        if not np.isfinite(solution).all():
+        rows, low, high = _constraints(self._scale, len(self._linear), slowest, fastest, barriers)
+        solution, _, found, _ = daqp.solve(self._hessian, self._linear, rows, high, low)
+        if found != 1 or not np.isfinite(solution).all():  # rounding made it inconsistent
             return None
         dq = np.minimum(np.maximum(self._scale * solution[:n], slowest), fastest)
         return dq, np.maximum(_SLACK_SCALE * solution[n:], 0.0)
@@ -91,29 +90,27 @@ def _cost(tasks: Tasks, scale: Array, rest_weight: float, hessian: Array, linear
         scaled = tasks.rows[task] * scale
         heavy = (2.0 * tasks.weights[task] * _MILLI**2) * scaled
         for i in range(len(scale)):
-            linear[i] += heavy[i] * tasks.wanted[task]
+            linear[i] -= heavy[i] * tasks.wanted[task]
             for j in range(len(scale)):
                 hessian[i, j] += heavy[i] * scaled[j]
 
 
 @compiled
 def _constraints(
-    bounds: Array, scale: Array, slowest: Array, fastest: Array, barriers: Barriers
-) -> tuple[Array, Array]:
-    """A column and a lower bound for each bound of the increments and of the slacks, then for each barrier.
+    scale: Array, count: int, slowest: Array, fastest: Array, barriers: Barriers
+) -> tuple[Array, Array, Array]:
+    """A row for each barrier, and what the increments, the slacks and then the barriers have to keep.
 
     Returns:
-        (n + m, 2 n + m + k) columns, of which `bounds` has all but the last k, and (2 n + m + k,) what they must reach.
+        (k, count) rows, and (count + k,) least and greatest values; `count` is n + m.
     """
-    n, (_, given) = len(scale), bounds.shape
-    m = given - 2 * n
-    least, kinds = barriers.least, barriers.kinds
-    columns, low = np.zeros((n + m, given + len(least))), np.zeros(given + len(least))
-    columns[:, :given] = bounds
+    n, least, kinds = len(scale), barriers.least, barriers.kinds
+    rows = np.zeros((len(least), count))
+    low, high = np.zeros(count + len(least)), np.full(count + len(least), _UNBOUNDED)
     for i in range(n):
-        low[i], low[n + m + i] = slowest[i] / scale[i], -fastest[i] / scale[i]
+        low[i], high[i] = slowest[i] / scale[i], fastest[i] / scale[i]
     for k in range(len(least)):
-        columns[:n, given + k] = barriers.rows[k] * scale / _SLACK_SCALE
-        columns[n + kinds[k], given + k] = 1.0
-        low[given + k] = least[k] / _SLACK_SCALE
-    return columns, low
+        rows[k, :n] = barriers.rows[k] * scale / _SLACK_SCALE
+        rows[k, n + kinds[k]] = 1.0
+        low[count + k] = least[k] / _SLACK_SCALE
+    return rows, low, high

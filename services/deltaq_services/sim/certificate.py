@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
-from deltaq_services.sim.tube import Piece
+from deltaq_services.sim.tube import Piece, Windows
 
 NUMERICAL_TOLERANCE_M = 1e-5
 """Added to every stop distance: ten times what coal's iterations may be off."""
@@ -37,21 +37,36 @@ class Binding:
 
 
 @dataclass(frozen=True)
+class Suspects:
+    """Groups at which a certificate failed; `other` is the robot on the other side, None if there is none."""
+
+    other: str | None
+    groups: Sequence[Group]
+
+
+@dataclass(frozen=True)
 class Certificate:
-    """Whether a tube is certified, and the pair with the least room."""
+    """Whether a tube is certified.
+
+    Attributes:
+        holds: whether it is.
+        binding: the pair with the least room; None if there are no pairs, or nobody asked for it.
+        failing: where it failed; None if it holds.
+    """
 
     holds: bool
     binding: Binding | None
+    failing: Suspects | None = None
 
 
 class Certifier:
-    """Certifies tubes, all within one budget of pieces."""
+    """Certifies tubes, all within one budget of pieces; `CompiledCertifier` does it in machine code."""
 
     def __init__(self, proximity: ProximityEngine, budget: int = BUDGET) -> None:
         self._proximity = proximity
         self._left = budget
 
-    def certify(self, robot: str, tube: Piece, others: Sequence[tuple[str, Piece]]) -> Certificate:
+    def certify(self, robot: str, tube: Windows, others: Sequence[tuple[str, Windows]]) -> Certificate:
         """Certify one robot's tube against the structure, itself and the tubes of others.
 
         Args:
@@ -69,7 +84,25 @@ class Certifier:
         bindings = [item.binding for item in certificates if item.binding is not None]
         return Certificate(True, min(bindings, key=lambda item: item.room_m, default=None))
 
-    def alone(self, robot: str, tube: Piece, groups: Sequence[Group]) -> Certificate:
+    def judge(
+        self,
+        robot: str,
+        tube: Windows,
+        others: Sequence[tuple[str, Windows]],
+        suspects: Sequence[Suspects],
+    ) -> bool:
+        """Whether suspects keep apart; of all other pairs nothing is said."""
+        for one in suspects:
+            if one.other is None and not self.alone(robot, tube, one.groups).holds:
+                return False
+            for other, other_tube in others:
+                if other == one.other:
+                    certificate = self.between(robot, tube, other, other_tube, one.groups)
+                    if not certificate.holds:
+                        return False
+        return True
+
+    def alone(self, robot: str, tube: Windows, groups: Sequence[Group]) -> Certificate:
         """Certify groups of one robot against the structure or itself."""
         least: Binding | None = None
         stack: list[tuple[Piece, Sequence[Group]]] = [(tube, groups)] if groups else []
@@ -82,12 +115,12 @@ class Certifier:
                 continue
             halves = () if self._hopeless(look) else piece.halves()
             if not halves:
-                return Certificate(False, binding)
+                return Certificate(False, binding, Suspects(None, look.failing))
             stack += [(half, look.failing) for half in halves]
         return Certificate(True, least)
 
     def between(
-        self, robot: str, tube: Piece, other: str, other_tube: Piece, groups: Sequence[Group]
+        self, robot: str, tube: Windows, other: str, other_tube: Windows, groups: Sequence[Group]
     ) -> Certificate:
         """Certify groups of one robot against another, whose tube is `other_tube`."""
         least: Binding | None = None
@@ -101,7 +134,7 @@ class Certifier:
             if not look.failing:
                 continue
             if self._hopeless(look):
-                return Certificate(False, binding)
+                return Certificate(False, binding, Suspects(other, look.failing))
             # the one that travels further is divided first
             my_halves, their_halves = mine.halves(), theirs.halves()
             if my_halves and (my_travel >= their_travel or not their_halves):
@@ -109,7 +142,7 @@ class Certifier:
             elif their_halves:
                 stack += [(mine, half, look.failing) for half in their_halves]
             else:
-                return Certificate(False, binding)
+                return Certificate(False, binding, Suspects(other, look.failing))
         return Certificate(True, least)
 
     def _place(self, robot: str, piece: Piece, among_themselves: bool = True) -> float:

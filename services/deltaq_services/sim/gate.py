@@ -7,27 +7,26 @@ acceleration). The brake itself was certified with the last admission, so s = 0 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
-from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.certificate import Binding, Certificate, Certifier
+from deltaq_services.sim.certificate import Binding, Certificate
+from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
+from deltaq_services.sim.share_search import largest
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Branch
+from deltaq_services.sim.tube import Branch, Windows
 from deltaq_services.sim.violations import Violations
-
-_HALVINGS = 5
-"""How finely s is searched where clearance binds: 1/32 of what the limits leave."""
 
 _LEAST_SCALE = 1e-3
 """Below this a blend is the brake in all but name."""
@@ -59,7 +58,7 @@ class Gate:
 
     def __init__(
         self,
-        proximity: ProximityEngine,
+        proximity: CompiledProximity,
         limits: dict[str, Limits],
         margins: GateDescription,
         contacts: Contacts,
@@ -93,19 +92,23 @@ class Gate:
         reasons = tighter or reasons
         tubes = [(other.name, tube) for other in others for tube in other.tubes()]
 
-        def certify(s: float, certifier: Certifier) -> Certificate:
+        def tube(s: float) -> Windows:
             dq = brake + s * (request - brake)
-            tube = robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
-            return certifier.certify(robot.name, tube, tubes)
+            return robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
 
-        certificate = certify(scale, Certifier(self._proximity))
+        certificate = CompiledCertifier(self._proximity).certify(robot.name, tube(scale), tubes)
         if certificate.holds:
             self._violations.only(robot.name, ())
-        elif Certifier(self._proximity).certify(robot.name, robot.standing(), tubes).holds:
+        elif self._stands_clear(robot, tubes):
             self._violations.only(robot.name, ())
             # all smaller scales share one budget, so that a decision ends in time
-            certifier = Certifier(self._proximity)
-            scale = _largest(lambda s: certify(s, certifier), scale / 2**_HALVINGS, scale)
+            certifier = CompiledCertifier(self._proximity, tells=False)
+            scale = largest(
+                lambda s: certifier.certify(robot.name, tube(s), tubes),
+                lambda s, suspects: certifier.judge(robot.name, tube(s), tubes, suspects),
+                scale,
+                certificate,
+            )
             reasons = [_clearance_reason(certificate)]
         else:
             left = scale
@@ -115,22 +118,10 @@ class Gate:
             reasons = [*bound, *violated] or [_clearance_reason(certificate)]
         return _decision(limits, brake, request, scale, reasons, certificate.binding)
 
-
-def _largest(certify: Callable[[float], Certificate], least: float, refused: float) -> float:
-    """Largest scale found from `least` to one that is refused; 0 if even `least` is refused.
-
-    Where a robot stands right before an obstacle the least is refused, and with it nearly always all others.
-    """
-    if not certify(least).holds:
-        return 0.0
-    certified = least
-    for _ in range(_HALVINGS):
-        middle = (certified + refused) / 2
-        if certify(middle).holds:
-            certified = middle
-        else:
-            refused = middle
-    return certified
+    def _stands_clear(self, robot: Tracker, tubes: Sequence[tuple[str, Windows]]) -> bool:
+        """Whether a robot that is sent nothing more keeps clear of all tubes."""
+        certifier = CompiledCertifier(self._proximity, tells=False)
+        return certifier.certify(robot.name, robot.standing(), tubes).holds
 
 
 def _decision(

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
 from deltaq_cell.group import Group
-from deltaq_cell.proximity import ProximityEngine
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Certifier
+from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M
+from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Branch, Piece
@@ -55,7 +56,9 @@ class Retreat:
         violations: distances that pairs have to keep; updated by every check.
     """
 
-    def __init__(self, proximity: ProximityEngine, margins: GateDescription, violations: Violations) -> None:
+    def __init__(
+        self, proximity: CompiledProximity, margins: GateDescription, violations: Violations
+    ) -> None:
         self._proximity = proximity
         self._speed = margins.retreat_speed
         self._violations = violations
@@ -142,7 +145,7 @@ class Retreat:
     ) -> bool:
         with _set_aside(violated):
             tubes = [(other.name, tube) for other in others for tube in other.tubes()]
-            as_always = Certifier(self._proximity).certify(robot.name, robot.tube(branch), tubes)
+            as_always = CompiledCertifier(self._proximity).certify(robot.name, robot.tube(branch), tubes)
         return as_always.holds and self._keep(robot, branch, violated)
 
     def _keep(self, robot: Tracker, branch: Branch, violated: Sequence[_Near]) -> bool:
@@ -151,7 +154,7 @@ class Retreat:
         That distance was measured at setpoints, so measured joints do not count here either: drives that
         stand a little off their setpoints would be a separate violation, for ever.
         """
-        certifier = Certifier(self._proximity)
+        certifier = CompiledCertifier(self._proximity)
         tube = robot.tube_of_setpoints(branch)
         for other in dict.fromkeys(item.other for item in violated):
             pairs = [self._keeping(item) for item in violated if item.other is other]

@@ -1,0 +1,73 @@
+"""What comes with `deltaq[all]` may be passed on with it, under its licence."""
+
+import re
+from importlib.metadata import distribution
+
+import pytest
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+GOES_WITH_APACHE = (
+    r"MIT|BSD|Apache|PSF|Python Software Foundation|ISC|Zlib|BSL-1\.0|HPND|CC0|MPL|Mozilla|LGPL|"
+    r"Lesser General Public License|Eclipse Public License"
+)
+"""Of these LGPL, MPL and EPL bind only who changes the library itself."""
+
+BOUND = r"(?<!L)GPL|(?<!Lesser )General Public License"
+"""Licences that claim what is passed on with them."""
+
+LOOKED_UP = {
+    "cmeel-qhull": "says nothing of itself; Qhull's own licence is like BSD's",
+    "docutils": "in the public domain but for some files, of which one, an Emacs mode, is under the GPL",
+}
+
+
+def closure(*extras):
+    """Names of what an installation with these extras needs, its own not among them."""
+    needed, waiting = {}, [("deltaq", frozenset(extras))]
+    while waiting:
+        name, wanted = waiting.pop()
+        if wanted <= needed.get(name, set()) and name in needed:
+            continue
+        needed[name] = needed.get(name, set()) | wanted
+        for line in distribution(name).requires or []:
+            requirement = Requirement(line)
+            environments = [default_environment() | {"extra": extra} for extra in (wanted or {""})]
+            marker = requirement.marker
+            if marker is None or any(marker.evaluate(environment) for environment in environments):
+                waiting.append((canonicalize_name(requirement.name), frozenset(requirement.extras)))
+    return sorted(set(needed) - {"deltaq"})
+
+
+def declared(name):
+    """The licence by which a distribution declares itself, in short words where it has them."""
+    metadata = distribution(name).metadata
+    classifiers = [line for line in metadata.get_all("Classifier") or [] if line.startswith("License ::")]
+    first_line = (metadata.get("License") or "").strip().splitlines()[:1]
+    return metadata.get("License-Expression") or " ".join([*first_line, *classifiers])
+
+
+def test_all_that_is_installed_is_looked_at():
+    names = closure("all")
+    assert {"numpy", "pin", "coal", "eclipse-zenoh", "daqp", "nicegui", "numba", "llvmlite", "mcap"} <= set(
+        names
+    )
+    assert set(LOOKED_UP) <= set(names)
+
+
+@pytest.mark.parametrize("name", closure("all"))
+def test_a_licence_goes_with_ours(name):
+    licence = declared(name)
+    if name in LOOKED_UP:
+        assert not licence or re.search(BOUND, licence), f"{name} says {licence} of itself now"
+        return
+    assert re.search(GOES_WITH_APACHE, licence), f"{name}: {licence or 'declares no licence'}"
+    assert not re.search(BOUND, licence), f"{name}: {licence}"
+
+
+@pytest.mark.parametrize(
+    "licence", ["GPLv2+", "GNU General Public License v2 or later (GPLv2+)", "AGPL-3.0", "SSPL"]
+)
+def test_a_licence_that_claims_what_comes_with_it_is_found(licence):
+    assert re.search(BOUND, licence) or not re.search(GOES_WITH_APACHE, licence)
