@@ -66,10 +66,16 @@ class ServerState(Message):
 
 
 class Request(Message):
-    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat."""
+    """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat.
+
+    An increment answers the state of `cycle`; `newest` is the cycle of the newest state that the HLI had when it sent
+    this, where that may be another. A heartbeat's `cycle` is that of the newest state, its `lease_epoch` that of the
+    lease that stands, or 0 if none does.
+    """
 
     robot: Name
     cycle: Count
+    newest: Count | None = None
     lease_epoch: Count
     seq: Count = 0
     dq: Joints | None = None
@@ -218,12 +224,17 @@ class OrdersMemory(Message):
 
 
 class RobotMemory(Message):
-    """Snapshot of one robot in the gate: motion, orders, and the sequence of its requests."""
+    """Snapshot of one robot in the gate: motion, orders, and the sequence of its requests.
+
+    `decided` is the request behind the admission in flight, and `spoken_cycle` the cycle in which the HLI spoke last.
+    """
 
     tracker: TrackerMemory
     orders: OrdersMemory
     waiting: Request | None = None
+    decided: Request | None = None
     decided_cycle: int
+    spoken_cycle: int = -1
     lease_epoch: Count
     seq: int
     dry_run_cycle: int = -1

@@ -182,6 +182,7 @@ class LeasedRobot:
     async def verdicts(self) -> AsyncIterator[Verdict]:
         """The verdicts on increments sent with `send`, as they come; a reader that is too slow loses the oldest.
 
+        Of two on the same sequence number the last one counts: the first one's admission came too late.
         A verdict that was lost in transit does not come: its sequence number is missing. One reader at a time.
 
         Raises:
@@ -210,10 +211,6 @@ class LeasedRobot:
         if (waiting := self._awaited.get(verdict.seq)) is not None:
             waiting.put_nowait(verdict)
         elif verdict.seq in self._sent:
-            if not _is_about_lease(
-                verdict
-            ):  # it may be about somebody else's increment, and ours is still to come
-                self._sent.remove(verdict.seq)
             if self._verdicts.full():
                 self._verdicts.get_nowait()
             self._verdicts.put_nowait(verdict)

@@ -105,6 +105,11 @@ class Increment(Message):
 class Verdict(Message):
     """The gate's answer to one increment.
 
+    `cycle` is that of the state that it was decided on; of an increment that was refused, the one that it answers.
+    `setpoint_cycle` is the cycle that it goes into, the first whose setpoint has `dq` in it; null if it goes into
+    none. Where its admission came too late for that cycle, the increment may be decided once more for the next one:
+    another verdict on the same `seq` says so, and the last one counts.
+
     `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of
     `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.
     `time_to_stop_s` is the length of the brake behind `dq`.
@@ -116,6 +121,7 @@ class Verdict(Message):
     cycle: Count
     seq: Count
     outcome: Outcome
+    setpoint_cycle: Count | None = None
     scale: FiniteFloat = 0.0
     dq: tuple[FiniteFloat, ...] = ()
     time_to_stop_s: FiniteFloat | None = None

@@ -90,6 +90,9 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(SIM, "command_{kind}", "commands of this kind that were obeyed"),
     Counted(SIM, "command_{code}", "commands not obeyed for this reason"),
     Counted(SIM, "missed_admissions_{robot}", "admissions that the Robot Server of this robot did not take"),
+    Counted(
+        SIM, "in_hand_{robot}", "increments that were kept in hand from one cycle of this robot to the next"
+    ),
     Counted(SIM, "unknown_state", "states of a robot, or with joints, that the cell does not have"),
     Counted(
         SIM,

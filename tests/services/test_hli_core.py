@@ -231,7 +231,7 @@ def test_what_is_refused_is_shown_to_everybody_who_watches_too() -> None:
 def test_an_increment_goes_to_the_gate_at_once_under_the_epoch_of_its_lease() -> None:
     bench = Bench().ready()
     request = only(Request, bench.move(1))
-    assert request == Request(robot="fr", cycle=100, lease_epoch=1001, seq=1, dq=(0.001,) * 6)
+    assert request == Request(robot="fr", cycle=100, newest=100, lease_epoch=1001, seq=1, dq=(0.001,) * 6)
 
 
 def test_a_second_increment_in_a_cycle_waits_for_the_next_state_and_takes_the_place_of_the_sign_of_life() -> (
@@ -241,7 +241,7 @@ def test_a_second_increment_in_a_cycle_waits_for_the_next_state_and_takes_the_pl
     bench.move(1)
     assert bench.move(2) == []
     requests = sent(Request, bench.state(101))
-    assert [(r.seq, r.dq is None) for r in requests] == [(2, False)]
+    assert [(r.seq, r.cycle, r.newest, r.dq is None) for r in requests] == [(2, 100, 101, False)]
 
 
 def test_of_several_that_wait_the_newest_is_sent_and_the_others_are_told_that_they_were_superseded() -> None:
@@ -275,6 +275,16 @@ def test_an_increment_that_went_stale_while_it_waited_is_refused_and_the_gate_ge
     outputs = bench.state(200)
     assert [r.dq for r in sent(Request, outputs)] == [None]
     assert only(Verdict, outputs).reasons[0].code is ReasonCode.STALE_CYCLE
+
+
+def test_an_increment_waits_for_one_state_and_not_for_the_one_after_it() -> None:
+    bench = Bench().ready()
+    bench.move(1)
+    bench.move(2)
+    outputs = bench.state(102)
+    assert [r.dq for r in sent(Request, outputs)] == [None]
+    reason = only(Verdict, outputs).reasons[0]
+    assert (reason.code, reason.value, reason.bound) == (ReasonCode.STALE_CYCLE, 100, 101)
 
 
 def test_an_increment_that_waits_when_the_robot_is_held_is_refused() -> None:

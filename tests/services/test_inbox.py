@@ -26,7 +26,7 @@ def inbox():
 
 
 def holding(inbox, **fields):
-    inbox.put(request(**fields))
+    inbox.put(request(**fields), HERE)
     return inbox
 
 
@@ -59,8 +59,8 @@ def test_the_next_number_and_a_newer_lease_are_valid(inbox):
 
 def test_a_newer_request_replaces_the_one_that_waits(inbox):
     first, second = request(seq=1), request(seq=2)
-    assert inbox.put(first) is None
-    assert inbox.put(second) is first
+    assert inbox.put(first, HERE) is None
+    assert inbox.put(second, HERE) is first
     assert inbox.take() is second
     assert inbox.take() is None
 
@@ -75,7 +75,81 @@ def test_nothing_is_due_without_a_request_or_on_a_state_that_was_decided(inbox):
     holding(inbox)
     inbox.decided_cycle = HERE
     assert not inbox.due(state())
+
+
+def test_what_is_in_hand_is_due_once_the_hli_has_spoken_in_that_cycle(inbox):
+    holding(inbox).decided_cycle = HERE
+    assert inbox.cycle_passed(HERE + 1, missed=False) is None
+    assert not inbox.due(state(HERE + 1))
+    assert inbox.heartbeat(request(dq=None), HERE + 1) is None  # said before that state came
+    assert not inbox.due(state(HERE + 1))
+    assert inbox.heartbeat(request(HERE + 1, dq=None), HERE + 1) is None
     assert inbox.due(state(HERE + 1))
+
+
+def test_a_heartbeat_may_overtake_its_state_and_one_from_far_off_says_nothing(inbox):
+    holding(inbox).decided_cycle = HERE
+    assert inbox.heartbeat(request(HERE + 50, lease_epoch=9, dq=None), HERE) is None
+    inbox.cycle_passed(HERE + 1, missed=False)
+    assert not inbox.due(state(HERE + 1))
+    holding(inbox, seq=2)
+    inbox.heartbeat(request(HERE + 1, dq=None), HERE)
+    assert inbox.due(state(HERE + 1))
+
+
+def test_what_waited_in_the_hli_for_a_state_waits_for_it_here_too(inbox):
+    inbox.put(request(seq=1).model_copy(update={"newest": HERE + 1}), HERE)
+    assert not inbox.due(state())
+    inbox.cycle_passed(HERE + 1, missed=False)
+    assert inbox.due(state(HERE + 1))
+
+
+def test_a_heartbeat_of_another_lease_takes_what_waits_away(inbox):
+    waiting = request()
+    inbox.put(waiting, HERE)
+    assert inbox.heartbeat(request(lease_epoch=0, dq=None), HERE) is waiting
+    assert inbox.waiting is None
+
+
+def test_what_answers_a_state_older_than_the_one_before_is_in_hand_no_more(inbox):
+    late = request()
+    inbox.put(late, HERE)
+    assert inbox.cycle_passed(HERE + 1, missed=False) is None
+    assert inbox.cycle_passed(HERE + 2, missed=False) is late
+    assert inbox.waiting is None
+
+
+@pytest.mark.parametrize(
+    ("answers", "missed", "comes_back"), [(HERE, True, True), (HERE, False, False), (HERE - 1, True, False)]
+)
+def test_a_request_comes_back_if_its_admission_was_missed_and_it_is_late_by_one_cycle_only(
+    inbox, answers, missed, comes_back
+):
+    decided = inbox.decided = request(answers)
+    assert inbox.cycle_passed(HERE + 1, missed) is None
+    assert inbox.waiting is (decided if comes_back else None)
+    assert inbox.decided is None
+
+
+def test_a_request_does_not_come_back_past_a_newer_one_another_lease_or_what_forgets_it(inbox):
+    def missed():
+        inbox.cycle_passed(HERE + 1, missed=True)
+        return inbox.waiting
+
+    newer = request(seq=2)
+    inbox.decided = request()
+    inbox.put(newer, HERE)
+    assert missed() is newer
+    assert inbox.forget() is newer
+    inbox.decided = request()
+    inbox.heartbeat(request(lease_epoch=4, dq=None), HERE)
+    assert missed() is None
+    inbox.decided = request()
+    assert inbox.forget() is None
+    assert missed() is None
+    inbox.decided = request()
+    inbox.begin_anew()
+    assert missed() is None
 
 
 @pytest.mark.parametrize("cycle", [0, 1])

@@ -69,7 +69,8 @@ class Conversation:
 
     def _in_our_cycles(self, message: dict[str, Any]) -> dict[str, Any]:
         shift = self._cycle - self._printed_cycle
-        ours = {name: message[name] + shift for name in ("cycle",) if name in message}
+        numbered = [name for name in ("cycle", "setpoint_cycle") if message.get(name) is not None]
+        ours = {name: message[name] + shift for name in numbered}
         if message.get("outcome") == "refused":
             (reason,) = message["reasons"]
             ours["reasons"] = [reason | {"value": reason["value"] + shift}]

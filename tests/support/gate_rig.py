@@ -89,8 +89,12 @@ class Rig:
         replies = [message for message in self.said if isinstance(message, CommandReply)]
         return replies[-1] if replies else None
 
-    def alive(self):
-        self.sim.on_request(Request(robot="fr", cycle=self.state.cycle, lease_epoch=1))
+    def alive(self, lease_epoch=1, cycle=None):
+        """A heartbeat of the HLI, and what the gate said upon it."""
+        cycle = self.state.cycle if cycle is None else cycle
+        self.said = []
+        self.deliver(self.sim.on_request(Request(robot="fr", cycle=cycle, lease_epoch=lease_epoch)))
+        return self.verdict()
 
     @property
     def state(self):

@@ -91,6 +91,7 @@ class GuardedPeer:
             cycle=request.cycle,
             seq=request.seq,
             outcome=Outcome.ADMITTED,
+            setpoint_cycle=request.cycle + 1,
             scale=1.0,
             dq=request.dq or (),
         )

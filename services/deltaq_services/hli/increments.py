@@ -35,13 +35,14 @@ class Increments:
         if reason is not None or lease is None or link is None:
             return outputs + self._state.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
         lease.used = True
-        send, replaced = link.offer(Asked(increment, lease.epoch, sender))
+        assert link.state is not None  # without one it would have been refused
+        send, replaced = link.offer(Asked(increment, lease.epoch, sender, came=link.state.cycle))
         if replaced is not None:
             outputs += self._state.refuse_asked(
                 replaced, Reason(code=ReasonCode.SUPERSEDED, what="increment")
             )
         if send is not None:
-            outputs.append(self._request(robot, send))
+            outputs.append(self._request(robot, link, send))
         return outputs
 
     def on_bad_increment(
@@ -78,23 +79,23 @@ class Increments:
         outputs: list[Output] = []
         waited = link.drop()
         if waited is not None:
-            reason = self._state.mismatch() or link.fault(
-                waited.increment, time_s
-            )  # it may have gone stale, or the robot been held
+            # the robot may have been held, or a state been lost
+            reason = self._state.mismatch() or link.fault(waited.increment, time_s) or link.outdated(waited)
             if reason is not None:
                 outputs = self._state.refuse_asked(waited, reason)
             else:
                 send, _ = link.offer(waited)
                 if send is not None:
-                    return [self._request(robot, send)]
+                    return [self._request(robot, link, send)]
         self._state.counters["signs_of_life"] += 1
         assert link.state is not None  # it has just come
         lease = self._state.leases.of(robot)
         alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
         return [ToTopic(topics.REQUEST, robot, alive), *outputs]
 
-    def _request(self, robot: str, asked: Asked) -> Output:
+    def _request(self, robot: str, link: RobotLink, asked: Asked) -> Output:
         self._state.counters["requests"] += 1
+        assert link.state is not None  # nothing is due before the first state
         increment = asked.increment
         return ToTopic(
             topics.REQUEST,
@@ -102,6 +103,7 @@ class Increments:
             Request(
                 robot=robot,
                 cycle=increment.cycle,
+                newest=link.state.cycle,
                 lease_epoch=asked.lease_epoch,
                 seq=increment.seq,
                 dq=increment.dq,

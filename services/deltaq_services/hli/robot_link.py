@@ -1,7 +1,7 @@
 """One robot as the HLI sees it: its newest state, and the increments on their way to the gate.
 
-At most one increment goes to the gate per robot and cycle. A second one within the cycle waits for the
-next state; of those that wait only the newest is kept.
+At most one increment goes to the gate per robot and cycle. A second one within the cycle is in hand until the next
+state, and no longer; of several only the newest is kept.
 """
 
 from __future__ import annotations
@@ -18,14 +18,18 @@ from deltaq_services.outputs import Sender
 _MAX_AWAITED = 64
 """Increments whose verdict may be outstanding; a gate that answers keeps this at one or two."""
 
+_IN_HAND_CYCLES = 1
+"""An increment that came in a cycle is passed on in that one or so many later."""
+
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """An increment that passed all checks, who sent it, and under which lease."""
+    """An increment that passed all checks, who sent it, under which lease, and in which cycle it came."""
 
     increment: Increment
     lease_epoch: int
     sender: Sender | None
+    came: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +116,16 @@ class RobotLink:
                 bound=float(newest - self._max_age_cycles),
             )
         return None
+
+    def outdated(self, waited: Asked) -> Reason | None:
+        """Why an increment that waited is in hand no more: the state after the one in which it came did not come."""
+        assert self.state is not None  # it came after a state
+        oldest = self.state.cycle - _IN_HAND_CYCLES
+        if waited.came >= oldest:
+            return None
+        return Reason(
+            code=ReasonCode.STALE_CYCLE, what="cycle", value=float(waited.came), bound=float(oldest)
+        )
 
     def take_state(self, state: ServerState, time_s: float) -> None:
         """Take the state of a new cycle."""

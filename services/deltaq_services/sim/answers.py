@@ -5,7 +5,7 @@ from __future__ import annotations
 from deltaq_cell.group import Nearest
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import CommandReply
-from deltaq_protocol.messages import NearestPair, Verdict
+from deltaq_protocol.messages import NearestPair, Outcome, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.outputs import ToTopic
 from deltaq_services.sim.gate import Decision
@@ -25,6 +25,7 @@ def verdict_of(robot: str, cycle: int, seq: int, decision: Decision, cycle_s: fl
         cycle=cycle,
         seq=seq,
         outcome=decision.outcome,
+        setpoint_cycle=None if decision.outcome is Outcome.HELD else cycle + 1,
         scale=decision.scale,
         dq=tuple(decision.dq.tolist()),
         time_to_stop_s=decision.brake_cycles * cycle_s,

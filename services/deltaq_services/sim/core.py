@@ -114,17 +114,23 @@ class Sim:
             return []
         if self._is_impossible(robot, state):
             return self._supervise(robot, ReasonCode.IMPOSSIBLE_STATE)
+        missed_before = robot.tracker.missed
         if not robot.tracker.observe(state):
             robot.orders.repeated(state)
             return [*self._supervise(robot), *self._answered(robot)]
-        self.counters[f"missed_admissions_{robot.name}"] = robot.tracker.missed
+        missed = robot.tracker.missed
+        self.counters[f"missed_admissions_{robot.name}"] = missed
         robot.orders.cycle_passed()
         if robot.tracker.restarted:
             robot.orders.server_restarted(state)
-            robot.inbox.decided_cycle = -1  # its cycles restart
+            robot.inbox.begin_anew()
         if robot.tracker.restarted or robot.tracker.displaced:
             self.violations.only(robot.name, ())  # they were measured where it stood before
-        return [*self._supervise(robot), *self._answered(robot), *self._decide(robot)]
+        outdated = robot.inbox.cycle_passed(state.cycle, missed > missed_before)
+        refused = [] if outdated is None else [self._refuse(outdated, _out_of_date(outdated, state))]
+        if robot.inbox.waiting is not None:
+            self.counters[f"in_hand_{robot.name}"] += 1
+        return [*self._supervise(robot), *self._answered(robot), *refused, *self._decide(robot)]
 
     def on_request(self, request: Request) -> list[ToTopic]:
         """The HLI sent an increment, or a heartbeat."""
@@ -134,12 +140,16 @@ class Sim:
             self.counters["unknown_request"] += 1
             return []
         robot.orders.hli_heard()
+        newest_cycle = -1 if robot.tracker.state is None else robot.tracker.state.cycle
         if request.dq is None:
-            return []
+            ended = robot.inbox.heartbeat(request, newest_cycle)
+            if ended is not None:
+                return [self._refuse(ended, Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"))]
+            return self._decide(robot)
         reason = robot.inbox.fault(request)
         if reason is not None:
             return [self._refuse(request, reason)]
-        replaced = robot.inbox.put(request)
+        replaced = robot.inbox.put(request, newest_cycle)
         outputs = [] if replaced is None else [self._refuse(replaced, Reason(code=ReasonCode.SUPERSEDED))]
         return outputs + self._decide(robot)
 
@@ -161,8 +171,7 @@ class Sim:
         if command.kind == "contact":
             return [self._switch_contact(command)]
         if command.kind == "reset":
-            refused = [self._other_cell(robot) or robot.orders.reset(command.id) for robot in robots]
-            return [reply(command.id, *item) for item in refused if item is not None]
+            return self._reset(command, robots)
         if command.kind == "stop":
             return self._stop(command, robots)
         for robot in robots:
@@ -175,12 +184,22 @@ class Sim:
         for robot in robots:
             robot.orders.answer_when_stopped(command.id)
             robot.orders.stop(command.reason)
-            waiting = robot.inbox.take()
-            if waiting is not None:
-                outputs.append(self._refuse(waiting, Reason(code=ReasonCode.STOPPED)))
+            outputs += self._forget(robot)
         if not any(robot.orders.awaits_stop(command.id) for robot in robots):
             outputs.insert(0, reply(command.id))
         return outputs
+
+    def _reset(self, command: Command, robots: Sequence[GatedRobot]) -> list[ToTopic]:
+        """Order a reset, after which nothing goes on that was asked for before, and answer when each robot shows it."""
+        outputs = []
+        for robot in robots:
+            refused = self._other_cell(robot) or robot.orders.reset(command.id)
+            outputs += self._forget(robot) if refused is None else [reply(command.id, *refused)]
+        return outputs
+
+    def _forget(self, robot: GatedRobot) -> list[ToTopic]:
+        waiting = robot.inbox.forget()
+        return [] if waiting is None else [self._refuse(waiting, Reason(code=ReasonCode.STOPPED))]
 
     def _switch_contact(self, command: Command) -> ToTopic:
         if command.contact not in self.contacts:
@@ -313,6 +332,7 @@ class Sim:
         decision = self._judge(robot, request.dq)
         outputs = [self._verdict(request, state.cycle, decision)]
         if decision.outcome is not Outcome.HELD:
+            inbox.decided = request
             outputs.insert(0, self._admit(robot, state, decision))
         return outputs
 
@@ -382,3 +402,8 @@ class Sim:
         assert signed.receipt is not None  # that is what it was given
         self._receipt = signed.receipt
         return signed
+
+
+def _out_of_date(request: Request, state: ServerState) -> Reason:
+    """Why a request that waited is not decided any more."""
+    return Reason(code=ReasonCode.STALE_CYCLE, what="cycle", value=request.cycle, bound=state.cycle - 1)

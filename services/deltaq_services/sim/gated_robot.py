@@ -47,7 +47,9 @@ class GatedRobot:
             tracker=self.tracker.snapshot(),
             orders=self.orders.snapshot(),
             waiting=self.inbox.waiting,
+            decided=self.inbox.decided,
             decided_cycle=self.inbox.decided_cycle,
+            spoken_cycle=self.inbox.spoken_cycle,
             lease_epoch=self.inbox.lease_epoch,
             seq=self.inbox.seq,
             dry_run_cycle=self.dry_run_cycle,
@@ -57,6 +59,7 @@ class GatedRobot:
         """Restore another gate's snapshot of this robot."""
         self.tracker.restore(memory.tracker)
         self.orders.restore(memory.orders)
-        self.inbox.waiting, self.inbox.decided_cycle = memory.waiting, memory.decided_cycle
+        self.inbox.waiting, self.inbox.decided = memory.waiting, memory.decided
+        self.inbox.decided_cycle, self.inbox.spoken_cycle = memory.decided_cycle, memory.spoken_cycle
         self.inbox.lease_epoch, self.inbox.seq = memory.lease_epoch, memory.seq
         self.dry_run_cycle = memory.dry_run_cycle

@@ -1,4 +1,10 @@
-"""The requests of one robot: which is the newest, which are invalid, and what has been decided already."""
+"""The requests of one robot: which is the newest, which is in hand, which are invalid, and what has been decided.
+
+At most one request is *in hand* from one cycle to the next: one that came when its cycle had been decided already, or
+one whose admission the Robot Server did not take in time. It is decided on the next state, as soon as the HLI has
+spoken in that cycle: only then is it known that nothing newer has come and that its lease stands. Then it is out of
+date.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +16,9 @@ from deltaq_services.phases import MAY_MOVE
 _AHEAD_CYCLES = 2
 """A request may overtake the state that it answers by this much."""
 
+_IN_HAND_CYCLES = 1
+"""A request in hand may answer a state older than the newest by this much."""
+
 
 class Inbox:
     """Keeps the newest valid request until it is decided, once a cycle.
@@ -20,13 +29,16 @@ class Inbox:
 
     Attributes:
         waiting: the request to be decided next.
+        decided: the request behind the admission in flight; None where it must not be decided again.
         decided_cycle: cycle of the state that was decided last.
+        spoken_cycle: cycle in which the HLI spoke last.
         lease_epoch, seq: lease and sequence number of the newest valid request.
     """
 
     def __init__(self, joints: int, max_age_cycles: int) -> None:
         self.waiting: Request | None = None
-        self.decided_cycle = -1
+        self.decided: Request | None = None
+        self.decided_cycle = self.spoken_cycle = -1
         self.lease_epoch, self.seq = 0, -1
         self._joints = joints
         self._max_age_cycles = max_age_cycles
@@ -47,11 +59,64 @@ class Inbox:
             return Reason(code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=request.seq, bound=self.seq)
         return None
 
-    def put(self, request: Request) -> Request | None:
-        """Let a valid request wait; returns the one that it replaces."""
+    def put(self, request: Request, newest_cycle: int) -> Request | None:
+        """Let a valid request wait; returns the one that it replaces.
+
+        Args:
+            request: with an increment.
+            newest_cycle: that of the robot's newest state, -1 before the first.
+        """
         self.lease_epoch, self.seq = request.lease_epoch, request.seq
+        sent = _sent_in(request)
+        is_near = sent <= newest_cycle + _AHEAD_CYCLES
+        self.spoken_cycle = max(self.spoken_cycle, newest_cycle, sent if is_near else -1)
+        self.decided = None
         replaced, self.waiting = self.waiting, request
         return replaced
+
+    def heartbeat(self, request: Request, newest_cycle: int) -> Request | None:
+        """The HLI has nothing newer in a cycle.
+
+        Returns:
+            The request that waited under a lease that stands no more, and waits no longer.
+        """
+        if not newest_cycle <= request.cycle <= newest_cycle + _AHEAD_CYCLES:
+            return None  # it was said in a cycle before, or of another Robot Server process
+        self.spoken_cycle = max(self.spoken_cycle, request.cycle)
+        if self.decided is not None and self.decided.lease_epoch != request.lease_epoch:
+            self.decided = None
+        if self.waiting is not None and self.waiting.lease_epoch != request.lease_epoch:
+            return self.take()
+        return None
+
+    def cycle_passed(self, cycle: int, missed: bool) -> Request | None:
+        """A new state has come.
+
+        Args:
+            cycle: of the state.
+            missed: the Robot Server did not take the admission in flight. It takes none for an earlier state after it
+                has published a new one, so the request behind it has moved nothing, and never will.
+
+        Returns:
+            The request that has waited for too long, and waits no longer.
+        """
+        oldest = cycle - _IN_HAND_CYCLES
+        decided, self.decided = self.decided, None
+        if self.waiting is not None:
+            return self.take() if self.waiting.cycle < oldest else None
+        if decided is not None and missed and decided.cycle >= oldest:
+            self.waiting = decided
+        return None
+
+    def forget(self) -> Request | None:
+        """Keep nothing in hand; returns the request that waited."""
+        self.decided = None
+        return self.take()
+
+    def begin_anew(self) -> None:
+        """The cycles of another Robot Server process are counted from one."""
+        self.decided = None
+        self.decided_cycle = self.spoken_cycle = -1
 
     def take(self) -> Request | None:
         """Remove and return the waiting request."""
@@ -60,9 +125,10 @@ class Inbox:
 
     def due(self, state: ServerState) -> bool:
         """Whether a request waits that can be decided, or refused, on this state."""
-        if self.waiting is None or self.decided_cycle == state.cycle:
+        if self.waiting is None or self.decided_cycle == state.cycle or self.spoken_cycle < state.cycle:
             return False
-        return not state.cycle < self.waiting.cycle <= state.cycle + _AHEAD_CYCLES
+        # what was sent after a state that is still on its way here would be too late on this one
+        return not state.cycle < _sent_in(self.waiting) <= state.cycle + _AHEAD_CYCLES
 
     def fault_on(self, state: ServerState, stopping: bool) -> Reason | None:
         """Why the waiting request cannot be decided on this state."""
@@ -77,3 +143,8 @@ class Inbox:
         if state.phase not in MAY_MOVE or stopping:
             return Reason(code=ReasonCode.STOPPED)
         return None
+
+
+def _sent_in(request: Request) -> int:
+    """The cycle in which the HLI sent a request, as far as it is told."""
+    return max(request.cycle, request.newest or 0)

@@ -236,6 +236,7 @@ class AttackedSystem(System):
             begins=begins,
         )
         monitor = system_state.monitor.telegram(telegram)
+        used = system_state.used.server_took(before, after)
         if not begins:
             soundness.judge(system_state.gate.robots[ROBOT].tracker, float(q_cmd[0]), monitor.course)
         pending = line.pending
@@ -256,6 +257,7 @@ class AttackedSystem(System):
             new_admission=system_state.new_admission and a is None,
             new_supervision=system_state.new_supervision and s is None,
             monitor=monitor,
+            used=used,
             line=replace(line, heard=system_state.ticks, pending=pending),
         )
         return system_state, answer

@@ -15,6 +15,7 @@ from deltaq_protocol.guarded import Admission, Command, CommandReply, GateMemory
 from deltaq_protocol.messages import Message, Phase
 from deltaq_services.outputs import ToTopic
 from deltaq_services.sim.core import Sim
+from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 from deltaq_verification.model_checker.one_joint import (
@@ -22,6 +23,7 @@ from deltaq_verification.model_checker.one_joint import (
     FASTEST,
     HLI_TIMEOUT_CYCLES,
     LAG_CYCLES,
+    LEASE,
     ROBOT,
     STEP,
     one_joint_cell,
@@ -46,12 +48,15 @@ class GateSide:
     def _new_sim(self) -> Sim:
         return one_joint_sim(self._description)
 
-    def _sim_with(self, tracker_type: type[Tracker], orders_type: type[Orders]) -> Sim:
-        """A SIM that follows its robot and orders it about with these."""
+    def _sim_with(
+        self, tracker_type: type[Tracker], orders_type: type[Orders], inbox_type: type[Inbox] = Inbox
+    ) -> Sim:
+        """A SIM that follows its robot, orders it about and keeps requests with these."""
         sim = one_joint_sim(self._description)
         tracker = tracker_type(ROBOT, self._description.robots[ROBOT], CYCLE_S, LAG_CYCLES)
         sim.robots[ROBOT].tracker = tracker
         sim.robots[ROBOT].orders = orders_type(tracker, HLI_TIMEOUT_CYCLES)
+        sim.robots[ROBOT].inbox = inbox_type(joints=1, max_age_cycles=1)
         return sim
 
     # --- states on their way to the gate --------------------------------------------------------------------
@@ -104,7 +109,12 @@ class GateSide:
         yield (
             "the HLI gives a heartbeat",
             0,
-            lambda w: self._asks(w, Request(robot=ROBOT, cycle=cycle, lease_epoch=1)),
+            lambda w: self._asks(w, Request(robot=ROBOT, cycle=cycle, lease_epoch=LEASE)),
+        )
+        yield (
+            "the HLI says that the lease has ended",
+            0,
+            lambda w: self._asks(w, Request(robot=ROBOT, cycle=cycle, lease_epoch=0)),
         )
         if state is not None:
             now = round(state.dq[0] / STEP)
@@ -114,6 +124,11 @@ class GateSide:
                 "request that overtakes the state it answers",
                 1,
                 lambda w: self._asks(w, _request(w, cycle + 1, min(FASTEST, now + 1))),
+            )
+            yield (
+                "request that waited for a state which it overtakes",
+                1,
+                lambda w: self._asks(w, _request(w, cycle, min(FASTEST, now + 1), newest=cycle + 1)),
             )
         for kind in _KINDS:
             yield kind, 0, partial(self._commanded_after, kind=kind)
@@ -156,6 +171,8 @@ class GateSide:
             monitor = _commanded(monitor, message, outputs, system_state.gate)
             if monitor.since_stop is None:
                 supervisions = tuple(replace(sent, order_of_stop=False) for sent in supervisions)
+        answers = [output.message for output in outputs]
+        used = system_state.used.gate_took(message, answers, system_state.gate.epoch, system_state.gate)
         for output in outputs:
             if isinstance(output.message, Admission):
                 admissions, new_admission = (*admissions, output.message)[-KEPT:], True
@@ -170,6 +187,7 @@ class GateSide:
             supervisions=supervisions,
             new_admission=new_admission,
             new_supervision=new_supervision,
+            used=used,
         )
 
 
@@ -183,6 +201,6 @@ def _commanded(
     return monitor if refused or believed is None else monitor.reset_accepted(believed)
 
 
-def _request(system_state: SystemState, cycle: int, steps: int) -> Request:
+def _request(system_state: SystemState, cycle: int, steps: int, newest: int | None = None) -> Request:
     seq = system_state.gate.robots[ROBOT].seq + 1
-    return Request(robot=ROBOT, cycle=cycle, lease_epoch=1, seq=seq, dq=(steps * STEP,))
+    return Request(robot=ROBOT, cycle=cycle, newest=newest, lease_epoch=LEASE, seq=seq, dq=(steps * STEP,))

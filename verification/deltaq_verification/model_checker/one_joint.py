@@ -30,6 +30,8 @@ GATE_TIMEOUT_CYCLES = 1
 KRC_TIMEOUT_CYCLES = 1
 HLI_TIMEOUT_CYCLES = 1
 LAG_CYCLES = 2
+LEASE = 1
+"""Epoch of the lease under which the HLI requests."""
 
 IPOC_STEP = 8
 """By how much the IPOC grows in a cycle."""

@@ -30,6 +30,9 @@ class Property(StrEnum):
     LATCHED = "held is left only by a reset with the cause gone"
     STOPPED = "after a stop the robot rests within a bounded number of cycles, and until a reset"
     NOTICED = "silence of the gate or the KRC, and the first order of a stop, hold the robot"
+    ONCE = (
+        "an increment moves the robot once, never after a newer one, a stop, a reset or the end of its lease"
+    )
     EXPLAINED = "the KRC is moved by nothing but increments that were certified, and by a reset not at all"
     UNHEARD = "nobody who is not the KRC changes anything while the KRC is heard"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
-from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision, TrackerMemory
+from deltaq_protocol.guarded import Admission, Plan, Request, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
@@ -15,6 +15,7 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.session import Belief, Judgement, Session, TelegramKind
 from deltaq_services.sim.core import Sim
+from deltaq_services.sim.inbox import Inbox
 from deltaq_services.sim.orders import Orders
 from deltaq_services.sim.tracker import Tracker
 from deltaq_verification.model_checker.attacked import AttackedSystem
@@ -118,6 +119,43 @@ class AdmissionIsForgotten(System):
         return self._sim_with(_ForgetsAdmissions, Orders)
 
 
+class _KeepsWhatWasTaken(Inbox):
+    def cycle_passed(self, cycle: int, missed: bool) -> Request | None:  # noqa: ARG002 that is what it does not look at
+        return super().cycle_passed(cycle, missed=True)
+
+
+class TakenStaysInHand(System):
+    """The gate keeps an increment in hand though its admission was taken."""
+
+    def _new_sim(self) -> Sim:
+        return self._sim_with(Tracker, Orders, _KeepsWhatWasTaken)
+
+
+class _OutlivesStops(Inbox):
+    def forget(self) -> Request | None:
+        return None
+
+
+class HandOutlivesStop(System):
+    """What is in hand when a stop or a reset comes is used after it."""
+
+    def _new_sim(self) -> Sim:
+        return self._sim_with(Tracker, Orders, _OutlivesStops)
+
+
+class _OutlivesLeases(Inbox):
+    def heartbeat(self, request: Request, newest_cycle: int) -> Request | None:
+        lease_epoch = self.lease_epoch
+        return super().heartbeat(request.model_copy(update={"lease_epoch": lease_epoch}), newest_cycle)
+
+
+class HandOutlivesLease(System):
+    """What is in hand when its lease ends is used after that."""
+
+    def _new_sim(self) -> Sim:
+        return self._sim_with(Tracker, Orders, _OutlivesLeases)
+
+
 class _TakesSessions(RobotServer):
     def _begin_session(self, q: Array, q_start: Array) -> None:
         super()._begin_session(q, q_start)
@@ -210,6 +248,9 @@ BROKEN: tuple[SeededBug, ...] = (
     SeededBug(MissedReplyIsForgotten, Property.CERTIFIED, 1),
     SeededBug(SilentGateIsIgnored, Property.NOTICED, 2),
     SeededBug(AdmissionIsForgotten, Property.KNOWN, 1),
+    SeededBug(TakenStaysInHand, Property.ONCE, 0),
+    SeededBug(HandOutlivesStop, Property.ONCE, 1),
+    SeededBug(HandOutlivesLease, Property.ONCE, 1),
     SeededBug(SessionIsTakenInAnyPhase, Property.CERTIFIED, 0),
     SeededBug(SenderIsNotLookedAt, Property.UNHEARD, 0),
     SeededBug(OneTelegramIsBelieved, Property.EXPLAINED, 1),

@@ -21,6 +21,7 @@ from deltaq_verification.model_checker.gate_side import Act, GateSide
 from deltaq_verification.model_checker.one_joint import ROBOT, STEP
 from deltaq_verification.model_checker.safety_monitor import Property, SafetyMonitor, Telegram, Violation
 from deltaq_verification.model_checker.system_state import KEPT, SentState, SystemState, Turn
+from deltaq_verification.model_checker.used_requests import UsedRequests
 
 _PUSHED = 32 * STEP
 """How far a robot is pushed off its path: more than it may be off [m]."""
@@ -62,6 +63,7 @@ class System(GateSide):
             new_admission=False,
             new_supervision=False,
             monitor=SafetyMonitor(),
+            used=UsedRequests(),
         )
 
     def moves(self, system_state: SystemState) -> Iterator[Move]:
@@ -137,6 +139,7 @@ class System(GateSide):
             begins=begins,
         )
         monitor = system_state.monitor.telegram(telegram)
+        used = system_state.used.server_took(before, server.state)
         if not begins:
             soundness.judge(system_state.gate.robots[ROBOT].tracker, _sent(server.state), monitor.course)
         return replace(
@@ -150,6 +153,7 @@ class System(GateSide):
             new_admission=False,
             new_supervision=False,
             monitor=monitor,
+            used=used,
         )
 
     def _silence(self, system_state: SystemState) -> SystemState:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from deltaq_protocol.guarded import Admission, GateMemory, ServerState, Supervision
+from deltaq_protocol.guarded import Admission, GateMemory, Request, ServerState, Supervision
 from deltaq_services.robot_server.snapshot import ServerMemory
 from deltaq_verification.model_checker.line_key import line_key
 from deltaq_verification.model_checker.one_joint import (
@@ -19,6 +19,7 @@ from deltaq_verification.model_checker.one_joint import (
 from deltaq_verification.model_checker.ranks import ranks
 from deltaq_verification.model_checker.rsi_line import RsiLine
 from deltaq_verification.model_checker.safety_monitor import SafetyMonitor
+from deltaq_verification.model_checker.used_requests import UsedRequests
 
 KEPT = 2
 """Messages of a kind that may be under way at once; older ones are lost for good."""
@@ -72,6 +73,7 @@ class SystemState:
         states, admissions, supervisions: in flight, newest last.
         new_admission, new_supervision: the newest was sent since the last telegram.
         monitor: what is owed.
+        used: which request stands behind which admission.
         line: RSI's wire, where it is one that may be attacked.
     """
 
@@ -88,6 +90,7 @@ class SystemState:
     new_admission: bool
     new_supervision: bool
     monitor: SafetyMonitor
+    used: UsedRequests
     line: RsiLine | None = None
 
     def key(self) -> tuple[Any, ...]:
@@ -119,8 +122,9 @@ class _Key:
         if gate.tracker.in_flight is not None:
             admissions.append(gate.tracker.in_flight)
         cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
-        if gate.waiting is not None:
-            cycles.append(gate.waiting.cycle)
+        for request in (gate.waiting, gate.decided):
+            if request is not None:
+                cycles += [request.cycle, request.cycle if request.newest is None else request.newest]
         self._cycle = ranks(cycles, _CYCLES_APART)
         sequences = [0, system_state.gate.sequence, *(s.sequence for s in states)]
         for admission in admissions:
@@ -137,7 +141,7 @@ class _Key:
     def of_world(self) -> tuple[Any, ...]:
         system_state, server = self._system_state, self._system_state.server
         gate = system_state.gate.robots[ROBOT]
-        waiting, silent = gate.waiting, gate.orders.cycles_without_hli
+        state, silent = gate.tracker.state, gate.orders.cycles_without_hli
         return (
             system_state.turn,
             system_state.displaced,
@@ -153,7 +157,7 @@ class _Key:
             self._resets[server.resets],
             self._state(server.state),
             (system_state.gate.epoch, self._sequence[system_state.gate.sequence]),
-            self._state(gate.tracker.state),
+            self._state(state),
             self._admission(gate.tracker.in_flight),
             tuple(self._q(setpoint[0]) for setpoint in gate.tracker.history),
             tuple(self._process[one] for one in gate.tracker.ended_processes if one in self._process),
@@ -162,7 +166,11 @@ class _Key:
             None if silent is None else min(silent, _PAST_TIMEOUT),
             gate.orders.krc_silent,
             self._cycle[gate.decided_cycle],
-            (self._cycle[waiting.cycle], waiting.dq) if waiting is not None else None,
+            # spoken in any cycle before the newest is the same
+            None if state is None else max(gate.spoken_cycle - state.cycle, -1),
+            self._request(gate.waiting),
+            self._request(gate.decided),
+            system_state.used.key(system_state.admissions, (gate.waiting or gate.decided) is not None),
             tuple((self._state(sent.message), sent.silent) for sent in system_state.states),
             tuple(self._admission(admission) for admission in system_state.admissions),
             tuple(
@@ -191,6 +199,12 @@ class _Key:
             (state.epoch, self._sequence[state.sequence], self._resets[state.resets]),
             (state.phase, state.reason),
         )
+
+    def _request(self, request: Request | None) -> tuple[Any, ...] | None:
+        if request is None:
+            return None
+        newest = request.cycle if request.newest is None else request.newest
+        return (self._cycle[request.cycle], self._cycle[newest], request.dq)
 
     def _admission(self, admission: Admission | None) -> tuple[Any, ...] | None:
         if admission is None:
