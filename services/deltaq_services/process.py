@@ -7,9 +7,10 @@ import gc
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from types import FrameType
-from typing import Never
+from typing import Any, Never, Self
 
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
@@ -58,6 +59,35 @@ def ask_for_real_time(priority: int) -> None:
 def end_on_interrupt(_signal: int, _frame: FrameType | None) -> Never:
     """Signal handler: end as Ctrl-C does."""
     raise KeyboardInterrupt
+
+
+class HeldInterrupts:
+    """Holds SIGTERM and Ctrl-C back within a block, so that they cut nothing in two.
+
+    Only the main thread is ever interrupted; in any other this does nothing.
+    """
+
+    def __init__(self) -> None:
+        self._came = False
+        self._handlers: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                self._handlers[number] = signal.signal(number, self._hold)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def let_go(self) -> None:
+        """Raise KeyboardInterrupt if one came."""
+        if self._came:
+            raise KeyboardInterrupt
+
+    def _hold(self, _signal: int, _frame: FrameType | None) -> None:
+        self._came = True
 
 
 def _fail(status: int, error: Exception) -> Never:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.hull import hull_corners, hull_shape
 from deltaq_cell.kernel.arrays import PlacedBody
-from deltaq_cell.kernel.gap import CLOSED_M, ROUNDING_M, body_at, farthest, gap
+from deltaq_cell.kernel.gap import ROUNDING_M, body_at, farthest, gap
 from deltaq_cell.kernel.simplex import towards_origin
 
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
@@ -56,8 +56,8 @@ def measured(objects):
     return result.min_distance
 
 
-def searched(bodies, enough_m=np.inf, towards=(1.0, 0.0, 0.0), closed_m=CLOSED_M):
-    return gap(*bodies, *towards, enough_m, closed_m, np.zeros((4, 3)))
+def searched(bodies, enough_m=np.inf, towards=(1.0, 0.0, 0.0), asked_m=np.inf):
+    return gap(*bodies, *towards, enough_m, asked_m, np.zeros((4, 3)))
 
 
 @settings(max_examples=300, deadline=None)
@@ -75,16 +75,16 @@ def test_a_distance_lies_between_the_bounds_and_they_meet(seed):
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_coarse_bounds_hold_as_well_and_are_as_near_as_was_asked(seed):
+@given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
+def test_a_search_loses_no_more_than_a_hundredth_of_the_room_that_is_left(seed, room):
     random = np.random.default_rng(seed)
     objects, bodies = two_bodies(random, 3.0)
     distance = measured(objects)
-    lower, upper, *_ = searched(bodies, towards=random.normal(size=3), closed_m=1e-2)
+    lower, upper, *_ = searched(bodies, towards=random.normal(size=3), asked_m=distance - room)
     assert lower <= max(distance, 0.0) + coal_m(distance)
     assert upper >= distance - coal_m(distance)
     if distance > 1e-5:
-        assert upper - lower <= 1e-2 + 2 * ROUNDING_M
+        assert upper - lower <= max(2e-6, 0.01 * room)
 
 
 @pytest.mark.parametrize("one", KINDS)

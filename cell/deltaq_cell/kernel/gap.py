@@ -21,8 +21,11 @@ ROUNDING_M = 1e-9
 _ITERATIONS = 40
 """Steps of one search; flat bodies take four to eight, round ones twice as many."""
 
-CLOSED_M = 1e-7
-"""How near to one another bounds of a distance that is told have to be."""
+_CLOSED_M = 1e-7
+"""A search ends where its bounds are as near to one another as this."""
+
+_SHARE = 0.01
+"""Or where they are as near as this share of the room that is left, which the plane found may lose."""
 
 
 @inlined
@@ -48,7 +51,7 @@ def gap(
     y: float,
     z: float,
     enough_m: float,
-    closed_m: float,
+    asked_m: float,
     simplex: Array,
 ) -> tuple[float, float, float, float, float]:
     """Bounds of the distance of two bodies [m], and a normal n from first to second.
@@ -60,7 +63,7 @@ def gap(
         y: likewise.
         z: likewise.
         enough_m: the search ends where a lower bound exceeds it.
-        closed_m: it also ends where the bounds are as near to one another as this.
+        asked_m: distance beyond which the bodies have room, of which a hundredth may be lost; infinite if none may.
         simplex: (4, 3), is written to.
 
     Returns:
@@ -69,6 +72,7 @@ def gap(
     """
     balls = first.ball + second.ball
     enough_m += balls + ROUNDING_M
+    asked_m += balls
     lower, upper, nx, ny, nz = -math.inf, math.inf, 0.0, 0.0, 1.0
     count = 0
     for _ in range(_ITERATIONS):
@@ -83,7 +87,7 @@ def gap(
         bound = x * bx + y * by + z * bz
         if bound > lower:
             lower, nx, ny, nz = bound, x, y, z
-        if lower > enough_m or upper - lower <= closed_m:
+        if lower > enough_m or upper - lower <= max(_CLOSED_M, _SHARE * (lower - asked_m)):
             break
         count, x, y, z = towards_origin(simplex, count + 1, lower > 0.0)
         between = math.sqrt(x * x + y * y + z * z)

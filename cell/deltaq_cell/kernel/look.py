@@ -13,14 +13,11 @@ import math
 from deltaq_cell.compiled import compiled, inlined
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.boxes import apart
-from deltaq_cell.kernel.gap import CLOSED_M, ROUNDING_M, body_at, gap
+from deltaq_cell.kernel.gap import ROUNDING_M, body_at, gap
 from deltaq_cell.kernel.planes import keeps
 
 NONE = -1
 """The tightest of no pairs."""
-
-_COARSE_M = 1e-4
-"""How near to one another bounds of a distance have to be where nothing is told."""
 
 
 @compiled
@@ -56,7 +53,6 @@ def look(
         return NONE, False, 0
     # the one whose ball is nearest has often the least room, so that the others need not be measured to the end
     tightest, least, any_open, searched = NONE, math.inf, False, 0
-    closed_m = CLOSED_M if tells else _COARSE_M
     for step in range(-1, len(chosen)):
         index = nearest if step < 0 else chosen[step]
         enough = max(room_m, least) if tells else room_m
@@ -72,9 +68,10 @@ def look(
         if aims and free > 0.0:
             normal[0], normal[1], normal[2] = x, y, z
         one, other = body_at(cell, placed, first), body_at(cell, placed, second)
+        asked_m = math.inf if tells else pairs.stop_m[index] + room_m
         searched += 1
         lower, upper, x, y, z = gap(
-            one, other, normal[0], normal[1], normal[2], enough + kept, closed_m, found.simplex
+            one, other, normal[0], normal[1], normal[2], enough + kept, asked_m, found.simplex
         )
         normal[0], normal[1], normal[2] = x, y, z
         found.at_most_m[index] = upper

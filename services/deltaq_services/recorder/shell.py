@@ -22,6 +22,7 @@ from deltaq_protocol.guarded import GateEntry, GateMemory
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Kind, Party, Realm, Topic
+from deltaq_services.process import HeldInterrupts
 from deltaq_services.recorder.writer import RecordingWriter
 
 _MOST_WAITING = 20_000
@@ -91,18 +92,21 @@ class Recorder:
             RecordingError: the file cannot be written to any more.
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
-        while end_s is None or time.monotonic() < end_s:
-            try:
-                topic, payload, time_ns = self._came.get(timeout=0.1)
-            except queue.Empty:
-                continue
-            finally:
-                if on_progress is not None:
-                    on_progress()
-            try:
-                self._write(topic, payload, time_ns)
-            except InvalidMessageError:
-                self.invalid += 1
+        # an input of the gate is written with all of its outputs, or a replay would find some missing
+        with HeldInterrupts() as held:
+            while end_s is None or time.monotonic() < end_s:
+                held.let_go()
+                try:
+                    topic, payload, time_ns = self._came.get(timeout=0.1)
+                except queue.Empty:
+                    continue
+                finally:
+                    if on_progress is not None:
+                        on_progress()
+                try:
+                    self._write(topic, payload, time_ns)
+                except InvalidMessageError:
+                    self.invalid += 1
 
     def _put(self, topic: Topic, sample: Any) -> None:
         if self._came.qsize() < _MOST_WAITING:
