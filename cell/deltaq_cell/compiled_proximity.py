@@ -15,7 +15,7 @@ import numpy as np
 from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.group import Group, Nearest
-from deltaq_cell.kernel.arrays import Integers, Pairs
+from deltaq_cell.kernel.arrays import Pairs
 from deltaq_cell.kernel.certify import certify
 from deltaq_cell.kernel.gap import ROUNDING_M
 from deltaq_cell.kernel.look import NONE, look
@@ -24,34 +24,12 @@ from deltaq_cell.kernel.place import place
 from deltaq_cell.kernel.planes import keeps_apart
 from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
+from deltaq_cell.paired_groups import PairedGroups, pairs_alone, part_of
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
 from deltaq_protocol.arrays import Array
 
 _OVERLAP_M = 1e-6
 """Bodies that are nearer may be in one another; the kernel does not tell how far."""
-
-
-class PairedGroups(list[Group]):
-    """Groups with the pairs of them that are to be looked at; not to be changed.
-
-    Attributes:
-        numbers: (pairs,) of the pairs among all.
-        group: (pairs,) index of the group that each belongs to, in `of`.
-        pairs: what the kernel is given.
-        of: the groups that the pairs are of; those that are none of these groups have no active pair.
-    """
-
-    def __init__(
-        self,
-        groups: Sequence[Group],
-        numbers: Integers,
-        group: Integers,
-        pairs: Pairs,
-        of: Sequence[Group] | None = None,
-    ) -> None:
-        super().__init__(groups)
-        self.numbers, self.group, self.pairs = numbers, group, pairs
-        self.of = self if of is None else of
 
 
 @dataclass(frozen=True)
@@ -181,7 +159,7 @@ class CompiledProximity(ProximityEngine):
         elif kept := [index for index in overlapping if self._keeps_depth(listed, index, room_m)]:
             self._found.open[kept] = False
             open_ = np.setdiff1d(open_, kept)
-        return DistanceQuery(_part(listed, open_) if open_.size else [], too_near, *told)
+        return DistanceQuery(part_of(listed, open_) if open_.size else [], too_near, *told)
 
     def whole_tube(self, robot: str, points: Array, lag: int, first: int, last: int) -> Tube:
         """A robot's tube as the kernel takes it.
@@ -237,7 +215,7 @@ class CompiledProximity(ProximityEngine):
             self._found,
         )
         open_ = self._stack.chosen[verdict.first_open : verdict.last_open]
-        failing = _alone(listed, open_) if open_.size else []
+        failing = pairs_alone(listed, open_) if open_.size else []
         if verdict.told == NONE or not tells:
             return Division(verdict.holds, verdict.left, None, 0.0, failing)
         for tube, middle in zip((mine, other), self._stack.told, strict=True):
@@ -317,19 +295,3 @@ class CompiledProximity(ProximityEngine):
         first, last = self._ranges[robot][0]
         J: Array = self._where.columns[first:last].T
         return J
-
-
-def _alone(listed: PairedGroups, open_: Integers) -> PairedGroups:
-    """Some pairs of a list, without the others of their groups."""
-    first, second, stop_m, active = listed.pairs
-    pairs = Pairs(first[open_], second[open_], stop_m[open_], active[open_])
-    return PairedGroups([], listed.numbers[open_], listed.group[open_], pairs, listed.of)
-
-
-def _part(listed: PairedGroups, open_: Integers) -> PairedGroups:
-    """The groups of some pairs of a list, each with all its pairs."""
-    failing = np.zeros(len(listed.of), dtype=bool)
-    failing[listed.group[open_]] = True
-    groups = [listed.of[index] for index in np.flatnonzero(failing).tolist()]
-    pairs = listed.pairs._replace(active=listed.pairs.active & failing[listed.group])
-    return PairedGroups(groups, listed.numbers, listed.group, pairs, listed.of)
