@@ -102,6 +102,7 @@ def test_a_recording_is_scrubbed_in_the_scene_and_is_never_taken_for_the_cell(op
     assert not banner.is_visible()
 
 
+@pytest.mark.nightly
 def test_stop_behind_a_recording_stops_the_live_robots_and_says_so(opened, turned):
     page = opened()
     take_control(page)
@@ -139,6 +140,7 @@ def test_the_cell_is_recorded_from_the_page_and_shown_by_it(opened, served_cell)
     assert page.evaluate("deltaq.live.replay.length_s") > 0.1
 
 
+@pytest.mark.nightly
 def test_a_recording_that_cannot_be_read_is_told_and_the_cell_stays_shown(opened, served_cell):
     (served_cell.recordings / "broken.mcap").write_text("no recording")
     page = opened()

@@ -58,7 +58,7 @@ class Attackers:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int) -> None:
     leaning_in = np.array([0.0, 0.5, 0.2])
     stack = VirtualCell(circle, {f"arm_{number}": leaning_in for number in range(3)})
