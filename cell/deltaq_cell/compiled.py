@@ -28,22 +28,27 @@ def compiled(function: Function) -> Function:
     It is compiled at its first call with arguments of new types, or found where an earlier process left it. Numbers
     are as numpy has them: a division by zero is infinite.
     """
+    return _to_machine_code(function, inline="never")
+
+
+def inlined(function: Function) -> Function:
+    """Decorate a compiled function whose code is put wherever a compiled one calls it.
+
+    For short functions of named tuples: to hand over some thirty arrays costs several times what such a function does.
+    """
+    return _to_machine_code(function, inline="always")
+
+
+def _to_machine_code(function: Function, inline: str) -> Function:
     users_own = numba.config.CACHE_DIR
     kept = _folder(function.__module__)
     # numba asks for its folder while it decorates, and others may want theirs elsewhere
     numba.config.CACHE_DIR = kept
     try:
-        return cast(Function, numba.njit(cache=bool(kept), error_model="numpy")(function))
+        decorate = numba.njit(cache=bool(kept), error_model="numpy", inline=inline)
+        return cast(Function, decorate(function))
     finally:
         numba.config.CACHE_DIR = users_own
-
-
-def inlined(function: Function) -> Function:
-    """Decorate a compiled function whose code is put wherever it is called.
-
-    For short functions of named tuples: to hand over some thirty arrays costs several times what such a function does.
-    """
-    return cast(Function, numba.njit(error_model="numpy", inline="always")(function))
 
 
 @contextmanager
