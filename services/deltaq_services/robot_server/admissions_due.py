@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission
+from deltaq_services.robot_server.guards import Refusal
 
 
 class AdmissionsDue:
@@ -16,12 +18,13 @@ class AdmissionsDue:
         self._lookahead_cycles = lookahead_cycles
         self._kept: dict[int, Admission] = {}
 
-    def put(self, admission: Admission, cycle: int) -> bool:
-        """Keep an admission; returns whether it is due in the cycle after `cycle`, or in one of the next few."""
-        if not 0 <= admission.cycle - cycle < self._lookahead_cycles:
-            return False
-        self._kept[admission.cycle] = admission
-        return True
+    def put(self, admission: Admission, cycle: int) -> Refusal | None:
+        """Keep an admission, unless it is too old after `cycle` or due later than in the next few."""
+        age_cycles, oldest = cycle - admission.cycle, topics.ADMISSION.max_age_cycles or 0
+        if not -self._lookahead_cycles < age_cycles <= oldest:
+            return Refusal.LATE
+        self._kept[max(cycle, admission.cycle)] = admission
+        return None
 
     def take(self, cycle: int) -> Admission | None:
         """The admission that is due in the cycle after `cycle`; it is kept no longer, nor is any before it."""

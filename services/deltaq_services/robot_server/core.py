@@ -25,7 +25,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
-from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
+from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.probe_trial import Mode
@@ -317,8 +317,10 @@ class RobotServer:
         """Keep an admission until its cycle; until then nothing else is known of it than that it is not too late."""
         if self._cycle == 0:
             self.counters["admission_while_not_ready"] += 1
-        elif not self._admissions.put(admission, self._cycle):
-            self.counters[Refusal.LATE] += 1
+            return
+        why = self._admissions.put(admission, self._cycle)
+        if why is not None:
+            self.counters[why] += 1
 
     def _advance(self, follows: ServerState | None) -> None:
         admission = None if follows is None else self._admissions.take(follows.cycle)
@@ -340,8 +342,11 @@ class RobotServer:
 
     def _follows(self, admission: Admission, state: ServerState) -> bool:
         why = refusal(admission, state, self._bounds)
-        self.counters["admissions" if why is None else why] += 1
-        return why is None
+        if why is not None:
+            self.counters[why] += 1
+            return False
+        self.counters["admissions"] += 1
+        return True
 
     def _stop(self, reason: ReasonCode) -> None:
         was = self._phase
