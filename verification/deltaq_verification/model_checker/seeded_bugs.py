@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
-from deltaq_protocol.guarded import Admission, Request, Supervision, TrackerMemory
+from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
@@ -35,6 +35,27 @@ class LateIsTaken(System):
 
     def _new_server(self, process: int) -> RobotServer:
         return _TakesLate(self._description, ROBOT, process)
+
+
+class _LooksAtNoChain(RobotServer):
+    def _follows(self, admission: Admission, state: ServerState) -> bool:
+        follows = {
+            "follows_sequence": state.sequence,
+            "follows_q_cmd": state.q_cmd,
+            "follows_dq": state.dq,
+            "follows_resets": state.resets,
+        }
+        return super()._follows(admission.model_copy(update=follows), state)
+
+
+class ChainIsNotLookedAt(System):
+    """The Robot Server takes an admission in its cycle, whatever has become of the one that it follows."""
+
+    def __init__(self) -> None:
+        super().__init__(lookahead_cycles=2)
+
+    def _new_server(self, process: int) -> RobotServer:
+        return _LooksAtNoChain(self._description, ROBOT, process)
 
 
 class _ResetsAtOnce(RobotServer):
@@ -242,6 +263,7 @@ class SeededBug:
 
 BROKEN: tuple[SeededBug, ...] = (
     SeededBug(LateIsTaken, Property.CERTIFIED, 1),
+    SeededBug(ChainIsNotLookedAt, Property.KNOWN, 1),
     SeededBug(ResetIgnoresRest, Property.LATCHED, 0),
     SeededBug(StopIsNotLatched, Property.NOTICED, 0),
     SeededBug(MissedReplyIsForgotten, Property.CERTIFIED, 1),
