@@ -294,9 +294,15 @@ def decided(cycle: int, dq: tuple[float, ...] = DQ) -> Verdict:
 def test_what_has_not_been_admitted_yet_is_told_as_the_brake() -> None:
     ahead = AdmittedAhead(3, 0.012)
     state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
-    assert ahead.q_ahead(state)[0] == pytest.approx(0.75 * STEP)
+    assert (ahead.setpoint_cycle(state), ahead.q_ahead(state)) == (21, ZEROS)
     ahead.decided(decided(22))
+    assert ahead.setpoint_cycle(state) == 23
     assert ahead.q_ahead(state)[0] == pytest.approx(1.5 * STEP)
+
+
+def test_a_robot_at_rest_waits_for_as_much_in_flight_as_may_be() -> None:
+    state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS)
+    assert AdmittedAhead(3, 0.012).setpoint_cycle(state) == 23
 
 
 def test_where_an_admission_was_not_taken_those_behind_it_are_told_no_more() -> None:

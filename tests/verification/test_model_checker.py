@@ -63,7 +63,7 @@ def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_t
 
 @pytest.mark.nightly
 @pytest.mark.timeout(0)
-@pytest.mark.parametrize(("lookahead_cycles", "faults", "cycles"), [(1, 1, 8), (1, 2, 4), (2, 1, 7)])
+@pytest.mark.parametrize(("lookahead_cycles", "faults", "cycles"), [(1, 1, 8), (1, 2, 4), (2, 1, 6)])
 def test_with_more_faults_every_property_holds(lookahead_cycles, faults, cycles):
     assert explore(System(lookahead_cycles), faults, cycles).counterexample is None
 

@@ -63,7 +63,7 @@ class GateDescription(DescriptionModel):
     max_request_age_s: Positive = 0.12
     """An increment that answers an older state is stale, and one older than the table of topics allows."""
     lookahead_cycles: Annotated[int, Field(ge=1, le=MOST_LOOKAHEAD_CYCLES)] = 1
-    """How many cycles after a state the setpoint is sent that is decided on it; more leave more time for answers."""
+    """How many setpoints may be decided that are not sent yet; more leave more time for answers."""
     gate_timeout_s: Positive = 0.5
     """Silence after which a Robot Server takes the gate for lost."""
     hli_timeout_s: Positive = 0.5

@@ -19,7 +19,7 @@ class AdmittedAhead:
     """What one robot will be sent if it takes all that has been admitted.
 
     Args:
-        cycles: from a state to the setpoint that is decided on it.
+        cycles: how many setpoints may be decided that are not sent yet.
         cycle_s: sample time of the robot.
     """
 
@@ -41,13 +41,20 @@ class AdmittedAhead:
         self._verdicts = {
             cycle: verdict
             for cycle, verdict in self._verdicts.items()
-            if state.cycle < cycle <= last and not broken
+            if state.cycle <= cycle <= last and not broken
         }
 
+    def setpoint_cycle(self, state: ServerState) -> int:
+        """The cycle that the next increment goes into, as the gate decides it."""
+        if self._verdicts:
+            return min(max(self._verdicts) + 1, state.cycle + self.cycles)
+        rests = state.plan.step >= state.plan.brake_cycles
+        return state.cycle + (self.cycles if rests else 1)
+
     def q_ahead(self, state: ServerState) -> tuple[float, ...]:
-        """(n,) setpoint of the last cycle before the one into which the next increment goes [rad or m]."""
+        """(n,) setpoint of the last cycle before that [rad or m]."""
         motion = Motion.of(state)
-        for cycle in range(state.cycle + 1, state.cycle + self.cycles):
+        for cycle in range(state.cycle + 1, self.setpoint_cycle(state)):
             verdict = self._verdicts.get(cycle)
             if verdict is None or verdict.time_to_stop_s is None:
                 motion = motion.braked()

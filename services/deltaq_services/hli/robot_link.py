@@ -39,7 +39,8 @@ class LinkMemory:
 
     Attributes:
         state, received_s: of the robot, and when it came.
-        asked_cycle: cycle of the state that was answered last.
+        asked_cycle: cycle in which an increment was passed on last.
+        answered_cycle: cycle of the state that it answered.
         awaited: who awaits which verdict.
         waiting: the increment that waits.
         admitted: of each cycle to come, the verdict on what goes into it.
@@ -48,6 +49,7 @@ class LinkMemory:
     state: ServerState | None
     received_s: float
     asked_cycle: int | None
+    answered_cycle: int
     awaited: Mapping[int, Sender | None]
     waiting: Asked | None
     admitted: Mapping[int, Verdict]
@@ -70,6 +72,7 @@ class RobotLink:
         self._max_age_cycles = max_age_cycles
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
+        self._answered_cycle = -1
         self._awaited: dict[int, Sender | None] = {}
         self._waiting: Asked | None = None
         self._admitted = admitted
@@ -80,12 +83,21 @@ class RobotLink:
         """Snapshot of the robot, for `restore`."""
         awaited = dict(self._awaited)
         admitted = {} if self._admitted is None else self._admitted.snapshot()
-        return LinkMemory(self.state, self.received_s, self._asked_cycle, awaited, self._waiting, admitted)
+        return LinkMemory(
+            self.state,
+            self.received_s,
+            self._asked_cycle,
+            self._answered_cycle,
+            awaited,
+            self._waiting,
+            admitted,
+        )
 
     def restore(self, memory: LinkMemory) -> None:
         """Go on from where another was."""
         self.state, self.received_s = memory.state, memory.received_s
-        self._asked_cycle, self._waiting = memory.asked_cycle, memory.waiting
+        self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
+        self._waiting = memory.waiting
         self._awaited = dict(memory.awaited)
         if self._admitted is not None:
             self._admitted.restore(memory.admitted)
@@ -141,6 +153,7 @@ class RobotLink:
         """Take the state of a new cycle."""
         self.state = state
         self.received_s = time_s
+        self._answered_cycle = min(self._answered_cycle, state.cycle)  # another process counts from one
         if self._admitted is not None:
             self._admitted.cycle_passed(state)
 
@@ -156,7 +169,7 @@ class RobotLink:
         """The setpoint (n,) [rad or m] to which an increment is added now, and the cycle that it goes into."""
         if self._admitted is None or self.state is None:
             return None, None
-        return self._admitted.q_ahead(self.state), self.state.cycle + self._admitted.cycles
+        return self._admitted.q_ahead(self.state), self._admitted.setpoint_cycle(self.state)
 
     def offer(self, asked: Asked) -> tuple[Asked | None, Asked | None]:
         """Offer an increment.
@@ -164,7 +177,7 @@ class RobotLink:
         Returns:
             The increment to send now, if any, and the one that it took the place of, if any.
         """
-        if self._is_due():
+        if self._is_due(asked):
             return self._sent(asked), self.drop()
         replaced, self._waiting = self._waiting, asked
         return None, replaced
@@ -179,12 +192,16 @@ class RobotLink:
         asked, self._waiting = self._waiting, None
         return asked
 
-    def _is_due(self) -> bool:
-        return self.state is not None and self._asked_cycle != self.state.cycle
+    def _is_due(self, asked: Asked) -> bool:
+        if self.state is None:
+            return False
+        # with a lookahead the answer to each state has a setpoint of its own, though two come in one cycle
+        has_its_own = self._admitted is not None and asked.increment.cycle > self._answered_cycle
+        return self._asked_cycle != self.state.cycle or has_its_own
 
     def _sent(self, asked: Asked) -> Asked:
         assert self.state is not None  # nothing is due before the first state
-        self._asked_cycle = self.state.cycle
+        self._asked_cycle, self._answered_cycle = self.state.cycle, asked.increment.cycle
         self._awaited[asked.increment.seq] = asked.sender
         while len(self._awaited) > _MAX_AWAITED:
             self._awaited.pop(next(iter(self._awaited)))

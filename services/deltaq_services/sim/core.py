@@ -224,6 +224,7 @@ class Sim:
         reason = self._unready(state)
         if reason is not None:
             return reply(command.id, reason.code, f"{robot.name}: {reason.what}")
+        robot.tracker.decide_after(None)
         decision = self._judge(robot, dq)
         verdict = verdict_of(
             robot.name, state.cycle, robot.tracker.decided_after + 1, 0, decision, self._cycle_s
@@ -325,14 +326,16 @@ class Sim:
             return []
         reason = inbox.fault_on(state, robot.orders.standing_stop is not None)
         reason = reason or self._unready(state)
+        goes_after = inbox.goes_after(state)
         request = inbox.take()
         assert request is not None  # it is due
         assert request.dq is not None  # heartbeats are not put there
         if reason is not None:
             return [self._refuse(request, reason)]
-        inbox.decided_cycle = state.cycle
+        inbox.decided_cycle = goes_after
+        robot.tracker.decide_after(goes_after)
         decision = self._judge(robot, request.dq)
-        outputs = [self._verdict(request, state.cycle, robot.tracker.decided_after + 1, decision)]
+        outputs = [self._verdict(request, state.cycle, goes_after + 1, decision)]
         if decision.outcome is not Outcome.HELD:
             inbox.decided = request
             outputs.insert(0, self._admit(robot, state, decision))

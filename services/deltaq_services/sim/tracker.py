@@ -53,6 +53,7 @@ class Tracker:
         self.state: ServerState | None = None
         self.in_flight: tuple[Admission, ...] = ()
         self._ahead: Motion | None = None
+        self._decided_after: int | None = None
         self._lookahead_cycles = lookahead_cycles
         self.missed = 0
         self.restarted = self.displaced = False
@@ -78,7 +79,7 @@ class Tracker:
         elif self.state is not None:
             if state.cycle == self.state.cycle and state.time_s >= self.state.time_s:
                 # the KRC is silent, but phase, reason and plan may have changed
-                self.state, self._ahead = state, None
+                self.state, self._ahead, self._decided_after = state, None, None
             if state.cycle <= self.state.cycle:
                 return False
             self.displaced = self._is_displaced(self.state, state)
@@ -129,13 +130,18 @@ class Tracker:
 
     def _fly(self, admissions: tuple[Admission, ...]) -> None:
         self.in_flight = admissions
-        self._ahead = None
+        self._decided_after = self._ahead = None
+
+    def decide_after(self, cycle: int | None) -> None:
+        """Decide next the setpoint that is sent after `cycle`; None: that which answers to the newest state go into."""
+        self._decided_after, self._ahead = cycle, None
 
     @property
     def decided_after(self) -> int:
-        """The cycle after which the setpoint is sent that is decided on the newest state."""
+        """The cycle after which the setpoint is sent that is decided next."""
         assert self.state is not None  # asked only of robots that have been heard
-        return self.state.cycle + self._lookahead_cycles - 1
+        answer = self.state.cycle + self._lookahead_cycles - 1
+        return answer if self._decided_after is None else self._decided_after
 
     @property
     def ahead(self) -> Motion:
@@ -154,7 +160,7 @@ class Tracker:
 
     def _motions(self) -> list[Motion]:
         assert self.state is not None  # asked only of robots that have been heard
-        return motions(self._now(), self.state.cycle, self.in_flight, self._lookahead_cycles - 1)
+        return motions(self._now(), self.state.cycle, self.in_flight, self.decided_after - self.state.cycle)
 
     def _now(self) -> Motion:
         assert self.state is not None  # asked only of robots that have been heard
