@@ -301,7 +301,8 @@ def test_what_has_not_been_admitted_yet_is_told_as_the_brake() -> None:
 
 
 def test_a_robot_at_rest_waits_for_as_much_in_flight_as_may_be() -> None:
-    state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS)
+    at_rest = Plan(dq=ZEROS, brake_cycles=1, step=1)
+    state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, plan=at_rest)
     assert AdmittedAhead(3, 0.012).setpoint_cycle(state) == 23
 
 
