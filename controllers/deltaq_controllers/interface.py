@@ -30,7 +30,8 @@ class RobotView:
         cycle: number of the robot's cycle.
         time_s: stamp of the state on the clock of that robot's server [s].
         q: (n,) measured configuration [rad or m].
-        q_cmd: (n,) setpoint just commanded [rad or m].
+        q_cmd: (n,) setpoint that an increment is added to: the one just sent, or with a lookahead the last of
+            those that are admitted already [rad or m].
     """
 
     cycle: int
@@ -41,7 +42,8 @@ class RobotView:
     @classmethod
     def from_state(cls, state: RobotState) -> Self:
         """The same from a state message."""
-        return cls(state.cycle, state.time_s, np.array(state.q), np.array(state.q_cmd))
+        q_cmd = state.q_cmd if state.q_ahead is None else state.q_ahead
+        return cls(state.cycle, state.time_s, np.array(state.q), np.array(q_cmd))
 
     def after(self, cycle: int, dq: Array) -> RobotView:
         """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.

@@ -84,9 +84,10 @@ class Request(Message):
 class Admission(Message):
     """SIM to Robot Server: an increment and the length of the brake that follows it.
 
-    Valid for the reply right after `cycle` only, and only if the Robot Server's plan is still the one that the gate
-    assumed: it follows admission `follows_sequence`, its setpoint is `follows_q_cmd` and its last
-    increment `follows_dq`, all compared exactly.
+    Valid for the reply right after `cycle` only, which with a lookahead is still to come, and only if the Robot
+    Server's plan is then the one that the gate assumed: it follows admission `follows_sequence`, its setpoint is
+    `follows_q_cmd`, its last increment `follows_dq` and the last reset that it obeyed `follows_resets`, all compared
+    exactly. So nothing behind an admission that was not taken is ever taken.
     """
 
     robot: Name
@@ -96,6 +97,7 @@ class Admission(Message):
     follows_sequence: Count
     follows_q_cmd: Joints
     follows_dq: Joints
+    follows_resets: Count = 0
     dq: Joints
     brake_cycles: BrakeCycles
 
@@ -206,7 +208,7 @@ class TrackerMemory(Message):
 
     state: ServerState | None = None
     ended_processes: tuple[Count, ...] = ()
-    in_flight: Admission | None = None
+    in_flight: tuple[Admission, ...] = ()
     missed: Count = 0
     history: tuple[Joints, ...] = ()
 

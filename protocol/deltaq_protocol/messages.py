@@ -70,6 +70,9 @@ class ToolPose(Message):
 class RobotState(Message):
     """State of one robot, published every cycle of its KRC.
 
+    `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
+    `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
+    brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
     `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
     the gate has been heard.
     """
@@ -85,6 +88,8 @@ class RobotState(Message):
     phase: Phase
     reason: ReasonCode | None = None
     gate: str = ""
+    q_ahead: Joints | None = None
+    setpoint_cycle: Count | None = None
 
 
 class Increment(Message):

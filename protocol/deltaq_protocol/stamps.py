@@ -54,9 +54,9 @@ class StampStation(IntEnum):
     DECIDED = 7
     """The gate has decided; as before."""
     ADMISSION_OUT = 8
-    """The SIM has published an admission; the cycle of the state that it was decided on."""
+    """The SIM has published an admission; the cycle after which it is taken."""
     ADMISSION_AT_SERVER = 9
-    """An admission has come to the Robot Server's process; the cycle of the state that it was decided on."""
+    """An admission has come to the Robot Server's process; the cycle after which it is taken."""
 
 
 class CycleOutcome(IntEnum):

@@ -23,7 +23,7 @@ AT_REST = Plan(dq=(0.0,) * 6, brake_cycles=1, step=1)
 
 
 def judged(state: ServerState, before: ServerState | None, **changes: Any) -> str | None:
-    known: dict[str, Any] = {"in_flight": None, "epoch": EPOCH, "resets": 0, "longest_gap": GAP} | changes
+    known: dict[str, Any] = {"in_flight": (), "epoch": EPOCH, "resets": 0, "longest_gap": GAP} | changes
     return impossible(state, before, **known)
 
 
@@ -43,11 +43,11 @@ def moving(cycle: int = 101, sequence: int = 2, **changes: Any) -> ServerState:
 BEFORE = server_state(plan=AT_REST)
 
 
-@pytest.mark.parametrize("in_flight", [None, admitted(sequence=3)])
-def test_a_sequence_that_was_not_admitted(in_flight: Admission | None) -> None:
+@pytest.mark.parametrize("in_flight", [(), (admitted(sequence=3),)])
+def test_a_sequence_that_was_not_admitted(in_flight: tuple[Admission, ...]) -> None:
     said = judged(moving(), BEFORE, in_flight=in_flight)
     assert said == "sequence 2, which was not admitted"
-    assert judged(moving(), BEFORE, in_flight=admitted()) is None
+    assert judged(moving(), BEFORE, in_flight=(admitted(),)) is None
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_sequence_that_was_not_admitted(in_flight: Admission | None) -> None:
 def test_a_sequence_of_this_gate_that_neither_was_there_nor_is_under_way(state: ServerState) -> None:
     followed_another = BEFORE.model_copy(update={"epoch": 7, "plan": MOVING})
     said = f"sequence {state.sequence}, which was not admitted"
-    assert judged(state, followed_another, in_flight=admitted()) == said
+    assert judged(state, followed_another, in_flight=(admitted(),)) == said
 
 
 def test_a_plan_counts_though_nothing_is_sent_of_it_now() -> None:
@@ -78,7 +78,7 @@ def test_a_plan_counts_though_nothing_is_sent_of_it_now() -> None:
     ],
 )
 def test_a_plan_that_was_not_admitted(plan: Plan) -> None:
-    said = judged(moving(plan=plan), BEFORE, in_flight=admitted())
+    said = judged(moving(plan=plan), BEFORE, in_flight=(admitted(),))
     assert said == "a plan that sequence 2 is not"
     assert judged(moving(102, plan=plan), moving()) == said
     assert judged(moving(102), moving()) is None
@@ -97,13 +97,13 @@ def at(*shares: float, **changes: Any) -> ServerState:
 
 @pytest.mark.parametrize("shares", [(1,), (1, 2 / 3), (1, 2 / 3, 1 / 3), (1, 2 / 3, 1 / 3, 0), (0,), (1, 0)])
 def test_an_admission_leads_along_its_brake_and_no_state_has_to_be_heard(shares: tuple[float, ...]) -> None:
-    assert judged(at(*shares), BEFORE, in_flight=admitted()) is None
+    assert judged(at(*shares), BEFORE, in_flight=(admitted(),)) is None
 
 
 @pytest.mark.parametrize("shares", [(1.001,), (1, 1), (1 + 2 / 3,), (0.5,), (-1,), (0, 0, 0, 0, 100)])
 def test_a_setpoint_that_no_admission_leads_to(shares: tuple[float, ...]) -> None:
     said = "a setpoint of joint 1 that no admission leads to"
-    assert judged(at(*shares), BEFORE, in_flight=admitted()) == said
+    assert judged(at(*shares), BEFORE, in_flight=(admitted(),)) == said
     held = at(*shares, phase=Phase.HELD, sequence=1, plan=AT_REST, dq=(0.0,) * 6)
     assert judged(held, BEFORE) == said
     one = BEFORE.model_copy(update={"q_cmd": (*BEFORE.q_cmd[:3], 0.3, *BEFORE.q_cmd[4:]), "cycle": 101})

@@ -28,7 +28,6 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.certificate import Certifier
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.gate import Gate
-from deltaq_services.sim.tube import Branch
 from deltaq_services.sim.violations import Violations
 
 
@@ -199,16 +198,18 @@ def test_what_was_just_admitted_to_the_other_robot_is_kept_clear_of():
     robot = at_rest("fr", FR_BESIDE_GR)
     turns = [one_joint("fr", 0, 1e-4), one_joint("fr", 0, -1e-4)]
     assert [decide(robot, turn, [gr]).outcome for turn in turns] == [Outcome.ADMITTED] * 2
-    gr.in_flight = Admission(
-        robot="gr",
-        epoch=1,
-        sequence=2,
-        cycle=LAG,
-        follows_sequence=1,
-        follows_q_cmd=gr.state.q_cmd,
-        follows_dq=gr.state.dq,
-        dq=tuple(one_joint("gr", 4, 0.01).tolist()),
-        brake_cycles=5,
+    gr.admitted(
+        Admission(
+            robot="gr",
+            epoch=1,
+            sequence=2,
+            cycle=LAG,
+            follows_sequence=1,
+            follows_q_cmd=gr.state.q_cmd,
+            follows_dq=gr.state.dq,
+            dq=tuple(one_joint("gr", 4, 0.01).tolist()),
+            brake_cycles=5,
+        )
     )
     assert Outcome.HELD in [decide(robot, turn, [gr]).outcome for turn in turns]  # the one that leads nearer
 
@@ -223,7 +224,7 @@ def test_what_is_admitted_for_clearance_is_certified_and_hardly_more_would_be():
 
     def certified(scale):
         dq = brake + scale * (request - brake)
-        tube = robot.tube(Branch(dq, LIMITS["fr"].brake_cycles(dq), -1))
+        tube = robot.tube(robot.course(dq, LIMITS["fr"].brake_cycles(dq)))
         return Certifier(PROXIMITY).certify("fr", tube, []).holds
 
     assert certified(decision.scale)

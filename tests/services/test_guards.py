@@ -25,6 +25,7 @@ def answer(q=0.0, last=0.0, dq=0.0, brake_cycles=1, age_cycles=0):
         follows_sequence=state.sequence,
         follows_q_cmd=state.q_cmd,
         follows_dq=state.dq,
+        follows_resets=state.resets,
         dq=(dq,) * 6,
         brake_cycles=brake_cycles,
     )

@@ -150,7 +150,15 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     assert set(vars(state.leases)) == {"_leases", "_epoch"} | {"_lease_s", "_new_token"}
     assert set(vars(state.commands)) == {"_id", "_epoch", "_outdated_id", "_stop_id", "_awaited", "_stops"}
     fixed = {"joints", "_max_age_cycles", "_max_state_age_s"}
-    remembered = {"state", "received_s", "_asked_cycle", "_awaited", "_waiting"}
+    remembered = {
+        "state",
+        "received_s",
+        "_asked_cycle",
+        "_awaited",
+        "_waiting",
+        "_admitted",
+        "_answered_cycle",
+    }
     assert all(set(vars(link)) == remembered | fixed for link in state.links.values())
     assert set(memory.links) == set(ROBOTS)
 

@@ -8,10 +8,12 @@ import pytest
 from gate_rig import SMALL, Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_cell import server_state
 
-from deltaq_protocol.guarded import Admission, Request
+from deltaq_protocol.guarded import Admission, Plan, Request
 from deltaq_protocol.messages import Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.inbox import Inbox
 
 DECIDED = (Outcome.ADMITTED, Outcome.SCALED, Outcome.HELD)
 
@@ -231,3 +233,38 @@ def test_an_increment_is_never_used_twice_nor_late_by_two_cycles_and_the_newest_
             watch.request(*request)
         if end is not None:
             getattr(watch, end)()
+
+
+# --- with a lookahead ---------------------------------------------------------------------------------------
+
+
+def waiting(decided_cycle, step, lookahead_cycles=3):
+    """The setpoint that an increment goes into, told by the cycle before it, on the state of cycle 20."""
+    inbox = Inbox(joints=6, max_age_cycles=10, lookahead_cycles=lookahead_cycles)
+    inbox.decided_cycle = decided_cycle
+    state = server_state("fr", 20, plan=Plan(dq=(1e-4,) * 6, brake_cycles=4, step=step))
+    inbox.put(Request(robot="fr", cycle=20, lease_epoch=1, seq=1, dq=(0.0,) * 6), 20)
+    return inbox.goes_after(state), inbox.due(state)
+
+
+@pytest.mark.parametrize(
+    ("decided_cycle", "step", "goes_after", "due"),
+    [
+        (21, 0, 22, True),  # the next one
+        (22, 0, 23, False),  # as much is in flight as may be
+        (19, 0, 20, True),  # the last that was in flight is being sent
+        (18, 1, 20, True),  # it brakes: on at once
+        (18, 4, 22, True),  # it rests, and can wait
+    ],
+)
+def test_an_increment_goes_into_the_setpoint_behind_those_in_flight(decided_cycle, step, goes_after, due):
+    assert waiting(decided_cycle, step) == (goes_after, due)
+
+
+def test_where_the_chain_broke_nothing_counts_as_decided_that_was_behind():
+    inbox = Inbox(joints=6, max_age_cycles=10, lookahead_cycles=3)
+    inbox.decided_cycle = 22
+    inbox.cycle_passed(20, missed=False)
+    assert inbox.decided_cycle == 22
+    inbox.cycle_passed(20, missed=True)
+    assert inbox.decided_cycle == 19

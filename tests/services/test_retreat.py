@@ -199,16 +199,18 @@ def test_a_violation_of_two_robots_is_led_out_of_by_either():
 
 def in_flight(gr, increment):
     """GR, with an admission on its way that turns its joint 4."""
-    gr.in_flight = Admission(
-        robot="gr",
-        epoch=1,
-        sequence=2,
-        cycle=1,
-        follows_sequence=1,
-        follows_q_cmd=gr.state.q_cmd,
-        follows_dq=gr.state.dq,
-        dq=tuple(one_joint("gr", 4, increment).tolist()),
-        brake_cycles=4,
+    gr.admitted(
+        Admission(
+            robot="gr",
+            epoch=1,
+            sequence=2,
+            cycle=1,
+            follows_sequence=1,
+            follows_q_cmd=gr.state.q_cmd,
+            follows_dq=gr.state.dq,
+            dq=tuple(one_joint("gr", 4, increment).tolist()),
+            brake_cycles=4,
+        )
     )
     return gr
 

@@ -74,6 +74,7 @@ class Rig:
             "follows_sequence": state.sequence,
             "follows_q_cmd": state.q_cmd,
             "follows_dq": state.dq,
+            "follows_resets": state.resets,
             "dq": tuple(np.asarray(increment).tolist()),
             "brake_cycles": brake_cycles(np.asarray(increment), STEP),
         }
@@ -163,6 +164,7 @@ def test_starved_it_drives_the_brake_and_is_ready_again(rig):
         ({"follows_sequence": 3}, "admission_unchained"),
         ({"follows_q_cmd": tuple((FR.home + 1e-12).tolist())}, "admission_unchained"),
         ({"follows_dq": (1e-12,) * 6}, "admission_unchained"),
+        ({"follows_resets": 7}, "admission_unchained"),
         ({"dq": (0.0,) * 7}, "admission_wrong_shape"),
         ({"dq": tuple((FR.max_velocity * CELL.cycle_s * 1.01).tolist())}, "admission_too_fast"),
         ({"dq": tuple((STEP * 1.01).tolist())}, "admission_too_abrupt"),

@@ -92,9 +92,9 @@ def test_in_a_storm_of_telegrams_another_may_take_its_place_at_any_moment(monkey
 
 def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     remembered = {
-        "process", "motion_stop", "outputs", "_cycle", "_phase", "_reason", "_q_cmd", "_q_reset", "_dq", "_plan",
-        "_plan_dq", "_epoch", "_sequence", "_resets", "_cycles_without_gate", "_cycles_missed", "_settling", "_told",
-        "_state", "_mode", "_admission", "_supervision",
+        "process", "motion_stop", "outputs", "_cycle", "_phase", "_reason", "_motion", "_q_reset",
+        "_epoch", "_resets", "_cycles_without_gate", "_cycles_missed", "_settling", "_told",
+        "_state", "_mode", "_admissions", "_supervision",
     }  # fmt: skip
     fixed = {
         "robot",

@@ -144,6 +144,7 @@ def test_an_admission_is_bound_to_the_state_it_was_decided_on(rig):
             follows_sequence=state.sequence,
             follows_q_cmd=state.q_cmd,
             follows_dq=state.dq,
+            follows_resets=state.resets,
             dq=tuple(dq.tolist()),
             brake_cycles=brake_cycles(dq, MAX_DV),
         )

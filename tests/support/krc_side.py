@@ -129,6 +129,7 @@ class KrcSide:
             follows_sequence=state.sequence,
             follows_q_cmd=state.q_cmd,
             follows_dq=state.dq,
+            follows_resets=state.resets,
             dq=tuple(increment.tolist()),
             brake_cycles=brake_cycles(increment, MAX_DV),
         )

@@ -46,7 +46,8 @@ class ServedRobot:
 
     def listen(self) -> None:
         """Read what has come, as a cycle begins by doing."""
-        self.admission = self.link.admission() or self.admission
+        for admission in self.link.admissions():
+            self.admission = admission
         self.supervision = self.link.supervision() or self.supervision
 
     def cycle(self) -> None:
@@ -139,7 +140,7 @@ class SealedRealm:
 
     def is_admitted(self, robot: ServedRobot) -> bool:
         in_flight = self.sim.robots[robot.name].tracker.in_flight
-        return in_flight is not None and in_flight.cycle == robot.state.cycle
+        return any(admission.cycle == robot.state.cycle for admission in in_flight)
 
     def has_mail(self, robot: ServedRobot) -> bool:
         """Whether all that the gate said on the newest state has come."""

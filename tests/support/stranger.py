@@ -109,6 +109,7 @@ class Stranger:
             follows_sequence=state.sequence,
             follows_q_cmd=state.q_cmd,
             follows_dq=state.dq,
+            follows_resets=state.resets,
             dq=tuple((0.5 * max_dv).tolist()),
             brake_cycles=brake_cycles(0.5 * max_dv, max_dv),
         )

@@ -71,25 +71,28 @@ class Stage:
         assert state is not None  # every robot has been heard
         if decision.outcome is not Outcome.HELD:
             self._sequence += 1
-            tracker.in_flight = Admission(
+            ahead = tracker.ahead
+            admission = Admission(
                 robot=robot,
                 epoch=1,
                 sequence=self._sequence,
-                cycle=state.cycle,
-                follows_sequence=state.sequence,
-                follows_q_cmd=state.q_cmd,
-                follows_dq=state.dq,
+                cycle=tracker.decided_after,
+                follows_sequence=ahead.sequence,
+                follows_q_cmd=tuple(ahead.q_cmd.tolist()),
+                follows_dq=tuple(ahead.dq.tolist()),
                 dq=tuple(decision.dq.tolist()),
                 brake_cycles=decision.brake_cycles,
             )
+            tracker.admitted(admission)
         return decision.outcome
 
     def cycle(self) -> None:
         """Send every robot its admitted increment, or the next step of its brake."""
         self._cycle += 1
         for name, tracker in self._trackers.items():
-            plan, admitted = self._plans[name], tracker.in_flight
-            if admitted is not None:
+            plan = self._plans[name]
+            if tracker.in_flight:
+                admitted = tracker.in_flight[0]
                 plan = Plan(dq=admitted.dq, brake_cycles=admitted.brake_cycles, step=0)
             else:
                 plan = plan.model_copy(update={"step": plan.step + 1})

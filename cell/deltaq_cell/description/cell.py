@@ -38,6 +38,10 @@ class ContactDescription(DescriptionModel):
         return any(name.startswith(f"{robot}/") for name in (*self.bodies, *self.against))
 
 
+MOST_LOOKAHEAD_CYCLES = 8
+"""Each course that a robot may take is certified, and there is one for each admission in flight."""
+
+
 class GateDescription(DescriptionModel):
     """The margins of the gate.
 
@@ -58,6 +62,8 @@ class GateDescription(DescriptionModel):
     """Fraction of the velocity limits that is allowed while leaving a violation."""
     max_request_age_s: Positive = 0.12
     """An increment that answers an older state is stale, and one older than the table of topics allows."""
+    lookahead_cycles: Annotated[int, Field(ge=1, le=MOST_LOOKAHEAD_CYCLES)] = 1
+    """How many setpoints may be decided that are not sent yet; more leave more time for answers."""
     gate_timeout_s: Positive = 0.5
     """Silence after which a Robot Server takes the gate for lost."""
     hli_timeout_s: Positive = 0.5

@@ -28,21 +28,26 @@ class BrakeCause(StrEnum):
     ADMISSION_REFUSED = "the Robot Server refused the admission"
 
 
-def causes(stamps: RobotStamps, cycles: Iterable[int]) -> Counter[BrakeCause]:
+def causes(stamps: RobotStamps, cycles: Iterable[int], lookahead_cycles: int = 1) -> Counter[BrakeCause]:
     """The cause of every one of these cycles that had no fresh admission."""
     outcomes = stamps.outcomes
     missed = (cycle for cycle in cycles if outcomes.get(cycle) not in (None, CycleOutcome.FRESH))
     by_cycle = _by_cycle(stamps)
-    return Counter(_cause(stamps, by_cycle, cycle) for cycle in missed)
+    return Counter(_cause(stamps, by_cycle, cycle, lookahead_cycles) for cycle in missed)
 
 
-def _cause(stamps: RobotStamps, by_cycle: dict[StampStation, dict[int, list[int]]], cycle: int) -> BrakeCause:
-    """What a cycle needs is decided on the state before it; it has come in time if it has before the telegram."""
+def _cause(
+    stamps: RobotStamps,
+    by_cycle: dict[StampStation, dict[int, list[int]]],
+    cycle: int,
+    lookahead_cycles: int,
+) -> BrakeCause:
+    """What a cycle needs is decided on a state before it; it has come in time if it has before the telegram."""
     if stamps.outcomes[cycle] is CycleOutcome.HELD:
         return BrakeCause.HELD
     if stamps.outcomes[cycle] is CycleOutcome.REPLY_MISSED:
         return BrakeCause.REPLY_MISSED
-    before, due_ns = cycle - 1, stamps.states[StampStation.TELEGRAM][cycle]
+    before, due_ns = cycle - lookahead_cycles, stamps.states[StampStation.TELEGRAM][cycle]
     if before in stamps.admissions[StampStation.ADMISSION_OUT]:
         came_ns = stamps.admissions[StampStation.ADMISSION_AT_SERVER].get(before)
         if came_ns is None:

@@ -87,13 +87,14 @@ class Journey:
         return None if begin_ns is None or at_ns is None else at_ns - begin_ns
 
 
-def by_robot(written: Iterable[WrittenStamps]) -> dict[str, RobotStamps]:
-    """The stamps of all processes, by robot."""
+def by_robot(written: Iterable[WrittenStamps], lookahead_cycles: int = 1) -> dict[str, RobotStamps]:
+    """The stamps of all processes, by robot; those of admissions under the state whose answers go into them."""
     robots: dict[str, RobotStamps] = {}
     for one in written:
         for station, index, cycle, detail, time_ns in one.rows.tolist():
             stamps = robots.setdefault(one.robots[index], RobotStamps())
-            stamps.add(StampStation(station), cycle, detail, time_ns)
+            answered = cycle - lookahead_cycles + 1 if station in OF_ADMISSION else cycle
+            stamps.add(StampStation(station), answered, detail, time_ns)
     return robots
 
 

@@ -164,9 +164,12 @@ def _wait(
 def _figures(
     cell: CellDescription, services: Sequence[Service], window: _Window, written: Sequence[WrittenStamps]
 ) -> LiveRun:
-    stamps = by_robot(written)
+    ahead = cell.gate.lookahead_cycles
+    stamps = by_robot(written, ahead)
     robots = {
-        name: robot_figures(stamps.get(name, RobotStamps()), window.begin_ns, window.end_ns, window.reference)
+        name: robot_figures(
+            stamps.get(name, RobotStamps()), window.begin_ns, window.end_ns, window.reference, ahead
+        )
         for name in cell.robots
     }
     cycles = (window.end_ns - window.begin_ns) / 1e9 / cell.cycle_s

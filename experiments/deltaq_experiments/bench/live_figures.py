@@ -133,12 +133,14 @@ class LiveRow(_Frozen):
         )
 
 
-def robot_figures(stamps: RobotStamps, begin_ns: int, end_ns: int, reference: HopTimes) -> RobotFigures:
+def robot_figures(
+    stamps: RobotStamps, begin_ns: int, end_ns: int, reference: HopTimes, lookahead_cycles: int = 1
+) -> RobotFigures:
     """The figures of one robot in a window [ns]."""
     outcomes = stamps.outcomes
     cycles = [cycle for cycle in stamps.cycles_in(begin_ns, end_ns) if cycle in outcomes]
     fresh = sum(outcomes[cycle] is CycleOutcome.FRESH for cycle in cycles)
-    braked = causes(stamps, cycles)
+    braked = causes(stamps, cycles, lookahead_cycles)
     travelled = journeys(stamps, begin_ns, end_ns)
     return RobotFigures(
         cycles=len(cycles),

@@ -132,6 +132,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
             follows_sequence=state.sequence,
             follows_q_cmd=state.q_cmd,
             follows_dq=state.dq,
+            follows_resets=state.resets,
             dq=state.dq,
             brake_cycles=1,
         )

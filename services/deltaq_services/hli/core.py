@@ -177,6 +177,7 @@ class HliCore:
         self._state.commands.suppose(state.epoch)
         waited = link.waits
         asked = self.increments.on_cycle(state.robot, link, time_s)
+        q_ahead, setpoint_cycle = link.told_ahead()
         placed = RobotState(
             robot=state.robot,
             cycle=state.cycle,
@@ -188,6 +189,8 @@ class HliCore:
             phase=state.phase,
             reason=state.reason,
             gate=self._gate.fingerprint if self._gate else "",
+            q_ahead=q_ahead,
+            setpoint_cycle=setpoint_cycle,
         )
         told = ToTopic(topics.STATE, state.robot, placed)
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]
@@ -199,7 +202,7 @@ class HliCore:
             self.counters["verdicts_ignored"] += 1
             return []
         self.counters[f"verdicts_{verdict.outcome}"] += 1
-        awaited, sender = link.answered(verdict.seq)
+        awaited, sender = link.decided(verdict)
         lease = self._state.leases.of(verdict.robot)
         if not awaited and lease is not None:
             sender = lease.connection

@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import ServerState
-from deltaq_protocol.messages import Increment, Phase, Reason
+from deltaq_protocol.messages import Increment, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.admitted_ahead import AdmittedAhead
 from deltaq_services.outputs import Sender
 
 _MAX_AWAITED = 64
@@ -38,16 +39,20 @@ class LinkMemory:
 
     Attributes:
         state, received_s: of the robot, and when it came.
-        asked_cycle: cycle of the state that was answered last.
+        asked_cycle: cycle in which an increment was passed on last.
+        answered_cycle: cycle of the state that it answered.
         awaited: who awaits which verdict.
         waiting: the increment that waits.
+        admitted: of each cycle to come, the verdict on what goes into it.
     """
 
     state: ServerState | None
     received_s: float
     asked_cycle: int | None
+    answered_cycle: int
     awaited: Mapping[int, Sender | None]
     waiting: Asked | None
+    admitted: Mapping[int, Verdict]
 
 
 class RobotLink:
@@ -57,28 +62,45 @@ class RobotLink:
         joints: number of joints, n.
         max_age_cycles: an increment that answers a cycle older than this is stale.
         max_state_age_s: a robot whose newest state is older than this is taken for offline.
+        admitted: what is known of the setpoints to come; None without a lookahead.
     """
 
-    def __init__(self, joints: int, max_age_cycles: int, max_state_age_s: float) -> None:
+    def __init__(
+        self, joints: int, max_age_cycles: int, max_state_age_s: float, admitted: AdmittedAhead | None = None
+    ) -> None:
         self.joints = joints
         self._max_age_cycles = max_age_cycles
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
+        self._answered_cycle = -1
         self._awaited: dict[int, Sender | None] = {}
         self._waiting: Asked | None = None
+        self._admitted = admitted
         self.state: ServerState | None = None
         self.received_s = -math.inf
 
     def snapshot(self) -> LinkMemory:
         """Snapshot of the robot, for `restore`."""
         awaited = dict(self._awaited)
-        return LinkMemory(self.state, self.received_s, self._asked_cycle, awaited, self._waiting)
+        admitted = {} if self._admitted is None else self._admitted.snapshot()
+        return LinkMemory(
+            self.state,
+            self.received_s,
+            self._asked_cycle,
+            self._answered_cycle,
+            awaited,
+            self._waiting,
+            admitted,
+        )
 
     def restore(self, memory: LinkMemory) -> None:
         """Go on from where another was."""
         self.state, self.received_s = memory.state, memory.received_s
-        self._asked_cycle, self._waiting = memory.asked_cycle, memory.waiting
+        self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
+        self._waiting = memory.waiting
         self._awaited = dict(memory.awaited)
+        if self._admitted is not None:
+            self._admitted.restore(memory.admitted)
 
     def phase(self, time_s: float) -> Phase:
         """Phase of the robot; offline while no fresh state comes."""
@@ -131,6 +153,23 @@ class RobotLink:
         """Take the state of a new cycle."""
         self.state = state
         self.received_s = time_s
+        self._answered_cycle = min(self._answered_cycle, state.cycle)  # another process counts from one
+        if self._admitted is not None:
+            self._admitted.cycle_passed(state)
+
+    def decided(self, verdict: Verdict) -> tuple[bool, Sender | None]:
+        """The gate has decided; returns whether a verdict for this sequence number was awaited, and by whom."""
+        if self._admitted is not None:
+            self._admitted.decided(verdict)
+        if verdict.seq not in self._awaited:
+            return False, None
+        return True, self._awaited.pop(verdict.seq)
+
+    def told_ahead(self) -> tuple[tuple[float, ...] | None, int | None]:
+        """The setpoint (n,) [rad or m] to which an increment is added now, and the cycle that it goes into."""
+        if self._admitted is None or self.state is None:
+            return None, None
+        return self._admitted.q_ahead(self.state), self._admitted.setpoint_cycle(self.state)
 
     def offer(self, asked: Asked) -> tuple[Asked | None, Asked | None]:
         """Offer an increment.
@@ -138,7 +177,7 @@ class RobotLink:
         Returns:
             The increment to send now, if any, and the one that it took the place of, if any.
         """
-        if self._is_due():
+        if self._is_due(asked):
             return self._sent(asked), self.drop()
         replaced, self._waiting = self._waiting, asked
         return None, replaced
@@ -153,18 +192,16 @@ class RobotLink:
         asked, self._waiting = self._waiting, None
         return asked
 
-    def answered(self, seq: int) -> tuple[bool, Sender | None]:
-        """Whether a verdict for this sequence number was awaited, and by whom."""
-        if seq not in self._awaited:
-            return False, None
-        return True, self._awaited.pop(seq)
-
-    def _is_due(self) -> bool:
-        return self.state is not None and self._asked_cycle != self.state.cycle
+    def _is_due(self, asked: Asked) -> bool:
+        if self.state is None:
+            return False
+        # with a lookahead the answer to each state has a setpoint of its own, though two come in one cycle
+        has_its_own = self._admitted is not None and asked.increment.cycle > self._answered_cycle
+        return self._asked_cycle != self.state.cycle or has_its_own
 
     def _sent(self, asked: Asked) -> Asked:
         assert self.state is not None  # nothing is due before the first state
-        self._asked_cycle = self.state.cycle
+        self._asked_cycle, self._answered_cycle = self.state.cycle, asked.increment.cycle
         self._awaited[asked.increment.seq] = asked.sender
         while len(self._awaited) > _MAX_AWAITED:
             self._awaited.pop(next(iter(self._awaited)))

@@ -12,6 +12,7 @@ from deltaq_protocol.guarded import Command, Health
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.admitted_ahead import AdmittedAhead
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.leases import Lease, Leases
 from deltaq_services.hli.refusals import refusal
@@ -36,7 +37,7 @@ class HliState:
         new_token: Callable[[], str],
         first_epoch: int,
     ) -> None:
-        age_s = cell.gate.max_request_age_s
+        age_s, ahead = cell.gate.max_request_age_s, cell.gate.lookahead_cycles
         self.cell = cell
         self.identity = identity
         self.mismatches: dict[str, str] = {}
@@ -48,6 +49,7 @@ class HliState:
                 len(robot.joints),
                 topics.INCREMENT.age_cycles(cell.cycle_s, age_s),
                 topics.SERVER_STATE.age_s(cell.cycle_s, age_s),
+                AdmittedAhead(ahead, cell.cycle_s) if ahead > 1 else None,
             )
             for name, robot in cell.robots.items()
         }

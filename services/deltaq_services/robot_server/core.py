@@ -18,12 +18,13 @@ import numpy as np
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.brake import brake_increment
-from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
+from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
+from deltaq_protocol.motion import Motion
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
+from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
@@ -62,20 +63,16 @@ class RobotServer:
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        self._q_cmd = np.zeros(0)
+        self._motion = Motion.at_rest(np.zeros(0))
         self._q_reset: Array | None = None
-        self._dq = np.zeros(0)
-        self._plan = Plan(dq=(0.0,), brake_cycles=1, step=1)
-        self._plan_dq = np.zeros(0)
         self._epoch = 0
-        self._sequence = 0
         self._resets = 0
         self._phase = Phase.OFFLINE
         self._reason: ReasonCode | None = None
         self._cycle = 0
         self._state: ServerState | None = None
         self._told: tuple[Measurement, float] | None = None
-        self._admission: Admission | None = None
+        self._admissions = AdmissionsDue(cell.gate.lookahead_cycles)
         self._supervision: Supervision | None = None
 
     @property
@@ -107,7 +104,7 @@ class RobotServer:
         Args:
             measured: what the KRC reported.
             time_s: time of arrival, for the published state only.
-            admission: the newest admission since the last cycle, if any.
+            admission: one that has come since the last cycle, if any; `take` takes more of them.
             supervision: the newest heartbeat of the gate since the last cycle, if any.
 
         Returns:
@@ -115,6 +112,8 @@ class RobotServer:
         """
         if measured.q_start is not None:
             self._begin_session(measured.q, measured.q_start)
+        if admission is not None:
+            self._keep(admission)
         follows = self.state
         self._cycle += 1
         self._watch(measured.q)
@@ -128,13 +127,13 @@ class RobotServer:
                 self._stop(ReasonCode.KRC_LOST)
         else:
             self._cycles_missed = 0
-            self._advance(admission, follows)
-        self._settling = self._settling.sent(bool(self._dq.any()))
+            self._advance(follows)
+        self._settling = self._settling.sent(bool(self._motion.dq.any()))
         self._told, self._state = (measured, time_s), None
         return self._mode.added_to(self._held_at)
 
     def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
-        """Take what has come: of the gate's messages the newest of each kind counts, and a measurement is a cycle.
+        """Take what has come: an admission waits for its cycle, the newest heartbeat counts, a measurement is a cycle.
 
         Args:
             message: of the gate, or of the robot's driver.
@@ -147,13 +146,12 @@ class RobotServer:
             TypeError: for a message that nobody sends here.
         """
         if isinstance(message, Admission):
-            self._admission = message
+            self._keep(message)
         elif isinstance(message, Supervision):
             self._supervision = message
         elif isinstance(message, Measurement):
-            admission, self._admission = self._admission, None
             supervision, self._supervision = self._supervision, None
-            q_cmd = self.cycle(message, time_s, admission, supervision)
+            q_cmd = self.cycle(message, time_s, supervision=supervision)
             return [ToRobot(q_cmd, self.outputs, self.motion_stop)]
         else:
             raise TypeError(
@@ -169,12 +167,9 @@ class RobotServer:
             cycle=self._cycle,
             phase=self._phase,
             reason=self._reason,
-            q_cmd=tuple(self._q_cmd.tolist()),
+            motion=self._motion,
             q_reset=None if self._q_reset is None else tuple(self._q_reset.tolist()),
-            dq=tuple(self._dq.tolist()),
-            plan=self._plan,
             epoch=self._epoch,
-            sequence=self._sequence,
             resets=self._resets,
             cycles_without_gate=self._cycles_without_gate,
             cycles_missed=self._cycles_missed,
@@ -185,7 +180,7 @@ class RobotServer:
             told=self._told,
             state=self.state,
             mode=self._mode.snapshot(),
-            admission=self._admission,
+            admissions=self._admissions.snapshot(),
             supervision=self._supervision,
         )
 
@@ -193,10 +188,9 @@ class RobotServer:
         """Go on from where another Robot Server of this robot was, counters excepted."""
         self.process, self._cycle = memory.process, memory.cycle
         self._phase, self._reason = memory.phase, memory.reason
-        self._q_cmd, self._dq = np.array(memory.q_cmd), np.array(memory.dq)
         self._q_reset = None if memory.q_reset is None else np.array(memory.q_reset)
-        self._plan, self._plan_dq = memory.plan, np.array(memory.plan.dq)
-        self._epoch, self._sequence, self._resets = memory.epoch, memory.sequence, memory.resets
+        self._motion = memory.motion
+        self._epoch, self._resets = memory.epoch, memory.resets
         self._cycles_without_gate, self._cycles_missed = memory.cycles_without_gate, memory.cycles_missed
         settled = None if memory.q_settled is None else np.array(memory.q_settled)
         self._settling = replace(self._settling, cycles_at_rest=memory.cycles_at_rest, q_settled=settled)
@@ -206,7 +200,8 @@ class RobotServer:
         if memory.mode is not None:
             self._mode = self._new_mode(np.array(memory.mode.q_start))
             self._mode.restore(memory.mode)
-        self._admission, self._supervision = memory.admission, memory.supervision
+        self._admissions.restore(memory.admissions)
+        self._supervision = memory.supervision
 
     def krc_silent(self, time_s: float) -> None:
         """The KRC was silent for longer than its timeout: hold, until it is back and someone resets."""
@@ -217,7 +212,6 @@ class RobotServer:
         if self._phase is Phase.HELD:
             self._reason = ReasonCode.KRC_LOST  # of several causes this one stands
         # the KRC has held its last correction by now: what is left of a brake would set the robot in motion
-        self._dq = np.zeros_like(self._q_cmd)
         self._rest()
         self._told, self._state = (self._told[0], time_s), None
 
@@ -230,7 +224,6 @@ class RobotServer:
         self.counters["replies_refused"] += 1
         self._stop(ReasonCode.REPLY_REFUSED)
         self._q_reset = q_sent.copy()
-        self._dq = np.zeros_like(q_sent)
         self._rest()
         self._state = None
 
@@ -242,7 +235,7 @@ class RobotServer:
     @property
     def _held_at(self) -> Array:
         """(n,) setpoint that the KRC has: its own in a new session, until a reset adopts it."""
-        return self._q_cmd if self._q_reset is None else self._q_reset
+        return self._motion.q_cmd if self._q_reset is None else self._q_reset
 
     def _begin_session(self, q: Array, q_start: Array) -> None:
         if self._cycle > 0:
@@ -251,10 +244,9 @@ class RobotServer:
             if self._reason is ReasonCode.RSI_MODE:
                 self._reason = ReasonCode.KRC_LOST  # that was the mode of the session before
         if self._phase is Phase.OFFLINE:
-            self._q_cmd = q_start.copy()
+            self._motion = replace(self._motion, q_cmd=q_start.copy())
         else:
             self._q_reset = q_start.copy()
-        self._dq = np.zeros_like(q_start)
         # a session begins with a robot that stands: the motion has ended, and a stop would end the session, too
         self.motion_stop = False
         self._settling = self._settling.sent(moves=True)
@@ -284,8 +276,7 @@ class RobotServer:
             self._end_motion()
 
     def _rest(self) -> None:
-        self._plan_dq = np.zeros_like(self._q_cmd)
-        self._plan = Plan(dq=tuple(self._plan_dq.tolist()), brake_cycles=1, step=1)
+        self._motion = Motion.at_rest(self._motion.q_cmd, self._motion.sequence)
 
     def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         if supervision is None:
@@ -306,14 +297,13 @@ class RobotServer:
             self._stop(ReasonCode.RSI_MODE)
         if self._mode.bars:
             self._resets = max(self._resets, supervision.resets)  # one given now shall not be obeyed some day
-        there = self._plan.step >= self._plan.brake_cycles and self._settling.is_near(q, self._held_at)
+        there = self._motion.rests and self._settling.is_near(q, self._held_at)
         may_be_reset = self._phase is Phase.HELD and self._mode.known and there
         if may_be_reset and supervision.resets > self._resets:
-            self._q_cmd, self._q_reset = self._held_at, None
+            self._motion, self._q_reset = replace(self._motion, q_cmd=self._held_at, sequence=0), None
             self.motion_stop = False
             self._resets = supervision.resets
             self._epoch = supervision.epoch
-            self._sequence = 0
             self._cycles_missed = 0
             self._reason = None
             self._enter(Event.RESET)
@@ -323,32 +313,39 @@ class RobotServer:
             self._stop(supervision.stop)
         self.outputs.update({k: v for k, v in supervision.outputs.items() if k in self.outputs})
 
-    def _advance(self, admission: Admission | None, follows: ServerState | None) -> None:
-        if admission is not None and self._take(admission, follows):
+    def _keep(self, admission: Admission) -> None:
+        """Keep an admission until its cycle; until then nothing else is known of it than that it is not too late."""
+        if self._cycle == 0:
+            self.counters["admission_while_not_ready"] += 1
+            return
+        why = self._admissions.put(admission, self._cycle)
+        if why is not None:
+            self.counters[why] += 1
+
+    def _advance(self, follows: ServerState | None) -> None:
+        admission = None if follows is None else self._admissions.take(follows.cycle)
+        if follows is None or self._phase not in MAY_MOVE or follows.phase not in MAY_MOVE:
+            # nothing goes on after a hold that was asked for before it
+            forgotten = self._admissions.forget() + (admission is not None)
+            self.counters.update({"admission_while_not_ready": forgotten} if forgotten else {})
+            admission = None
+        if admission is not None and follows is not None and self._follows(admission, follows):
+            self._motion = self._motion.admitted(admission)
             self._enter(Event.ADMITTED)
         else:
-            self._plan = self._plan.model_copy(update={"step": self._plan.step + 1})
-            self._enter(Event.STARVED)
-            if self._plan.step <= self._plan.brake_cycles:
+            if not self._motion.rests:
                 self.counters["braked_cycles"] += 1
-        self._dq = brake_increment(self._plan_dq, self._plan.brake_cycles, self._plan.step)
-        self._q_cmd = self._q_cmd + self._dq
-        if self._plan.step >= self._plan.brake_cycles:
-            self._rest()
+            self._motion = self._motion.braked()
+            self._enter(Event.STARVED)
+        if self._motion.rests:
             self._enter(Event.RESTED)
 
-    def _take(self, admission: Admission, follows: ServerState | None) -> bool:
-        if self._phase not in MAY_MOVE or follows is None:
-            self.counters["admission_while_not_ready"] += 1
-            return False
-        why = refusal(admission, follows, self._bounds)
+    def _follows(self, admission: Admission, state: ServerState) -> bool:
+        why = refusal(admission, state, self._bounds)
         if why is not None:
             self.counters[why] += 1
             return False
         self.counters["admissions"] += 1
-        self._sequence = admission.sequence
-        self._plan = Plan(dq=admission.dq, brake_cycles=admission.brake_cycles, step=0)
-        self._plan_dq = np.array(admission.dq)
         return True
 
     def _stop(self, reason: ReasonCode) -> None:
@@ -370,12 +367,12 @@ class RobotServer:
             ipoc=measured.ipoc,
             time_s=time_s,
             q=tuple(measured.q.tolist()),
-            q_cmd=tuple(self._q_cmd.tolist()),
+            q_cmd=tuple(self._motion.q_cmd.tolist()),
             q_reset=None if self._q_reset is None else tuple(self._q_reset.tolist()),
-            dq=tuple(self._dq.tolist()),
-            plan=self._plan,
+            dq=tuple(self._motion.dq.tolist()),
+            plan=self._motion.plan,
             epoch=self._epoch,
-            sequence=self._sequence,
+            sequence=self._motion.sequence,
             phase=self._phase,
             reason=ReasonCode.RSI_MODE if barred else self._reason,
             resets=self._resets,

@@ -65,13 +65,14 @@ class GuardedLink:
             None if stamps is None else CycleStamps(stamps, self._session, admission_key, self._seal)
         )
 
-    def admission(self) -> Admission | None:
-        """The newest admission since the last call, if any."""
-        return self._newest(self._admissions, Admission)
+    def admissions(self) -> list[Admission]:
+        """The admissions since the last call, in the order in which they came."""
+        return self._received(self._admissions, Admission)
 
     def supervision(self) -> Supervision | None:
         """The newest heartbeat of the gate since the last call, if any."""
-        return self._newest(self._supervisions, Supervision)
+        received = self._received(self._supervisions, Supervision)
+        return received[-1] if received else None
 
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
@@ -98,27 +99,24 @@ class GuardedLink:
     def _publisher(self, topic: Topic, cell: str, **fields: str) -> Any:
         return declare_publisher(self._session, topic.key(cell, **fields), self._seal, topic.priority)
 
-    def _newest(self, subscriber: Any, message_type: type[M]) -> M | None:
+    def _received(self, subscriber: Any, message_type: type[M]) -> list[M]:
         name = message_type.__name__.lower()
-        newest: bytes | None = None
+        received: list[M] = []
         for _ in range(_WAITING):  # no more: others may send faster than they are read
             sample = subscriber.try_recv()
             if sample is None:
                 break
             try:
-                newest = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+                opened = self._seal.open(str(sample.key_expr), sample.payload.to_bytes())
+                received.append(unpack(message_type, opened))
             except ForgedMessageError:
                 self._counters[f"forged_{name}"] += 1
             except UnboundMessageError:
                 self._counters[f"unbound_{name}"] += 1
                 self._is_unknown = True
-        if newest is None:
-            return None
-        try:
-            return unpack(message_type, newest)
-        except InvalidMessageError:
-            self._counters[f"invalid_{name}"] += 1
-            return None
+            except InvalidMessageError:
+                self._counters[f"invalid_{name}"] += 1
+        return received
 
     def _exchange_greetings(self, time_s: float) -> None:
         """Greet who does not know this process, and learn of those who greet: after the reply, since it can wait."""

@@ -71,8 +71,13 @@ def refusal(admission: Admission, state: ServerState, bounds: Bounds) -> Refusal
         return Refusal.LATE
     if admission.sequence <= state.sequence:
         return Refusal.REPLAYED
-    follows = (admission.follows_sequence, admission.follows_q_cmd, admission.follows_dq)
-    if follows != (state.sequence, state.q_cmd, state.dq):
+    follows = (
+        admission.follows_sequence,
+        admission.follows_q_cmd,
+        admission.follows_dq,
+        admission.follows_resets,
+    )
+    if follows != (state.sequence, state.q_cmd, state.dq, state.resets):
         return Refusal.UNCHAINED
     return _motion_refusal(admission, state, bounds)
 

@@ -79,7 +79,9 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
                     krc.send(rsi.unmoved)
                 if measured is not None:
                     silent_s = now_s + silence_s
-                    q_cmd = server.cycle(measured, now_s, link.admission(), link.supervision())
+                    for admission in link.admissions():
+                        server.take(admission, now_s)
+                    q_cmd = server.cycle(measured, now_s, supervision=link.supervision())
                     krc.send(rsi.reply(q_cmd, server.outputs, ending.stop or server.motion_stop))
                     if rsi.fault is not None:
                         server.reply_refused(rsi.q_sent)
@@ -115,7 +117,9 @@ def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:
             time.sleep(max(0.0, start_s + cycle * cell.cycle_s - time.monotonic()))
             now_s = time.monotonic()
             measured = Measurement(ipoc=cycle * cycle_ms, q=q, q_start=q if cycle == 1 else None)
-            q = server.cycle(measured, now_s, link.admission(), link.supervision())
+            for admission in link.admissions():
+                server.take(admission, now_s)
+            q = server.cycle(measured, now_s, supervision=link.supervision())
             link.publish(server.state, now_s)
             ending.cycle_passed()
     finally:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deltaq_protocol.guarded import Admission, Plan, ServerState, Supervision
+from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
+from deltaq_protocol.motion import Motion
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ProbeMemory
@@ -18,23 +19,22 @@ class ServerMemory:
     """Snapshot of a Robot Server's core, counters excepted; places [rad or m].
 
     Attributes:
+        motion: what was sent last; its arrays are never written to.
         cycles_at_rest, q_settled: of `Settling`.
         told: the last measurement, and when it came.
         state: what is published; None before the first cycle.
         mode: of the session; None for that of a robot that is no KUKA.
-        admission, supervision: the newest of the gate that no cycle has had yet.
+        admissions: that are due in a later cycle.
+        supervision: the newest that no cycle has had yet.
     """
 
     process: int
     cycle: int
     phase: Phase
     reason: ReasonCode | None
-    q_cmd: JointValues
+    motion: Motion
     q_reset: JointValues | None
-    dq: JointValues
-    plan: Plan
     epoch: int
-    sequence: int
     resets: int
     cycles_without_gate: int
     cycles_missed: int
@@ -45,5 +45,5 @@ class ServerMemory:
     told: tuple[Measurement, float] | None
     state: ServerState | None
     mode: ProbeMemory | None
-    admission: Admission | None
+    admissions: tuple[Admission, ...]
     supervision: Supervision | None

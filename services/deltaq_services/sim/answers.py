@@ -17,15 +17,17 @@ def reply(id_: int, code: ReasonCode | None = None, message: str = "") -> ToTopi
     return ToTopic(topics.COMMAND_REPLY, "", answer)
 
 
-def verdict_of(robot: str, cycle: int, seq: int, decision: Decision, cycle_s: float) -> Verdict:
-    """A decision on the increment `seq`, for the state of `cycle`."""
+def verdict_of(
+    robot: str, cycle: int, setpoint_cycle: int, seq: int, decision: Decision, cycle_s: float
+) -> Verdict:
+    """A decision on the increment `seq` and the state of `cycle`, for the setpoint of `setpoint_cycle`."""
     near = decision.binding.nearest if decision.binding is not None else None
     return Verdict(
         robot=robot,
         cycle=cycle,
         seq=seq,
         outcome=decision.outcome,
-        setpoint_cycle=None if decision.outcome is Outcome.HELD else cycle + 1,
+        setpoint_cycle=None if decision.outcome is Outcome.HELD else setpoint_cycle,
         scale=decision.scale,
         dq=tuple(decision.dq.tolist()),
         time_to_stop_s=decision.brake_cycles * cycle_s,

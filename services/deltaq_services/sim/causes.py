@@ -7,12 +7,15 @@ of a fault, of two gates, or from somebody who speaks in the Robot Server's stea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
+from deltaq_protocol.motion import Motion
 from deltaq_services.phases import MAY_MOVE
-from deltaq_services.sim.tube import Branch
+from deltaq_services.sim.courses import courses
 
 _SUMS = 1e-9
 """Rounding of a setpoint when increments are added in another order [rad or m]."""
@@ -21,7 +24,7 @@ _SUMS = 1e-9
 def impossible(
     state: ServerState,
     before: ServerState | None,
-    in_flight: Admission | None,
+    in_flight: Sequence[Admission],
     epoch: int,
     resets: int,
     longest_gap: int,
@@ -31,7 +34,7 @@ def impossible(
     Args:
         state: of a robot, as it has just come.
         before: the newest that was believed; None before the first, and what follows is judged by the first.
-        in_flight: the admission that was sent since, if any.
+        in_flight: the admissions that it could still take then, each following the one before it.
         epoch: of this gate.
         resets: the count of resets that this gate has ordered the robot to reach.
         longest_gap: cycles that may pass unheard; a robot that may move is held long before.
@@ -60,16 +63,16 @@ def impossible(
     return None if joint is None else f"a setpoint of joint {joint + 1} that no admission leads to"
 
 
-def _off_course(state: ServerState, before: ServerState, in_flight: Admission | None) -> int | None:
+def _off_course(state: ServerState, before: ServerState, in_flight: Sequence[Admission]) -> int | None:
     """The joint whose setpoint is not on the course that began at the one before; None if all are.
 
-    An admission is valid for the next cycle only, so that there is no other course than that of the brake and its own.
+    An admission is valid for its own cycle only, and only behind the one that it follows, so that there is no other
+    course to the admission that a state follows than the one through all before it.
     """
     if state.q_cmd == before.q_cmd:
         return None
-    branch = Branch(np.array(before.plan.dq), before.plan.brake_cycles, before.plan.step)
-    if in_flight is not None and state.sequence == in_flight.sequence:
-        branch = Branch(np.array(in_flight.dq), in_flight.brake_cycles, -1)
+    known = courses(Motion.of(before), before.cycle, in_flight)
+    branch = known.get(state.sequence, known[before.sequence])
     start = np.array(before.q_cmd)
     course = np.vstack([start, branch.setpoints(start)[: state.cycle - before.cycle]])
     off = np.abs(course - np.array(state.q_cmd))
@@ -77,12 +80,13 @@ def _off_course(state: ServerState, before: ServerState, in_flight: Admission | 
     return None if nearest.max() <= _SUMS else int(nearest.argmax())
 
 
-def _not_admitted(state: ServerState, before: ServerState, in_flight: Admission | None) -> str | None:
+def _not_admitted(state: ServerState, before: ServerState, in_flight: Sequence[Admission]) -> str | None:
     """Why the plan that a state of this epoch tells is none that this gate has admitted."""
     told = (state.plan.dq, state.plan.brake_cycles)
     rests = not any(state.plan.dq) and not any(state.dq)
-    if in_flight is not None and state.sequence == in_flight.sequence:
-        admitted = (in_flight.dq, in_flight.brake_cycles)
+    taken = next((one for one in in_flight if one.sequence == state.sequence), None)
+    if taken is not None:
+        admitted = (taken.dq, taken.brake_cycles)
     elif state.epoch == before.epoch and state.sequence == before.sequence:
         admitted = (before.plan.dq, before.plan.brake_cycles)
     elif state.sequence == 0 and rests:

@@ -224,8 +224,11 @@ class Sim:
         reason = self._unready(state)
         if reason is not None:
             return reply(command.id, reason.code, f"{robot.name}: {reason.what}")
+        robot.tracker.decide_after(None)
         decision = self._judge(robot, dq)
-        verdict = verdict_of(robot.name, state.cycle, 0, decision, self._cycle_s)
+        verdict = verdict_of(
+            robot.name, state.cycle, robot.tracker.decided_after + 1, 0, decision, self._cycle_s
+        )
         answer = CommandReply(id=command.id, accepted=True, verdict=verdict)
         return ToTopic(topics.COMMAND_REPLY, "", answer)
 
@@ -323,14 +326,16 @@ class Sim:
             return []
         reason = inbox.fault_on(state, robot.orders.standing_stop is not None)
         reason = reason or self._unready(state)
+        goes_after = inbox.goes_after(state)
         request = inbox.take()
         assert request is not None  # it is due
         assert request.dq is not None  # heartbeats are not put there
         if reason is not None:
             return [self._refuse(request, reason)]
-        inbox.decided_cycle = state.cycle
+        inbox.decided_cycle = goes_after
+        robot.tracker.decide_after(goes_after)
         decision = self._judge(robot, request.dq)
-        outputs = [self._verdict(request, state.cycle, decision)]
+        outputs = [self._verdict(request, state.cycle, goes_after + 1, decision)]
         if decision.outcome is not Outcome.HELD:
             inbox.decided = request
             outputs.insert(0, self._admit(robot, state, decision))
@@ -362,25 +367,27 @@ class Sim:
 
     def _admit(self, robot: GatedRobot, state: ServerState, decision: Decision) -> ToTopic:
         self._sequence += 1
+        ahead = robot.tracker.ahead
         admission = Admission(
             robot=robot.name,
             epoch=self.epoch,
             sequence=self._sequence,
-            cycle=state.cycle,
-            follows_sequence=state.sequence,
-            follows_q_cmd=state.q_cmd,
-            follows_dq=state.dq,
+            cycle=robot.tracker.decided_after,
+            follows_sequence=ahead.sequence,
+            follows_q_cmd=tuple(ahead.q_cmd.tolist()),
+            follows_dq=tuple(ahead.dq.tolist()),
+            follows_resets=state.resets,
             dq=tuple(decision.dq.tolist()),
             brake_cycles=decision.brake_cycles,
         )
-        robot.tracker.in_flight = admission
+        robot.tracker.admitted(admission)
         return ToTopic(topics.ADMISSION, robot.name, admission)
 
-    def _verdict(self, request: Request, cycle: int, decision: Decision) -> ToTopic:
+    def _verdict(self, request: Request, cycle: int, setpoint_cycle: int, decision: Decision) -> ToTopic:
         self.counters[decision.outcome] += 1
         for reason in decision.reasons[:1]:
             self.counters[f"reason_{reason.code}"] += 1
-        verdict = verdict_of(request.robot, cycle, request.seq, decision, self._cycle_s)
+        verdict = verdict_of(request.robot, cycle, setpoint_cycle, request.seq, decision, self._cycle_s)
         if decision.outcome is Outcome.HELD:
             verdict = self._with_receipt(verdict)
         return ToTopic(topics.GATE_VERDICT, request.robot, verdict)

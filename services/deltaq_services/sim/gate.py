@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
 from deltaq_protocol.arrays import Array
@@ -25,7 +23,7 @@ from deltaq_services.sim.retreat import Retreat
 from deltaq_services.sim.share_search import largest
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Branch, Windows
+from deltaq_services.sim.tube import Windows
 from deltaq_services.sim.violations import Violations
 
 _LEAST_SCALE = 1e-3
@@ -81,9 +79,8 @@ class Gate:
         """
         limits = self._limits[robot.name]
         brake = robot.brake()
-        assert robot.state is not None  # the caller decides only for robots that have been heard
-        scale, reasons = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
-        scale, tighter = limits.position_scale(brake, request, robot.q_cmd, scale)
+        scale, reasons = limits.dynamic_scale(brake, request, robot.ahead.dq)
+        scale, tighter = limits.position_scale(brake, request, robot.ahead.q_cmd, scale)
         reasons = tighter or reasons
         share, contact = self._contacts.speed(robot.name)
         if contact and (slow := limits.slow_scale(brake, request, share)) < scale:
@@ -94,7 +91,7 @@ class Gate:
 
         def tube(s: float) -> Windows:
             dq = brake + s * (request - brake)
-            return robot.tube(Branch(dq, limits.brake_cycles(dq), -1))
+            return robot.tube(robot.course(dq, limits.brake_cycles(dq)))
 
         certificate = CompiledCertifier(self._proximity).certify(robot.name, tube(scale), tubes)
         if certificate.holds:

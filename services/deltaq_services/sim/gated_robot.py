@@ -35,9 +35,13 @@ class GatedRobot:
         self.name = name
         self.joints = len(description.joints)
         self.max_age_cycles = topics.COMMAND.age_cycles(cycle_s, gate.max_request_age_s)
-        self.tracker = Tracker(name, description, cycle_s, math.ceil(gate.servo_lag_s / cycle_s))
+        self.tracker = Tracker(
+            name, description, cycle_s, math.ceil(gate.servo_lag_s / cycle_s), gate.lookahead_cycles
+        )
         self.orders = Orders(self.tracker, math.ceil(gate.hli_timeout_s / cycle_s))
-        self.inbox = Inbox(self.joints, topics.REQUEST.age_cycles(cycle_s, gate.max_request_age_s))
+        self.inbox = Inbox(
+            self.joints, topics.REQUEST.age_cycles(cycle_s, gate.max_request_age_s), gate.lookahead_cycles
+        )
         self.longest_gap_cycles = _GAP * math.ceil(gate.gate_timeout_s / cycle_s)
         self.dry_run_cycle = -1
 

@@ -21,27 +21,29 @@ _IN_HAND_CYCLES = 1
 
 
 class Inbox:
-    """Keeps the newest valid request until it is decided, once a cycle.
+    """Keeps the newest valid request until it is decided: one for each setpoint.
 
     Args:
         joints: of the robot.
         max_age_cycles: an increment that answers an older state is stale.
+        lookahead_cycles: how many setpoints may be decided that are not sent yet.
 
     Attributes:
         waiting: the request to be decided next.
         decided: the request behind the admission in flight; None where it must not be decided again.
-        decided_cycle: cycle of the state that was decided last.
+        decided_cycle: the cycle after which the setpoint is sent that was decided last.
         spoken_cycle: cycle in which the HLI spoke last.
         lease_epoch, seq: lease and sequence number of the newest valid request.
     """
 
-    def __init__(self, joints: int, max_age_cycles: int) -> None:
+    def __init__(self, joints: int, max_age_cycles: int, lookahead_cycles: int = 1) -> None:
         self.waiting: Request | None = None
         self.decided: Request | None = None
         self.decided_cycle = self.spoken_cycle = -1
         self.lease_epoch, self.seq = 0, -1
         self._joints = joints
         self._max_age_cycles = max_age_cycles
+        self._lookahead_cycles = lookahead_cycles
 
     def fault(self, request: Request) -> Reason | None:
         """Why a request with an increment is invalid, as far as that is known before it is decided."""
@@ -101,6 +103,8 @@ class Inbox:
             The request that has waited for too long, and waits no longer.
         """
         oldest = cycle - _IN_HAND_CYCLES
+        if missed:  # nothing that was decided for a later cycle will be sent
+            self.decided_cycle = min(self.decided_cycle, cycle - 1)
         decided, self.decided = self.decided, None
         if self.waiting is not None:
             return self.take() if self.waiting.cycle < oldest else None
@@ -125,10 +129,23 @@ class Inbox:
 
     def due(self, state: ServerState) -> bool:
         """Whether a request waits that can be decided, or refused, on this state."""
-        if self.waiting is None or self.decided_cycle == state.cycle or self.spoken_cycle < state.cycle:
+        if self.waiting is None or self.spoken_cycle < state.cycle:
+            return False
+        if self.goes_after(state) >= state.cycle + self._lookahead_cycles:
             return False
         # what was sent after a state that is still on its way here would be too late on this one
         return not state.cycle < _sent_in(self.waiting) <= state.cycle + _AHEAD_CYCLES
+
+    def goes_after(self, state: ServerState) -> int:
+        """The cycle after which the setpoint is sent that is decided next on this state.
+
+        It follows the one that was decided last. Where that has been sent, a robot that brakes goes on at once; one that
+        rests can wait, so that as much is in flight as may be.
+        """
+        if self.decided_cycle >= state.cycle - 1:
+            return self.decided_cycle + 1
+        rests = state.plan.step >= state.plan.brake_cycles
+        return state.cycle + self._lookahead_cycles - 1 if rests else state.cycle
 
     def fault_on(self, state: ServerState, stopping: bool) -> Reason | None:
         """Why the waiting request cannot be decided on this state."""

@@ -89,7 +89,7 @@ class Retreat:
         violated, reasons = self._violated(robot, others)
         scale = min(at_most, limits.slow_scale(brake, request, self._speed))
         dq = brake + scale * (request - brake)
-        branch = Branch(dq, limits.brake_cycles(dq), -1)
+        branch = robot.course(dq, limits.brake_cycles(dq))
         leads_out = scale > 0 and self._leads_out(robot, branch, others, violated)
         return (scale if leads_out else 0.0), reasons
 

@@ -41,19 +41,19 @@ class SlowDown:
         """Largest s <= `at_most` with which no pair in the band approaches too fast, and the reason if it is less.
 
         Args:
-            robot: the robot that is to move, judged at its setpoint.
-            others: the other robots, at theirs.
+            robot: the robot that is to move, judged at the setpoint that the increment is added to.
+            others: the other robots, at their present setpoints.
             brake: (n,) next increment of the brake [rad or m].
             request: (n,) increment asked for.
             at_most: the largest s that other limits leave.
         """
         if self._distance_m is None:
             return at_most, []
-        self._place(robot)
+        self._place(robot.name, robot.ahead.q_cmd)
         # of two robots each has half of the speed
         lists = [(1.0, self._proximity.alone[robot.name])]
         for other in others:
-            self._place(other)
+            self._place(other.name, other.q_cmd)
             lists.append((0.5, self._proximity.between[robot.name, other.name]))
         scale, reasons = at_most, []
         near = [
@@ -81,5 +81,5 @@ class SlowDown:
             ]
         return scale, reasons
 
-    def _place(self, robot: Tracker) -> None:
-        self._proximity.place(robot.name, robot.q_cmd, np.zeros_like(robot.q_cmd))
+    def _place(self, robot: str, q: Array) -> None:
+        self._proximity.place(robot, q, np.zeros_like(q))

@@ -1,19 +1,22 @@
 """The gate's knowledge of one robot: its newest state, the setpoints before it, and its possible courses.
 
-Until a state shows which admission the Robot Server follows, the old brake and the admission in flight are
-both courses that the robot may take.
+Until a state shows which admission the Robot Server follows, the old brake and each admission in flight are
+courses that the robot may take (`deltaq_services.sim.courses`). What is decided next goes on from their end.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.brake import brake_increment
 from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
+from deltaq_protocol.motion import Motion
+from deltaq_services.sim.courses import courses, motions, still_due
 from deltaq_services.sim.tube import Branch, Windows, tube
 
 _ENDED_PROCESSES = 16
@@ -32,16 +35,26 @@ class Tracker:
     Attributes:
         units: unit of each joint.
         state: the newest state; None before the first.
-        in_flight: an admission that no state has confirmed or outdated yet.
+        in_flight: admissions that no state has confirmed or outdated yet, each following the one before it.
         missed: admissions that the Robot Server did not take.
         restarted: whether the newest state is the first of another Robot Server process.
         displaced: whether its setpoint is not where the increments since the last state can have brought it.
     """
 
-    def __init__(self, name: str, description: RobotDescription, cycle_s: float, lag_cycles: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        description: RobotDescription,
+        cycle_s: float,
+        lag_cycles: int,
+        lookahead_cycles: int = 1,
+    ) -> None:
         self.name = name
         self.state: ServerState | None = None
-        self.in_flight: Admission | None = None
+        self.in_flight: tuple[Admission, ...] = ()
+        self._ahead: Motion | None = None
+        self._decided_after: int | None = None
+        self._lookahead_cycles = lookahead_cycles
         self.missed = 0
         self.restarted = self.displaced = False
         self._fastest = description.max_velocity * cycle_s
@@ -62,18 +75,18 @@ class Tracker:
             self.restarted = True
             self._ended.append(self.state.process)
             self._history.clear()
-            self.in_flight = None
+            self._fly(())
         elif self.state is not None:
             if state.cycle == self.state.cycle and state.time_s >= self.state.time_s:
-                self.state = state  # the KRC is silent, but phase and reason may have changed
+                # the KRC is silent, but phase, reason and plan may have changed
+                self.state, self._ahead, self._decided_after = state, None, None
             if state.cycle <= self.state.cycle:
                 return False
             self.displaced = self._is_displaced(self.state, state)
         self.state = state
-        if self.in_flight is not None:
-            if (state.epoch, state.sequence) != (self.in_flight.epoch, self.in_flight.sequence):
-                self.missed += 1
-            self.in_flight = None
+        still = still_due(state, self.in_flight)
+        self.missed += _missed(state, self.in_flight) - len(still)
+        self._fly(still)
         # in a new session the drives are held where the KRC says, and a reset continues from there
         self._history.append(np.array(state.q_cmd if state.q_reset is None else state.q_reset))
         return True
@@ -98,7 +111,8 @@ class Tracker:
 
     def restore(self, memory: TrackerMemory) -> None:
         """Restore a snapshot of another tracker of this robot."""
-        self.state, self.in_flight, self.missed = memory.state, memory.in_flight, memory.missed
+        self.state, self.missed = memory.state, memory.missed
+        self._fly(memory.in_flight)
         self._history.clear()
         self._history.extend(np.array(setpoint) for setpoint in memory.history)
         self._ended.clear()
@@ -110,10 +124,47 @@ class Tracker:
         """(n,) present setpoint [rad or m]."""
         return self._history[-1]
 
+    def admitted(self, admission: Admission) -> None:
+        """An admission was sent, which follows all that are in flight."""
+        self._fly((*self.in_flight, admission))
+
+    def _fly(self, admissions: tuple[Admission, ...]) -> None:
+        self.in_flight = admissions
+        self._decided_after = self._ahead = None
+
+    def decide_after(self, cycle: int | None) -> None:
+        """Decide next the setpoint that is sent after `cycle`; None: that which answers to the newest state go into."""
+        self._decided_after, self._ahead = cycle, None
+
+    @property
+    def decided_after(self) -> int:
+        """The cycle after which the setpoint is sent that is decided next."""
+        assert self.state is not None  # asked only of robots that have been heard
+        answer = self.state.cycle + self._lookahead_cycles - 1
+        return answer if self._decided_after is None else self._decided_after
+
+    @property
+    def ahead(self) -> Motion:
+        """What the robot will have been sent by then, if it takes all that is in flight."""
+        if self._ahead is None:
+            self._ahead = self._motions()[-1]
+        return self._ahead
+
     def brake(self) -> Array:
-        """(n,) next increment of the brake that the Robot Server sends without a new admission."""
-        branch = self._planned()
-        return brake_increment(branch.dq, branch.brake_cycles, branch.step + 1)
+        """(n,) increment that the Robot Server sends if nothing is admitted for the cycle that is decided next."""
+        return self.ahead.brake()
+
+    def course(self, dq: Array, brake_cycles: int) -> Branch:
+        """The course on which `dq` (n,) and its brake follow all that is in flight."""
+        return Branch(dq, brake_cycles, -1, tuple(motion.q_cmd for motion in self._motions()[1:]))
+
+    def _motions(self) -> list[Motion]:
+        assert self.state is not None  # asked only of robots that have been heard
+        return motions(self._now(), self.state.cycle, self.in_flight, self.decided_after - self.state.cycle)
+
+    def _now(self) -> Motion:
+        assert self.state is not None  # asked only of robots that have been heard
+        return replace(Motion.of(self.state), q_cmd=self.q_cmd)
 
     def _planned(self) -> Branch:
         assert self.state is not None  # asked only of robots that have been heard
@@ -140,10 +191,8 @@ class Tracker:
         return [self.tube_of_setpoints(branch) for branch in self._courses()]
 
     def _courses(self) -> list[Branch]:
-        courses = [self._planned()]
-        if self.in_flight is not None:
-            courses.append(Branch(np.array(self.in_flight.dq), self.in_flight.brake_cycles, -1))
-        return courses
+        assert self.state is not None  # asked only of robots that have been heard
+        return list(courses(self._now(), self.state.cycle, self.in_flight).values())
 
     def standing(self) -> Windows:
         """The tube of a robot that is sent nothing more: where the drives may be now."""
@@ -156,7 +205,7 @@ class Tracker:
 
     def stands_still(self) -> bool:
         """Whether it is at rest, and nothing is in flight that could set it in motion."""
-        return self.in_flight is None and self.at_rest()
+        return not self.in_flight and self.at_rest()
 
     def off_path(self) -> tuple[int, float, float] | None:
         """The joint that left the commanded path by more than its tolerance: index, distance, tolerance."""
@@ -173,3 +222,11 @@ class Tracker:
             history, q = np.array(self._history), np.array(self.state.q)
             self._past = history, np.maximum(history.min(axis=0) - q, q - history.max(axis=0))
         return self._past
+
+
+def _missed(state: ServerState, chain: Sequence[Admission]) -> int:
+    """How many admissions of a chain lie behind the one that a state follows."""
+    taken = [
+        index for index, one in enumerate(chain) if (one.epoch, one.sequence) == (state.epoch, state.sequence)
+    ]
+    return len(chain) - (taken[-1] + 1 if taken else 0)

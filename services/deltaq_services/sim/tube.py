@@ -23,22 +23,27 @@ _SHORTEST = 1e-7
 
 @dataclass(frozen=True)
 class Branch:
-    """One course a robot may take from its present setpoint: `dq` and its brake, sent up to `step`.
+    """One course a robot may take from its present setpoint: along a path, then `dq` and its brake, sent up to `step`.
 
-    `step` -1 means that `dq` itself is still to be sent.
+    `step` -1 means that `dq` itself is still to be sent. The path is that of admissions in flight, empty if there are
+    none before `dq`: setpoints, each (n,) [rad or m].
     """
 
     dq: Array
     brake_cycles: int
     step: int
+    path: tuple[Array, ...] = ()
 
     def setpoints(self, q_cmd: Array) -> Array:
         """(m, n) setpoints still to come after `q_cmd`, m = 0 at rest [rad or m]."""
         steps = np.arange(max(self.step + 1, 0), self.brake_cycles)
+        start = self.path[-1] if self.path else q_cmd
         if not self.dq.any() or steps.size == 0:
-            return np.empty((0, q_cmd.size))
-        share = np.cumsum((self.brake_cycles - steps) / self.brake_cycles)
-        return q_cmd + share[:, None] * self.dq
+            to_come = np.empty((0, q_cmd.size))
+        else:
+            share = np.cumsum((self.brake_cycles - steps) / self.brake_cycles)
+            to_come = start + share[:, None] * self.dq
+        return np.vstack([*self.path, to_come]) if self.path else to_come
 
 
 class Piece(Protocol):

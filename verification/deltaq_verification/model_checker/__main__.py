@@ -35,27 +35,34 @@ def main(arguments: list[str] | None = None) -> int:
         type=int,
         help="largest number of attacks on RSI's wire on one path; includes RSI's own code",
     )
+    parser.add_argument(
+        "--lookahead-cycles", type=int, default=1, help="how many cycles ahead SIM decides; default: 1"
+    )
     broken = {one.system.__name__: one for one in BROKEN}
     parser.add_argument("--broken", choices=sorted(broken), help="explore a system that is broken on purpose")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     given = parser.parse_args(arguments)
     seeded = None if given.broken is None else broken[given.broken]
-    system = _system(given.attacks) if seeded is None else seeded.system()
+    system = _system(given.attacks, given.lookahead_cycles) if seeded is None else seeded.system()
     faults: int = given.faults if given.faults is not None else 0 if seeded is None else seeded.faults
     found = explore(system, faults, given.cycles, None if given.json else _tell)
-    print(json.dumps(_fields(found, faults, given.attacks)) if given.json else _text(found, faults))
+    print(
+        json.dumps(_fields(found, faults, given.attacks, given.lookahead_cycles))
+        if given.json
+        else _text(found, faults)
+    )
     return 0 if found.counterexample is None else 1
 
 
-def _system(attacks: int | None) -> System:
-    return System() if attacks is None else AttackedSystem(attacks)
+def _system(attacks: int | None, lookahead_cycles: int) -> System:
+    return System(lookahead_cycles) if attacks is None else AttackedSystem(attacks)
 
 
 def _tell(cycle: int, states: int) -> None:
     print(f"cycle {cycle:3d}: {states} states", file=sys.stderr, flush=True)
 
 
-def _fields(found: Exploration, faults: int, attacks: int | None) -> dict[str, object]:
+def _fields(found: Exploration, faults: int, attacks: int | None, lookahead_cycles: int) -> dict[str, object]:
     example = found.counterexample
     return {
         "states": found.states,
@@ -63,6 +70,7 @@ def _fields(found: Exploration, faults: int, attacks: int | None) -> dict[str, o
         "cycles": found.cycles,
         "faults": faults,
         "attacks": attacks,
+        "lookahead_cycles": lookahead_cycles,
         "complete": found.complete,
         "holds": example is None,
         "properties": {one.name.lower(): one.value for one in Property},

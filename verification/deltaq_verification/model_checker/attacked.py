@@ -28,7 +28,7 @@ from deltaq_verification.model_checker.rsi_line import (
     new_program,
 )
 from deltaq_verification.model_checker.safety_monitor import Property, Telegram, Violation
-from deltaq_verification.model_checker.system import System
+from deltaq_verification.model_checker.system import System, at_hand
 from deltaq_verification.model_checker.system_state import KEPT, SentState, SystemState, Turn
 
 _ELSEWHERE = 3 * STEP
@@ -229,7 +229,7 @@ class AttackedSystem(System):
         telegram = Telegram(
             before=before,
             after=after,
-            admission=admission,
+            admissions=at_hand(system_state, admission),
             order_of_stop=sent is not None and sent.order_of_stop,
             gate_heard=sent is not None,
             missed=measured.missed_last,

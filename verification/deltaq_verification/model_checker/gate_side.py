@@ -40,8 +40,9 @@ _KINDS: tuple[_Kind, ...] = ("stop", "reset")
 class GateSide:
     """The SIM, and all that can happen to what it is sent and sends."""
 
-    def __init__(self) -> None:
-        self._description = one_joint_cell()
+    def __init__(self, lookahead_cycles: int = 1) -> None:
+        self._description = one_joint_cell(lookahead_cycles=lookahead_cycles)
+        self._kept_admissions = KEPT - 1 + lookahead_cycles
         self._sim = self._new_sim()
         self._blank = self._sim.snapshot()
 
@@ -53,7 +54,8 @@ class GateSide:
     ) -> Sim:
         """A SIM that follows its robot, orders it about and keeps requests with these."""
         sim = one_joint_sim(self._description)
-        tracker = tracker_type(ROBOT, self._description.robots[ROBOT], CYCLE_S, LAG_CYCLES)
+        ahead = self._description.gate.lookahead_cycles
+        tracker = tracker_type(ROBOT, self._description.robots[ROBOT], CYCLE_S, LAG_CYCLES, ahead)
         sim.robots[ROBOT].tracker = tracker
         sim.robots[ROBOT].orders = orders_type(tracker, HLI_TIMEOUT_CYCLES)
         sim.robots[ROBOT].inbox = inbox_type(joints=1, max_age_cycles=1)
@@ -175,7 +177,7 @@ class GateSide:
         used = system_state.used.gate_took(message, answers, system_state.gate.epoch, system_state.gate)
         for output in outputs:
             if isinstance(output.message, Admission):
-                admissions, new_admission = (*admissions, output.message)[-KEPT:], True
+                admissions, new_admission = (*admissions, output.message)[-self._kept_admissions :], True
             elif isinstance(output.message, Supervision):
                 sent = SentSupervision(output.message, monitor.since_stop is not None)
                 supervisions, new_supervision = (*supervisions, sent)[-KEPT:], True

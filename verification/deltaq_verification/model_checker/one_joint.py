@@ -60,12 +60,13 @@ _RSI = {
 }
 
 
-def one_joint_cell(rsi: bool = False) -> CellDescription:
+def one_joint_cell(rsi: bool = False, lookahead_cycles: int = 1) -> CellDescription:
     """The description of the cell.
 
     Args:
         rsi: the robot has a KRC. Without one there is no mode to probe, which takes more cycles than are explored
             and is tested by itself.
+        lookahead_cycles: of the gate.
     """
     joint = {
         "home_m": 0.0,
@@ -83,6 +84,7 @@ def one_joint_cell(rsi: bool = False) -> CellDescription:
     }
     gate = {
         "servo_lag_s": LAG_CYCLES * CYCLE_S,
+        "lookahead_cycles": lookahead_cycles,
         "max_request_age_s": CYCLE_S,
         "gate_timeout_s": GATE_TIMEOUT_CYCLES * CYCLE_S,
         "krc_timeout_s": KRC_TIMEOUT_CYCLES * CYCLE_S,
@@ -101,8 +103,7 @@ class EveryIncrement:
 
     def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:  # noqa: ARG002 the gate's own signature
         """Admit a request within the limits; hold any other."""
-        assert robot.state is not None  # the SIM decides only for robots that have been heard
-        last, step = np.array(robot.state.dq), np.array([STEP])
+        last, step = robot.ahead.dq, np.array([STEP])
         if np.all(np.abs(request) <= FASTEST * STEP) and np.all(np.abs(request - last) <= STEP):
             return Decision(Outcome.ADMITTED, 1.0, request, brake_cycles(request, step), (), None)
         brake = robot.brake()

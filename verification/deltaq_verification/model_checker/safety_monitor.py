@@ -52,7 +52,7 @@ class Telegram:
     Attributes:
         before: the state before; None for a Robot Server that has just started.
         after: the state after.
-        admission: what was handed to it.
+        admissions: what was handed to it, now or before, that may still have been due.
         order_of_stop: the heartbeat handed to it was sent after a stop that no reset has followed.
         gate_heard: a heartbeat was handed to it.
         missed: the KRC did not get the last reply.
@@ -61,7 +61,7 @@ class Telegram:
 
     before: ServerState | None
     after: ServerState
-    admission: Admission | None
+    admissions: tuple[Admission, ...]
     order_of_stop: bool
     gate_heard: bool
     missed: bool
@@ -163,7 +163,7 @@ class SafetyMonitor:
             return ()
         moved = after.q_cmd[0] - before.q_cmd[0]
         if after.sequence != before.sequence and after.sequence != 0:
-            admission = telegram.admission
+            admission = next((one for one in telegram.admissions if one.sequence == after.sequence), None)
             dead = _dead(admission, telegram)
             if dead or admission is None:
                 raise Violation(

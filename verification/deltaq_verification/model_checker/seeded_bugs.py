@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
-from deltaq_protocol.guarded import Admission, Plan, Request, ServerState, Supervision, TrackerMemory
+from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision, TrackerMemory
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
@@ -26,10 +26,8 @@ from deltaq_verification.model_checker.system import System
 
 
 class _TakesLate(RobotServer):
-    def _take(self, admission: Admission, follows: ServerState | None) -> bool:
-        if follows is not None:
-            admission = admission.model_copy(update={"cycle": follows.cycle})
-        return super()._take(admission, follows)
+    def _keep(self, admission: Admission) -> None:
+        super()._keep(admission.model_copy(update={"cycle": self._cycle}))
 
 
 class LateIsTaken(System):
@@ -39,12 +37,33 @@ class LateIsTaken(System):
         return _TakesLate(self._description, ROBOT, process)
 
 
+class _LooksAtNoChain(RobotServer):
+    def _follows(self, admission: Admission, state: ServerState) -> bool:
+        follows = {
+            "follows_sequence": state.sequence,
+            "follows_q_cmd": state.q_cmd,
+            "follows_dq": state.dq,
+            "follows_resets": state.resets,
+        }
+        return super()._follows(admission.model_copy(update=follows), state)
+
+
+class ChainIsNotLookedAt(System):
+    """The Robot Server takes an admission in its cycle, whatever has become of the one that it follows."""
+
+    def __init__(self) -> None:
+        super().__init__(lookahead_cycles=2)
+
+    def _new_server(self, process: int) -> RobotServer:
+        return _LooksAtNoChain(self._description, ROBOT, process)
+
+
 class _ResetsAtOnce(RobotServer):
     def _supervise(self, supervision: Supervision | None, q: Array) -> None:
-        plan = self._plan
-        self._plan = Plan(dq=plan.dq, brake_cycles=1, step=1)
+        motion = self._motion
+        self._motion = replace(motion, step=motion.brake_cycles)
         super()._supervise(supervision, q)
-        self._plan = plan
+        self._motion = replace(self._motion, step=motion.step)
 
 
 class _AlwaysAtRest(Tracker):
@@ -109,7 +128,7 @@ class SilentGateIsIgnored(System):
 
 class _ForgetsAdmissions(Tracker):
     def snapshot(self) -> TrackerMemory:
-        return super().snapshot().model_copy(update={"in_flight": None})
+        return super().snapshot().model_copy(update={"in_flight": ()})
 
 
 class AdmissionIsForgotten(System):
@@ -160,7 +179,7 @@ class _TakesSessions(RobotServer):
     def _begin_session(self, q: Array, q_start: Array) -> None:
         super()._begin_session(q, q_start)
         if self._q_reset is not None:
-            self._q_cmd, self._q_reset = self._q_reset, None
+            self._motion, self._q_reset = replace(self._motion, q_cmd=self._q_reset), None
 
 
 class SessionIsTakenInAnyPhase(AttackedSystem):
@@ -221,7 +240,8 @@ class _GoesOnFromMissed(RobotServer):
         admission: Admission | None = None,
         supervision: Supervision | None = None,
     ) -> Array:
-        self._q_cmd = self._q_cmd + STEP * (measured.missed_last and bool(self._dq.any()))
+        made_up = STEP * (measured.missed_last and bool(self._motion.dq.any()))
+        self._motion = replace(self._motion, q_cmd=self._motion.q_cmd + made_up)
         return super().cycle(measured, time_s, admission, supervision)
 
 
@@ -243,6 +263,7 @@ class SeededBug:
 
 BROKEN: tuple[SeededBug, ...] = (
     SeededBug(LateIsTaken, Property.CERTIFIED, 1),
+    SeededBug(ChainIsNotLookedAt, Property.KNOWN, 1),
     SeededBug(ResetIgnoresRest, Property.LATCHED, 0),
     SeededBug(StopIsNotLatched, Property.NOTICED, 0),
     SeededBug(MissedReplyIsForgotten, Property.CERTIFIED, 1),

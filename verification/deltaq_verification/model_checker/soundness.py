@@ -30,10 +30,10 @@ def judge(gate: TrackerMemory, q_cmd: float, course: tuple[float, ...]) -> None:
     if gate.state is None:
         return
     history = [setpoint[0] for setpoint in gate.history]
-    plan, flight = gate.state.plan, gate.in_flight
-    believed = [*history, *_places(history[-1], plan.dq, plan.brake_cycles, plan.step + 1)]
-    if flight is not None:
-        believed += _places(history[-1], flight.dq, flight.brake_cycles, 0)
+    plan, here = gate.state.plan, history[-1]
+    believed = [*history, *_places(here, plan.dq, plan.brake_cycles, plan.step + 1)]
+    for flight in gate.in_flight:
+        believed += _places(flight.follows_q_cmd[0], flight.dq, flight.brake_cycles, 0)
     for place in accumulate(course, initial=q_cmd):
         if not min(believed) <= place <= max(believed):
             raise Violation(

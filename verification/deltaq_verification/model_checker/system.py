@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from deltaq_protocol.guarded import ServerState
+from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
@@ -37,10 +37,14 @@ class Move:
 
 
 class System(GateSide):
-    """Robot Server and SIM, and all that can happen to them."""
+    """Robot Server and SIM, and all that can happen to them.
 
-    def __init__(self) -> None:
-        super().__init__()
+    Args:
+        lookahead_cycles: how many cycles ahead the SIM decides.
+    """
+
+    def __init__(self, lookahead_cycles: int = 1) -> None:
+        super().__init__(lookahead_cycles)
         self._server = self._new_server(process=1)
         self._blank_server = self._server.snapshot()
 
@@ -132,7 +136,7 @@ class System(GateSide):
         telegram = Telegram(
             before=before,
             after=server.state,
-            admission=admission,
+            admissions=at_hand(system_state, admission),
             order_of_stop=sent is not None and sent.order_of_stop,
             gate_heard=sent is not None,
             missed=missed,
@@ -183,6 +187,12 @@ class System(GateSide):
             new_supervision=False,
             monitor=system_state.monitor.server_crashed(system_state.server.state.phase is Phase.OFFLINE),
         )
+
+
+def at_hand(system_state: SystemState, handed: Admission | None) -> tuple[Admission, ...]:
+    """What a Robot Server has: what was handed to it before and is not due yet, and now."""
+    kept = system_state.server.admissions
+    return kept if handed is None else (*kept, handed)
 
 
 def _sent(state: ServerState) -> float:

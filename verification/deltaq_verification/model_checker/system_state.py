@@ -119,8 +119,7 @@ class _Key:
         states = [sent.message for sent in system_state.states]
         states += [one for one in (state, system_state.server.state) if one is not None]
         admissions = [*system_state.admissions]
-        if gate.tracker.in_flight is not None:
-            admissions.append(gate.tracker.in_flight)
+        admissions += [*gate.tracker.in_flight, *system_state.server.admissions]
         cycles = [-1, 0, gate.decided_cycle, *(s.cycle for s in states), *(a.cycle for a in admissions)]
         for request in (gate.waiting, gate.decided):
             if request is not None:
@@ -131,6 +130,7 @@ class _Key:
             sequences += [admission.sequence, admission.follows_sequence]
         self._sequence = ranks(sequences, 1)
         resets = [0, gate.orders.resets, system_state.server.resets, *(s.resets for s in states)]
+        resets += [admission.follows_resets for admission in admissions]
         self._resets = ranks([*resets, *(sent.message.resets for sent in system_state.supervisions)], 2)
         self._process = ranks([s.process for s in states], 1)
         self._time = ranks([round(s.time_s) for s in states], 1)
@@ -158,7 +158,8 @@ class _Key:
             self._state(server.state),
             (system_state.gate.epoch, self._sequence[system_state.gate.sequence]),
             self._state(state),
-            self._admission(gate.tracker.in_flight),
+            tuple(self._admission(admission) for admission in gate.tracker.in_flight),
+            tuple(self._admission(admission) for admission in server.admissions),
             tuple(self._q(setpoint[0]) for setpoint in gate.tracker.history),
             tuple(self._process[one] for one in gate.tracker.ended_processes if one in self._process),
             gate.orders.standing_stop,
@@ -170,7 +171,9 @@ class _Key:
             None if state is None else max(gate.spoken_cycle - state.cycle, -1),
             self._request(gate.waiting),
             self._request(gate.decided),
-            system_state.used.key(system_state.admissions, (gate.waiting or gate.decided) is not None),
+            system_state.used.key(
+                (*system_state.admissions, *server.admissions), (gate.waiting or gate.decided) is not None
+            ),
             tuple((self._state(sent.message), sent.silent) for sent in system_state.states),
             tuple(self._admission(admission) for admission in system_state.admissions),
             tuple(
@@ -206,9 +209,7 @@ class _Key:
         newest = request.cycle if request.newest is None else request.newest
         return (self._cycle[request.cycle], self._cycle[newest], request.dq)
 
-    def _admission(self, admission: Admission | None) -> tuple[Any, ...] | None:
-        if admission is None:
-            return None
+    def _admission(self, admission: Admission) -> tuple[Any, ...]:
         return (
             admission.epoch,
             self._sequence[admission.sequence],
@@ -216,5 +217,6 @@ class _Key:
             self._sequence[admission.follows_sequence],
             self._q(admission.follows_q_cmd[0]),
             admission.follows_dq,
+            self._resets[admission.follows_resets],
             admission.dq,
         )

@@ -15,8 +15,8 @@ from deltaq_protocol.messages import Message, Verdict
 from deltaq_verification.model_checker.one_joint import LEASE, ROBOT
 from deltaq_verification.model_checker.safety_monitor import Property, Violation
 
-_KEPT = 2
-"""Admissions of whose requests an account is kept; no older one can be taken."""
+_KEPT = 4
+"""Admissions of whose requests an account is kept; with a lookahead of up to three no older one can be taken."""
 
 Number = tuple[int, int]
 """Epoch of the gate, and a number that it has not seen twice."""

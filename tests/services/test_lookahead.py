@@ -1,0 +1,316 @@
+"""Deciding a few cycles ahead: what is in flight, what becomes of it where the chain breaks, what clients are told."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from small_cell import server_state, small_cell
+
+from deltaq_cell.description import CellDescription
+from deltaq_cell.identity import content_identity
+from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol.guarded import Admission, Plan, Supervision
+from deltaq_protocol.messages import Outcome, Phase, Verdict
+from deltaq_protocol.motion import Motion
+from deltaq_services.hli.admitted_ahead import AdmittedAhead
+from deltaq_services.robot_server.admissions_due import AdmissionsDue
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.guards import Refusal
+from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.sim.courses import courses, motions, still_due
+from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Link, Process
+from deltaq_verification.virtual_cell.wires import MessageWire
+
+ZEROS = (0.0,) * 6
+STEP = 4e-4
+DQ = (STEP,) * 6
+BRAKING = Plan(dq=DQ, brake_cycles=4, step=1)
+
+
+def following(
+    motion: Motion, cycle: int, sequence: int, dq: tuple[float, ...] = DQ, **changes: Any
+) -> Admission:
+    """An admission that is taken after `cycle`, and follows a motion."""
+    fields: dict[str, Any] = {
+        "robot": "fr",
+        "epoch": 1,
+        "sequence": sequence,
+        "cycle": cycle,
+        "follows_sequence": motion.sequence,
+        "follows_q_cmd": tuple(motion.q_cmd.tolist()),
+        "follows_dq": tuple(motion.dq.tolist()),
+        "dq": dq,
+        "brake_cycles": 4,
+    }
+    return Admission(**fields | changes)
+
+
+def chain_of(state: Any, *cycles: int) -> tuple[Admission, ...]:
+    """Admissions for the cycles after these, each following the one before it and the brake between them."""
+    motion, at, chain = Motion.of(state), state.cycle, []
+    for sequence, cycle in enumerate(cycles, start=state.sequence + 1):
+        while at < cycle:
+            motion, at = motion.braked(), at + 1
+        chain.append(following(motion, cycle, sequence))
+        motion, at = motion.admitted(chain[-1]), at + 1
+    return tuple(chain)
+
+
+# --- what a Robot Server keeps ----------------------------------------------------------------------------
+
+
+def at(cycle: int, sequence: int = 2) -> Admission:
+    return following(Motion.at_rest(np.zeros(6)), cycle, sequence)
+
+
+@pytest.mark.parametrize(("ahead", "kept"), [(-1, False), (0, True), (1, True), (2, True), (3, False)])
+def test_an_admission_is_kept_that_is_due_in_one_of_the_next_cycles(ahead: int, kept: bool) -> None:
+    due = AdmissionsDue(lookahead_cycles=3)
+    assert due.put(at(10 + ahead), 10) is (None if kept else Refusal.LATE)
+    assert due.forget() == int(kept)
+
+
+def test_an_admission_is_handed_out_in_its_cycle_and_once() -> None:
+    due = AdmissionsDue(lookahead_cycles=3)
+    for cycle in (12, 10, 11):
+        due.put(at(cycle), 10)
+    assert due.take(10) == at(10)
+    assert due.take(10) is None
+    assert due.take(12) == at(12)  # a cycle was passed over, and what was due in it is gone
+    assert (due.take(11), due.forget()) == (None, 0)
+
+
+def test_of_two_admissions_for_one_cycle_the_newer_counts() -> None:
+    due = AdmissionsDue(lookahead_cycles=1)
+    due.put(at(10, sequence=2), 10)
+    due.put(at(10, sequence=3), 10)
+    assert due.take(10) == at(10, sequence=3)
+
+
+# --- what the gate reckons with -----------------------------------------------------------------------------
+
+
+def test_there_is_a_course_for_every_place_where_the_chain_may_break() -> None:
+    state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    chain = chain_of(state, 20, 22)  # nothing is admitted for the cycle after 21
+    found = courses(Motion.of(state), 20, chain)
+    assert list(found) == [5, 6, 7]
+    sent = [branch.setpoints(np.zeros(6))[:, 0] for branch in found.values()]
+    np.testing.assert_allclose(sent[0], STEP * np.cumsum([0.5, 0.25]))
+    np.testing.assert_allclose(sent[1], STEP * np.cumsum([1, 0.75, 0.5, 0.25]))
+    np.testing.assert_allclose(sent[2], STEP * np.cumsum([1, 0.75, 1, 0.75, 0.5, 0.25]))
+
+
+def test_the_gate_counts_on_the_whole_chain() -> None:
+    state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    found = motions(Motion.of(state), 20, chain_of(state, 20, 22), cycles=3)
+    assert [motion.sequence for motion in found] == [5, 6, 6, 7]
+    np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 1])
+
+
+def test_behind_an_admission_that_was_not_taken_nothing_is_due() -> None:
+    before = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS)
+    chain = chain_of(before, 20, 21, 22)
+    taken = Motion.of(before).admitted(chain[0])
+    now = server_state(
+        "fr", 21, sequence=6, q_cmd=tuple(taken.q_cmd.tolist()), q=ZEROS, dq=DQ, plan=taken.plan
+    )
+    assert still_due(now, chain) == chain[1:]
+    missed = server_state("fr", 21, sequence=5, q_cmd=ZEROS, q=ZEROS)
+    assert still_due(missed, chain) == ()
+    assert still_due(now.model_copy(update={"epoch": 2}), chain) == ()
+
+
+# --- Robot Server -------------------------------------------------------------------------------------------
+
+
+def ahead_by(cycles: int) -> CellDescription:
+    cell = small_cell()
+    return cell.model_copy(update={"gate": cell.gate.model_copy(update={"lookahead_cycles": cycles})})
+
+
+class Server:
+    """FR's Robot Server in a cell with a lookahead, its robot always where it was sent."""
+
+    def __init__(self, lookahead_cycles: int) -> None:
+        self.cell = ahead_by(lookahead_cycles)
+        self.core = RobotServer(self.cell, "fr", process=1)
+        self.q = self.cell.robots["fr"].home
+        self.resets = 0
+        self.stop: Any = None
+        for _ in range(60):
+            self.cycle()
+            if self.state.phase is Phase.READY:
+                return
+        raise AssertionError(self.core.detail)
+
+    @property
+    def state(self) -> Any:
+        return self.core.state
+
+    def cycle(self) -> None:
+        cycle = 0 if self.state is None else self.state.cycle
+        self.core.take(
+            Supervision(
+                robot="fr",
+                epoch=1,
+                cycle=cycle,
+                cell=str(content_identity(self.cell)),
+                resets=self.resets,
+                stop=self.stop,
+            ),
+            0.0,
+        )
+        (sent,) = self.core.take(Measurement(12 * cycle, self.q, self.q if cycle == 0 else None), 0.0)
+        self.q = sent.q_cmd
+
+    def give(self, *admissions: Admission) -> None:
+        for admission in admissions:
+            assert self.core.take(admission, 0.0) == []
+
+
+def test_each_admission_is_taken_in_its_own_cycle_whenever_it_came() -> None:
+    server = Server(3)
+    chain = chain_of(server.state, *(server.state.cycle + later for later in range(3)))
+    server.give(*reversed(chain))
+    for admission in chain:
+        server.cycle()
+        assert (server.state.sequence, server.state.dq) == (admission.sequence, admission.dq)
+    server.cycle()
+    assert server.state.plan.step == 1  # then it brakes
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_where_one_is_lost_it_brakes_and_takes_none_of_those_behind(lost: int) -> None:
+    server = Server(3)
+    before = server.state.sequence
+    chain = chain_of(server.state, *(server.state.cycle + later for later in range(3)))
+    server.give(*(admission for index, admission in enumerate(chain) if index != lost))
+    for _ in range(8):
+        server.cycle()
+    assert server.state.sequence == before + lost
+    assert server.core.counters["admission_unchained"] == 2 - lost
+    assert not any(server.state.dq)
+
+
+def test_nothing_that_came_before_a_hold_is_taken_after_it() -> None:
+    server = Server(3)
+    server.stop = "operator_stop"
+    chain = chain_of(server.state, *(server.state.cycle + later for later in range(3)))
+    server.give(*chain)
+    server.cycle()
+    assert server.state.phase is Phase.HELD
+    server.stop, server.resets = None, server.resets + 1
+    for _ in range(3):
+        server.cycle()
+    assert server.state.phase is Phase.READY
+    assert "admissions" not in server.core.counters
+    assert server.core.counters["admission_while_not_ready"] == 3
+
+
+def test_what_was_decided_before_a_reset_does_not_follow_it() -> None:
+    server = Server(2)
+    late = following(Motion.of(server.state), server.state.cycle, 1, follows_resets=server.state.resets + 1)
+    server.give(late)
+    server.cycle()
+    assert server.core.counters["admission_unchained"] == 1
+
+
+# --- the whole cell, in virtual time ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def lab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> LoadedCell:
+    file = tmp_path_factory.mktemp("cell") / "ahead.yaml"
+    file.write_text(f"extends: lab.yaml\ncell: ahead\ngate: {{lookahead_cycles: {request.param}}}\n")
+    return LoadedCell.load(file)
+
+
+def driven(lab: LoadedCell, cycles: int, loss: float, seed: int) -> tuple[VirtualCell, list[tuple[Any, Any]]]:
+    """FR driven to and fro; returns the cell, and of each cycle what its client was told and what the server was."""
+    cell = VirtualCell(lab)
+    cell.run_until_ready()
+    wire = MessageWire(seed)
+    wire.link.faults = LinkFaults(drop=loss)
+    cell.plug(Link.SIM_SERVER, Process.ROBOT_SERVER, wire, ["fr"], Admission)
+    cell.acquire("fr", "driver")
+    drawn, dq, seen = random.Random(seed), np.zeros(6), []
+    for _ in range(cycles):
+        cell.cycle()
+        seen.append((cell.states["fr"], cell.arms["fr"].server.state))
+        dq = np.clip(dq + 1e-4 * np.array([drawn.uniform(-1, 1) for _ in range(6)]), -1e-3, 1e-3)
+        cell.ask("fr", dq)
+    return cell, seen
+
+
+def test_on_a_quiet_wire_every_cycle_has_an_admission_and_clients_know_where_it_leads(
+    lab: LoadedCell,
+) -> None:
+    ahead = lab.model.description.gate.lookahead_cycles
+    cell, seen = driven(lab, 60, loss=0.0, seed=3)
+    counters = cell.arms["fr"].server.counters
+    assert counters["admissions"] == 60 - ahead
+    assert counters["braked_cycles"] == 0
+    for (told, _), (_, then) in zip(seen, seen[ahead - 1 :], strict=False):
+        assert told.setpoint_cycle in (None, told.cycle + ahead)
+        assert (told.q_cmd if told.q_ahead is None else told.q_ahead) == then.q_cmd
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_where_admissions_are_lost_nothing_is_taken_that_the_gate_did_not_reckon_with(
+    lab: LoadedCell, seed: int
+) -> None:
+    cell, seen = driven(lab, 150, loss=0.2, seed=seed)
+    server, gate = cell.arms["fr"].server, cell.sim
+    assert gate.counters["impossible_states_fr"] == 0
+    assert server.counters["braked_cycles"] > 10
+    assert server.counters["admissions"] > 30
+    assert seen[-1][1].phase in (Phase.READY, Phase.ENGAGED, Phase.BRAKING)
+    ahead = lab.model.description.gate.lookahead_cycles
+    assert {why for why in Refusal if server.counters[why]} <= {Refusal.UNCHAINED, Refusal.LATE}
+    assert (server.counters[Refusal.UNCHAINED] > 0) is (ahead > 1)
+
+
+# --- what clients are told ----------------------------------------------------------------------------------------
+
+
+def decided(cycle: int, dq: tuple[float, ...] = DQ) -> Verdict:
+    return Verdict(
+        robot="fr",
+        cycle=cycle - 2,
+        seq=cycle,
+        outcome=Outcome.ADMITTED,
+        setpoint_cycle=cycle,
+        dq=dq,
+        time_to_stop_s=4 * 0.012,
+    )
+
+
+def test_what_has_not_been_admitted_yet_is_told_as_the_brake() -> None:
+    ahead = AdmittedAhead(3, 0.012)
+    state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    assert (ahead.setpoint_cycle(state), ahead.q_ahead(state)) == (21, ZEROS)
+    ahead.decided(decided(22))
+    assert ahead.setpoint_cycle(state) == 23
+    assert ahead.q_ahead(state)[0] == pytest.approx(1.5 * STEP)
+
+
+def test_a_robot_at_rest_waits_for_as_much_in_flight_as_may_be() -> None:
+    at_rest = Plan(dq=ZEROS, brake_cycles=1, step=1)
+    state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, plan=at_rest)
+    assert AdmittedAhead(3, 0.012).setpoint_cycle(state) == 23
+
+
+def test_where_an_admission_was_not_taken_those_behind_it_are_told_no_more() -> None:
+    for dq, told in ((DQ, 2 * STEP), (ZEROS, 0.0)):
+        ahead = AdmittedAhead(3, 0.012)
+        for cycle in (21, 22, 23):
+            ahead.decided(decided(cycle))
+        ahead.cycle_passed(server_state("fr", 21, q_cmd=ZEROS, q=ZEROS, dq=dq))
+        state = server_state("fr", 21, q_cmd=ZEROS, q=ZEROS)
+        assert ahead.q_ahead(state)[0] == pytest.approx(told)
