@@ -29,7 +29,7 @@ def anna(bench):
     ("change", "named"),
     [
         ({"hand": "left"}, "hand"),
-        ({"position_m": [1.0, 2.0]}, "position_m"),
+        ({"position_m": [1.0, 2.0]}, "position_m.2"),
         ({"position_m": [1.0, 2.0, 1e9]}, "position_m.2"),
         ({"quaternion_wxyz": [1.0, 0.0, 0.0, "x"]}, "quaternion_wxyz.3"),
         ({"robot": "xx"}, "robot"),
