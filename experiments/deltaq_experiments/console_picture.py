@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 # the page itself is put together without SwiftShader, which draws only the 3D view
-_FLAGS = (
+FLAGS = (
     "--no-sandbox",
     "--disable-gpu",
     "--use-gl=angle",
@@ -41,7 +41,7 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
         chromium: the browser's program.
     """
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=_FLAGS)
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = _opened(browser, url, _WIDE)
         _drive(page)
         _save(page, folder / "console.png")
