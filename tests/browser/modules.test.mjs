@@ -401,6 +401,21 @@ test("a cost is a score of a hundred, and never more or less", () => {
   assert.deepEqual([0, 0.28, 1, 7, -1].map(score), [100, 72, 0, 0, 100]);
 });
 
+test("a line that brings pictures and never a greeting is given up, and another is opened", (t) => {
+  const connection = connected(t);
+  Socket.last.close();
+  pass(400);
+  const half = Socket.last;
+  for (let k = 0; k < 70; k++) {
+    half.says(frame({ server_s: Date.now() / 1000 }));
+    pass(100);
+  }
+  assert.notEqual(Socket.last, half);
+  assert.equal(connection.isUp, false);
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  assert.equal(connection.isUp, true);
+});
+
 test("a way is gone along while it is held; letting go is rest", (t) => {
   const { wish, socket } = driving(t);
   assert.equal(wish.hold("card", { option: 2 }), true);

@@ -10,6 +10,7 @@ from deltaq_launch.cell_connection import connect
 pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
 
 STANDS_CYCLES = 10
+ASLEEP_CYCLES = 150
 HOUR_MS = 3_600_000
 
 
@@ -40,14 +41,14 @@ def release(page):
     page.wait_for_function("!deltaq.live.robot('gr').lease.mine")
 
 
-def comes_to_rest(served_cell):
-    """Until the robot's setpoint stands still, as somebody else sees it."""
+def comes_to_rest(served_cell, cycles=STANDS_CYCLES):
+    """Until the robot's setpoint has stood still for so many cycles, as somebody else sees it."""
     with connect(served_cell.model.description, "bystander") as bystander:
         still, before = 0, None
         for state in bystander.states("gr"):
             still = still + 1 if before == state.q_cmd else 0
             before = state.q_cmd
-            if still == STANDS_CYCLES:
+            if still == cycles:
                 return
 
 
@@ -134,7 +135,7 @@ def test_a_page_that_the_browser_lets_sleep_in_motion_rests_and_is_grey_until_it
     devtools.send("Debugger.enable")
     # not one line of the page runs from here on, and nothing is let go by it
     devtools.send("Debugger.pause")
-    comes_to_rest(served_cell)
+    comes_to_rest(served_cell, ASLEEP_CYCLES)
     devtools.send("Debugger.resume")
     devtools.send("Debugger.disable")
     page.evaluate("clearInterval(window.pressing); deltaq.wish.releaseAll()")

@@ -56,7 +56,7 @@ export async function start(holder) {
 
   const quality = new URLSearchParams(location.search).get("quality") ?? remembered("quality", "auto");
   const stage = new Stage(holder, { floorHeight: floorHeight(scene.structure), quality });
-  const store = new MeshStore(async (url) => (await fetch(url)).text());
+  const store = new MeshStore(async (url) => (await fetch(url)).text(), stage.full);
   const paint = stage.shading.material();
   const views = await Promise.all(scene.robots.map((robot) => RobotView.make(robot, store, paint)));
   views.forEach((view) => view.robot.home && view.place(view.robot.home));

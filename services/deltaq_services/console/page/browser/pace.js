@@ -4,7 +4,7 @@
 const AT_ONCE = 2;
 const SLOW_MS = 16;
 const QUICK_MS = 9;
-const COARSEST = 0.5;
+const COARSEST = 0.4;
 const STILL_MS = 350;
 
 export class Pace {

@@ -5,7 +5,7 @@ import { Floor } from "./floor.js";
 import { Pace } from "./pace.js";
 import { ROOMS, Shading } from "./shading.js";
 
-const SHADOW_EVERY_MS = { full: 0, lean: 300 };
+const SHADOW_EVERY_MS = { full: 0, lean: 500 };
 const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jagged edges
 
 /** Whether WebGL is computed by the processor. */
