@@ -8,6 +8,8 @@ It starts the emulated cell and its console, plays an operator in headless Chrom
 - `pictures_s`: pictures of the cell drawn in a second while a robot moves, in a window of 1440 by 860 pixels.
 - `client_kB_s`: what one client and the console send each other over the live WebSocket, both ways.
 - `server_core`: the console's share of a core with one client, and with four.
+- `admitted`: increments admitted whole in a cycle, of the two of the scripted leader and the camera follower, with the
+  page open and without.
 
 It needs Chromium and playwright (the extra `dev`), and nothing else that listens on the cell's ports.
 """
@@ -33,7 +35,7 @@ from deltaq_experiments.console_picture import FLAGS
 from deltaq_experiments.last_lines import LastLines
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.launcher import Launcher
-from deltaq_launch.services import cell_services, console_service
+from deltaq_launch.services import cell_services, console_service, demo_controllers
 from deltaq_protocol.blocking import BlockingCell
 from deltaq_protocol.messages import Phase, RobotState
 
@@ -44,6 +46,9 @@ _WIDE: ViewportSize = {"width": 1440, "height": 860}
 _TIMEOUT_MS = 60_000
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 _STOP_WITHIN_S = 5.0
+_LEAD_IN_S = 20.0
+"""For the camera's law to be compiled, and the follower to be at its start."""
+_TURNS = 3
 
 # the wish is taken up anew where the picture was old for a moment; the direction turns, so that motion goes on
 _MOVE = """() => {
@@ -158,12 +163,41 @@ def figures(cell: str, chromium: str, presses: int = PRESSES) -> dict[str, objec
             four = (processor_s(server) - busy_s) / (time.monotonic() - began_s)
         browser.close()
     return {
+        "admitted": _admission(cell, chromium),
         "presses": presses,
         "stop_ms": {"median": statistics.median(stops), "longest": max(stops), "all": sorted(stops)},
         "pictures_s": pictures,
         "client_kB_s": kilobytes,
         "server_core": {"one_client": one, "four_clients": four},
     }
+
+
+def _admission(cell: str, chromium: str) -> dict[str, float]:
+    """The loop's admission rate with the page open and without, in turns."""
+    description = load_cell(cell)
+    services = cell_services(description, cell)
+    console = console_service(description, cell, services)
+    admitted = {"page_open": 0, "without": 0}
+    with ExitStack() as stack:
+        launcher = Launcher([*services, console, *demo_controllers(description)], LastLines())
+        stack.enter_context(launcher).start()
+        running = stack.enter_context(connect(description, "figures"))
+        browser = stack.enter_context(sync_playwright()).chromium.launch(executable_path=chromium, args=FLAGS)
+        page = browser.new_page(viewport=_WIDE)
+        page.set_default_timeout(_TIMEOUT_MS)
+        page.wait_for_timeout(1000 * _LEAD_IN_S)
+        for _ in range(_TURNS):
+            for turn in admitted:
+                page.goto("about:blank" if turn == "without" else str(console.endpoint))
+                if turn == "page_open":
+                    page.wait_for_selector("[data-ready=true]", state="attached")
+                page.wait_for_timeout(1000)
+                before = running.status().gate["admitted"]
+                page.wait_for_timeout(1000 * MEASURED_S)
+                admitted[turn] += running.status().gate["admitted"] - before
+        browser.close()
+    decided = 2 * _TURNS * MEASURED_S / description.cycle_s
+    return {turn: count / decided for turn, count in admitted.items()}
 
 
 def processor_s(pid: int) -> float:

@@ -1,7 +1,8 @@
 """Pictures of the console before a running cell: `python -m deltaq_experiments.console_picture docs/images`.
 
 Start the cell first (`deltaq up --cell lab`). An operator is played, who takes `gr`, moves its hand by the keyboard for
-a while and lets go, asks the advisor, and puts a pose where there is no way. It needs Chromium and playwright (the extra `dev`).
+a while and lets go, asks the advisor, and puts a pose where there is no way. It needs Chromium and playwright (the
+extra `dev`).
 """
 
 from __future__ import annotations
