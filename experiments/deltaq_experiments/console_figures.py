@@ -65,8 +65,8 @@ _MOVE = """() => {
         || deltaq.wish.hold("figures", {[deltaq.driven.length() - 1]: 0.4 * sign}), 30);
     deltaq.presses = [];
     window.addEventListener("pointerdown", (event) =>
-        event.isTrusted && deltaq.presses.push([performance.timeOrigin + event.timeStamp, performance.now() - event.timeStamp]),
-        {capture: true});
+        event.isTrusted && deltaq.presses.push([
+            performance.timeOrigin + event.timeStamp, performance.now() - event.timeStamp]), {capture: true});
 }"""
 _MOVES = """name => {
     const {q, rest} = deltaq.live.frame.robots[deltaq.live.indexOf(name)];
