@@ -33,6 +33,18 @@ _PHONE: ViewportSize = {"width": 390, "height": 844}
 _WAY = (("KeyF", 2500), ("KeyD", 2500), ("KeyW", 2000))
 
 
+_SETTLED = """() => deltaq.stage.isFinest() && !deltaq.live.isStale()
+    && document.querySelector(".age").dataset.stale === "false"
+"""
+_WATCH = """() => {
+    window.wentGrey = false;
+    for (const shown of [document.querySelector(".age"), document.documentElement]) {
+        new MutationObserver(() => (window.wentGrey ||= shown.dataset.stale === "true"))
+            .observe(shown, {attributeFilter: ["data-stale"]});
+    }
+}"""
+
+
 def take_pictures(url: str, folder: Path, chromium: str) -> None:
     """Play an operator at the console, and write `console.png` and others named after what they show.
 
@@ -115,9 +127,13 @@ def _put_a_pose(page: Page) -> None:
 
 def _save(page: Page, file: Path) -> None:
     """Save what the page shows once nothing moves any more, packed tightly."""
-    page.wait_for_function("deltaq.stage.isFinest() && !deltaq.live.isStale()")
     file.parent.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=file)
+    is_grey = True
+    while is_grey:  # taking it may hold the page up for so long that it shows its data as old
+        page.wait_for_function(_SETTLED)
+        page.evaluate(_WATCH)
+        page.screenshot(path=file)
+        is_grey = page.evaluate("window.wentGrey")
     with Image.open(file) as picture:
         picture.convert("RGB").save(file, optimize=True)
 
