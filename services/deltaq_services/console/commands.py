@@ -129,7 +129,7 @@ class SetOutput(ConsoleCommand):
     value: bool
 
 
-class Advise(ConsoleCommand):
+class AskAdvisor(ConsoleCommand):
     """In mode `advisor`: look for options from where the robot rests, or end the search and forget the choice."""
 
     type: Literal["advise"]
@@ -137,7 +137,7 @@ class Advise(ConsoleCommand):
     action: Literal["ask", "cancel"]
 
 
-class Reach(ConsoleCommand):
+class DragPose(ConsoleCommand):
     """In mode `pose`: plan the way that brings a hand to a pose in the world; nothing moves."""
 
     type: Literal["reach"]
@@ -169,7 +169,7 @@ class ReplayShown(ConsoleCommand):
     shown: bool
 
 
-DriverCommand = SetMode | ViewDistance | SetOutput | Advise | Reach
+DriverCommand = SetMode | ViewDistance | SetOutput | AskAdvisor | DragPose
 """What a robot's driver is asked to do."""
 RobotCommand = Reset | LeaseCommand | Jog | DryRun | DriverCommand
 AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand

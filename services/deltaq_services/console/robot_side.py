@@ -10,7 +10,15 @@ from deltaq_cell.description import RobotDescription
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Phase
 from deltaq_services.console.client import Client
-from deltaq_services.console.commands import Advise, DriverCommand, DryRun, Jog, Reach, SetMode, ViewDistance
+from deltaq_services.console.commands import (
+    AskAdvisor,
+    DragPose,
+    DriverCommand,
+    DryRun,
+    Jog,
+    SetMode,
+    ViewDistance,
+)
 from deltaq_services.console.feed import RobotFeed
 from deltaq_services.console.messages import Bound, LeaseView, RobotStatusView, WaysView
 from deltaq_services.console.seat import Seat
@@ -102,9 +110,9 @@ class RobotSide:
             if not self._has_camera:
                 raise ValueError(f"value_m: {self.name} carries no camera")
             return driving.ViewAt(id=request, distance_m=command.value_m)
-        if isinstance(command, Advise):
+        if isinstance(command, AskAdvisor):
             return driving.Advise(id=request, action=command.action)
-        if isinstance(command, Reach):
+        if isinstance(command, DragPose):
             return driving.Reach(
                 id=request,
                 hand=self._hand(command.hand),
