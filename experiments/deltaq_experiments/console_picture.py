@@ -1,7 +1,8 @@
 """Pictures of the console before a running cell: `python -m deltaq_experiments.console_picture docs/images`.
 
 Start the cell first (`deltaq up --cell lab`). An operator is played, who takes `gr`, moves its hand by the keyboard for
-a while and lets go. It needs Chromium and playwright (the extra `dev`).
+a while and lets go, asks the advisor, and puts a pose where there is no way. It needs Chromium and playwright (the
+extra `dev`).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 # the page itself is put together without SwiftShader, which draws only the 3D view
-_FLAGS = (
+FLAGS = (
     "--no-sandbox",
     "--disable-gpu",
     "--use-gl=angle",
@@ -32,8 +33,20 @@ _PHONE: ViewportSize = {"width": 390, "height": 844}
 _WAY = (("KeyF", 2500), ("KeyD", 2500), ("KeyW", 2000))
 
 
+_SETTLED = """() => deltaq.stage.isFinest() && !deltaq.live.isStale()
+    && document.querySelector(".age").dataset.stale === "false"
+"""
+_WATCH = """() => {
+    window.wentGrey = false;
+    for (const shown of [document.querySelector(".age"), document.documentElement]) {
+        new MutationObserver(() => (window.wentGrey ||= shown.dataset.stale === "true"))
+            .observe(shown, {attributeFilter: ["data-stale"]});
+    }
+}"""
+
+
 def take_pictures(url: str, folder: Path, chromium: str) -> None:
-    """Play an operator at the console, and write `console.png`, `console-light.png` and `console-phone.png`.
+    """Play an operator at the console, and write `console.png` and others named after what they show.
 
     Args:
         url: of the console.
@@ -41,10 +54,15 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
         chromium: the browser's program.
     """
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=_FLAGS)
+        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = _opened(browser, url, _WIDE)
         _drive(page)
         _save(page, folder / "console.png")
+        _ask_the_advisor(page)
+        _save(page, folder / "console-advisor.png")
+        _put_a_pose(page)
+        _save(page, folder / "console-pose.png")
+        _in_mode(page, "coupled")
         page.locator("[data-part=look]").click()
         page.locator(".opener").click()
         _save(page, folder / "console-light.png")
@@ -68,19 +86,54 @@ def _drive(page: Page) -> None:
     page.locator("[data-robot=gr]").click()
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function("deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode")
-    page.locator("[data-mode=coupled]").click()
-    page.wait_for_function("deltaq.live.robot('gr').mode === 'coupled'")
+    _in_mode(page, "coupled")
     for key, held_ms in _WAY:
         page.keyboard.down(key)
         page.wait_for_timeout(held_ms)
         page.keyboard.up(key)
 
 
+def _in_mode(page: Page, mode: str) -> None:
+    page.locator(f"[data-mode={mode}]").click()
+    page.wait_for_function("mode => deltaq.live.robot('gr').mode === mode", arg=mode)
+
+
+def _ask_the_advisor(page: Page) -> None:
+    """Have the best option shown."""
+    _in_mode(page, "advisor")
+    page.wait_for_function(
+        "document.querySelector('.card-option') && !deltaq.live.robot('gr').search.is_busy"
+    )
+    page.locator(".card-option").first.hover()
+    page.wait_for_function("deltaq.wayPicture.way && !deltaq.wayPicture._shown.runs")
+
+
+def _put_a_pose(page: Page) -> None:
+    """Put the hand's pose into the first tank, where no way leads."""
+    _in_mode(page, "pose")
+    page.wait_for_function("deltaq.gizmo.root.visible")
+    tank = page.evaluate(
+        "deltaq.scene.structure.find(({name}) => name.includes('tank')).T_world.slice(12, 15)"
+    )
+    for axis, place in zip("xyz", tank, strict=True):
+        field = page.get_by_label(f"{axis} of the hand in mm")
+        field.fill(f"{1000 * place:.0f}")
+        field.press("Enter")
+    page.wait_for_function(
+        "deltaq.wayPicture.way?.clear < 1 && document.querySelector('.pose').textContent.includes('first step')"
+    )
+    page.locator(".pose h2").click()
+
+
 def _save(page: Page, file: Path) -> None:
     """Save what the page shows once nothing moves any more, packed tightly."""
-    page.wait_for_function("deltaq.stage.isFinest() && !deltaq.live.isStale()")
     file.parent.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=file)
+    is_grey = True
+    while is_grey:  # taking it may hold the page up for so long that it shows its data as old
+        page.wait_for_function(_SETTLED)
+        page.evaluate(_WATCH)
+        page.screenshot(path=file)
+        is_grey = page.evaluate("window.wentGrey")
     with Image.open(file) as picture:
         picture.convert("RGB").save(file, optimize=True)
 

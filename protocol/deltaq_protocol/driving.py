@@ -11,22 +11,29 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from deltaq_protocol.messages import JointValue, Message
+from deltaq_protocol.messages import Joints, JointValue, Message
 
 WISH_S = 0.25
 """A wish ends by itself after this, unless the next one renews it [s]."""
 
+MOST_WAY_POINTS = 32
+"""Configurations by which a way is told."""
+
+Coordinate = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
+QuaternionPart = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 RequestId = Annotated[str, Field(min_length=1, max_length=64)]
 
 
 class DrivingMode(StrEnum):
-    """How a robot is driven: the teleoperator's modes, and following with the camera."""
+    """How a robot is driven: the teleoperator's modes, to a pose of a hand, and following with the camera."""
 
     JOINT = "joint"
     DECOUPLED = "decoupled"
     SELF_MOTION = "self-motion"
     ADVISOR = "advisor"
     COUPLED = "coupled"
+    POSE = "pose"
     FOLLOW = "follow"
 
 
@@ -35,11 +42,12 @@ Axes = Literal["world", "tool"]
 
 
 class Take(Message):
-    """Take the robot's lease for a client of that name."""
+    """Take the robot's lease for a client of that name; `by_force` takes it from whoever holds it."""
 
     type: Literal["take"] = "take"
     id: RequestId
     client: Annotated[str, Field(min_length=1, max_length=64)]
+    by_force: bool = False
 
 
 class Release(Message):
@@ -62,7 +70,8 @@ class Wish(Message):
     """A wish to move, good for `WISH_S`; an empty one is rest.
 
     `joints` has a speed for each joint, (n,) [rad/s or m/s]. `twist` moves `hand`: three linear [m/s] and three
-    angular [rad/s] in the mode's axes; without a `hand`, all hands. `option` is the advisor's option to go to.
+    angular [rad/s] in the mode's axes; without a `hand`, all hands. `option` is the rank of the way to go: the
+    advisor's option, or in mode `pose` the only one.
     """
 
     type: Literal["wish"] = "wish"
@@ -88,7 +97,28 @@ class Switch(Message):
     outputs: Annotated[dict[str, bool], Field(max_length=64)]
 
 
-DriverRequest = Take | Release | ChangeMode | Wish | ViewAt | Switch
+class Advise(Message):
+    """In mode `advisor`: look for options from where the robot rests now, or end the search and forget the choice."""
+
+    type: Literal["advise"] = "advise"
+    id: RequestId
+    action: Literal["ask", "cancel"]
+
+
+class Reach(Message):
+    """In mode `pose`: plan a way that brings a hand to a pose in the world; nothing moves.
+
+    Without a `hand` it is the robot's only one. The way is told in `DriverWays`, the answer says why there is none.
+    """
+
+    type: Literal["reach"] = "reach"
+    id: RequestId
+    hand: Annotated[str, Field(max_length=64)] = ""
+    position_m: tuple[Coordinate, Coordinate, Coordinate]
+    quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
+
+
+DriverRequest = Take | Release | ChangeMode | Wish | ViewAt | Switch | Advise | Reach
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 
@@ -109,11 +139,27 @@ class DriverStage(StrEnum):
     LEASED = "leased"
 
 
+class Search(Message):
+    """How far the search for ways is, and the robot on one of them.
+
+    `done` is the fraction of the step `doing` that is done. `way` is the rank of the way that was begun, `driven` the
+    fraction of its duration that lies behind the robot; `arrived` says that the robot stands at its end.
+    """
+
+    doing: str = ""
+    done: Fraction = 0.0
+    is_busy: bool = False
+    trials: int = 0
+    way: int | None = None
+    driven: Fraction = 0.0
+    arrived: bool = False
+
+
 class DriverReport(Message):
     """How the driver is doing, some times a second while it changes.
 
     `limit` says what limits the operator now, `doing` what the mode is about, both in words. `longest_cycle_s` is the
-    longest time from a state to its verdict since the report before [s].
+    longest time from a state to its verdict since the report before [s]. `search` is there in modes that offer ways.
     """
 
     type: Literal["report"] = "report"
@@ -124,7 +170,42 @@ class DriverReport(Message):
     doing: str = ""
     distance_m: FiniteFloat | None = None
     longest_cycle_s: FiniteFloat | None = None
+    search: Search | None = None
 
 
-DriverMessage = DriverAnswer | DriverReport
+class Way(Message):
+    """One way that is offered: an option of the advisor, or the way to a pose.
+
+    `rank` is by which it is chosen, `q` where it leads to, (n,) [rad or m], `points` configurations on it from its
+    beginning, none if no way is known; `why_not` says why. `energy` is what the advisor ranks by, `costs` are those of
+    its criteria, 0 good to 1 bad. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an
+    option, and on a way to a pose the least. `clear` is the fraction of the way that keeps all distances and limits as
+    a copy of the cell forecasts it, the other robots standing still; `text` says so in words. `first` is the increment
+    that begins it, for the gate's dry run.
+    """
+
+    rank: Annotated[int, Field(ge=1, le=99)]
+    q: Joints
+    points: Annotated[tuple[Joints, ...], Field(max_length=MOST_WAY_POINTS)] = ()
+    why_not: str = ""
+    energy: FiniteFloat | None = None
+    costs: dict[str, FiniteFloat] = {}
+    clearance_m: FiniteFloat | None = None
+    pair: tuple[str, str] | None = None
+    nearest_limit: str = ""
+    limit_share: FiniteFloat | None = None
+    clear: Fraction = 1.0
+    text: str = ""
+    first: Annotated[tuple[JointValue, ...], Field(max_length=32)] = ()
+
+
+class DriverWays(Message):
+    """All ways that are offered now, whenever that has changed; none after another mode was chosen."""
+
+    type: Literal["ways"] = "ways"
+    mode: DrivingMode
+    ways: tuple[Way, ...] = ()
+
+
+DriverMessage = DriverAnswer | DriverReport | DriverWays
 SAID: TypeAdapter[DriverMessage] = TypeAdapter(Annotated[DriverMessage, Field(discriminator="type")])

@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -367,4 +367,67 @@ test("a line that comes back while a recording is shown is told so", (t) => {
   pass(400);
   Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
   assert.deepEqual(Socket.last.commands("replay").map(({ shown }) => shown), [true]);
+});
+
+test("a pointer that looks along an axis, or along a ring's plane, drags nothing", () => {
+  const ray = { origin: [0, 0, 5], direction: [0, 0, -1] };
+  assert.equal(drag.alongAxis(ray, [0, 0, 0], [0, 0, 1]), null);
+  assert.equal(drag.aboutAxis(ray, [0, 0, 0], [1, 0, 0], [0, 1, 0]), null);
+  assert.equal(drag.aboutAxis(ray, [0, 0, 9], [0, 0, 1], [1, 0, 0]), null, "what lies behind the eye is not met");
+});
+
+test("a pointer drags along an axis to where its ray passes nearest, and about one to where it meets the plane", () => {
+  const ray = { origin: [0.3, 0.7, 5], direction: [0, 0, -1] };
+  assert.ok(Math.abs(drag.alongAxis(ray, [0.1, 0, 0], [1, 0, 0]) - 0.2) < 1e-12);
+  assert.ok(Math.abs(drag.alongAxis(ray, [0.1, 0, 0], [0, 1, 0]) - 0.7) < 1e-12);
+  assert.ok(Math.abs(drag.aboutAxis(ray, [0.3, 0, 1], [0, 0, 1], [1, 0, 0]) - Math.PI / 2) < 1e-12);
+});
+
+test("a pose that is turned about any axis has the quaternion of that turn, whatever part is the largest", () => {
+  const upright = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.1, 0.2, 0.3, 1];
+  for (const axis of [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0, -0.8]]) {
+    for (const angle of [0, 0.4, 3.1, -3.1, Math.PI]) {
+      const T = drag.turned(upright, axis, angle);
+      const half = [Math.cos(angle / 2), ...axis.map((part) => part * Math.sin(angle / 2))];
+      const q = drag.quaternionOf(T);
+      const same = Math.abs(q.reduce((sum, part, k) => sum + part * half[k], 0));
+      assert.ok(Math.abs(same - 1) < 1e-9, `${axis} ${angle}: ${q}`);
+      assert.deepEqual([...T.slice(12)], upright.slice(12));
+    }
+  }
+});
+
+test("a cost is a score of a hundred, and never more or less", () => {
+  assert.deepEqual([0, 0.28, 1, 7, -1].map(score), [100, 72, 0, 0, 100]);
+});
+
+test("a line that brings pictures and never a greeting is given up, and another is opened", (t) => {
+  const connection = connected(t);
+  Socket.last.close();
+  pass(400);
+  const half = Socket.last;
+  for (let k = 0; k < 70; k++) {
+    half.says(frame({ server_s: Date.now() / 1000 }));
+    pass(100);
+  }
+  assert.notEqual(Socket.last, half);
+  assert.equal(connection.isUp, false);
+  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  assert.equal(connection.isUp, true);
+});
+
+test("a way is gone along while it is held; letting go is rest", (t) => {
+  const { wish, socket } = driving(t);
+  assert.equal(wish.hold("card", { option: 2 }), true);
+  wish.release("card");
+  assert.deepEqual(socket.commands("jog").map(({ option, wish: speeds }) => [option, speeds]), [[2, undefined], [undefined, [0]]]);
+});
+
+test("in a mode that goes along ways keys and sticks move nothing", (t) => {
+  const { wish, socket } = driving(t);
+  wish.target.jogs = () => false;
+  assert.equal(wish.hold("stick", { 0: 0.2 }), false);
+  assert.match(wish.refused, /another mode/);
+  assert.equal(wish.hold("card", { option: 1 }), true);
+  assert.deepEqual(socket.commands("jog").map(({ option }) => option), [1]);
 });

@@ -1,13 +1,16 @@
 """What an operated robot does with wishes, modes and a follower; the bad case first."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from advising import advised
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.pilot import Pilot
+from deltaq_controllers.operated.reach import ReachPlanner
 from deltaq_protocol.driving import DriverStage, DrivingMode, Wish
 
 CYCLE_S = 0.012
@@ -33,9 +36,9 @@ def no_camera():
 class Bench:
     """A robot that does what it is asked to, in virtual time."""
 
-    def __init__(self, make_follower=no_camera):
-        self.robot = CellModel.load("lab").robots["fr"]
-        self.pilot = Pilot(Teleoperator(self.robot, CYCLE_S), make_follower)
+    def __init__(self, make_follower=no_camera, teleoperator=None):
+        self.robot = CellModel.load("lab").robots["fr"] if teleoperator is None else teleoperator.robot
+        self.pilot = Pilot(teleoperator or Teleoperator(self.robot, CYCLE_S), make_follower)
         self.q, self.before, self.cycle = self.robot.home.copy(), None, 0
 
     @property
@@ -54,6 +57,12 @@ class Bench:
             if made[-1] is not None:
                 self.q = self.q + made[-1]
         return made
+
+    def goes(self, cycles, option=1):
+        """Hold the wish to go along a way."""
+        for _ in range(0, cycles, 10):
+            self.wishes(option=option)
+            self.cycles(10)
 
     def wishes(self, **wish):
         self.pilot.wish(Wish(**wish), self.now_s)
@@ -169,3 +178,103 @@ def test_a_stop_ends_the_following():
     bench.pilot.held()
     assert bench.cycles(5)[-1] is None
     assert bench.pilot.report(DriverStage.LEASED).mode is DrivingMode(ModeName.JOINT.value)
+
+
+RISE_M = 0.1
+
+
+@pytest.fixture
+def planned(bench):
+    """A robot in mode pose, and the way that raises its hand."""
+    planner = ReachPlanner(CellModel.load("lab"), "fr")
+    T = bench.robot.forward(bench.robot.home)
+    turn = pin.Quaternion(T[:3, :3])
+    target = T[:3, 3] + (0.0, 0.0, RISE_M)
+    return planner.plan(bench.robot.home, {}, "", tuple(target), (turn.w, turn.x, turn.y, turn.z))
+
+
+def in_mode_pose(bench):
+    bench.pilot.prepare(DrivingMode.POSE)
+    bench.pilot.change_mode(DrivingMode.POSE, "world")
+    bench.cycles(2)
+
+
+def test_in_mode_pose_nothing_moves_before_a_pose_was_planned(bench):
+    in_mode_pose(bench)
+    for wish in ({"option": 1}, {"joints": JOG}, {"option": 2}):
+        with pytest.raises(ControllerError, match="planned"):
+            bench.wishes(**wish)
+    assert bench.cycles(30) == [None] * 30
+
+
+def test_a_way_is_offered_in_its_mode_only_and_at_rest_only(bench, planned):
+    with pytest.raises(ControllerError, match="mode pose"):
+        bench.pilot.take_reach(planned)
+    in_mode_pose(bench)
+    bench.pilot.take_reach(planned)
+    assert bench.cycles(20) == [None] * 20, "it is offered, and not driven"
+    bench.goes(30)
+    with pytest.raises(ControllerError, match="moves"):
+        bench.pilot.take_reach(planned)
+
+
+def test_a_held_wish_brings_the_hand_to_the_pose_and_letting_go_rests_on_the_way(bench, planned):
+    in_mode_pose(bench)
+    bench.pilot.take_reach(planned)
+    bench.goes(40)
+    bench.cycles(40)
+    rested = bench.q
+    bench.cycles(10)
+    assert (bench.q == rested).all()
+    search = bench.pilot.report(DriverStage.LEASED).search
+    assert 0.0 < search.driven < 1.0
+    assert (search.way, search.arrived) == (1, False)
+    bench.goes(400)
+    raised = bench.robot.forward(bench.q)[2, 3] - bench.robot.forward(bench.robot.home)[2, 3]
+    assert raised == pytest.approx(RISE_M, abs=1e-6)
+    assert bench.pilot.report(DriverStage.LEASED).search.arrived
+
+
+def test_a_way_is_forgotten_with_its_mode(bench, planned):
+    in_mode_pose(bench)
+    bench.pilot.take_reach(planned)
+    assert bench.pilot.ways().ways == (planned.way,)
+    bench.goes(30)
+    bench.pilot.change_mode(DrivingMode.JOINT, "world")
+    assert bench.cycles(1) == [None], "the gate's brake ends the motion"
+    assert bench.pilot.ways().ways == ()
+    bench.cycles(2)
+    stands = bench.q
+    bench.wishes(joints=JOG)
+    bench.cycles(15)
+    assert (bench.q[:5] == stands[:5]).all()
+    assert bench.q[5] > stands[5]
+
+
+def test_the_advisor_is_asked_in_its_mode_only(bench):
+    with pytest.raises(ControllerError, match="mode advisor"):
+        bench.pilot.advise(again=True)
+
+
+def test_options_are_offered_driven_to_cancelled_and_asked_for_again():
+    gr = CellModel.load("lab").robots["gr"]
+    bench = Bench(teleoperator=advised(gr))
+    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.cycles(20)
+    ways = bench.pilot.ways()
+    assert [way.rank for way in ways.ways] == [1, 2, 3]
+    assert all(way.costs.keys() >= {"travel", "clearance"} for way in ways.ways)
+    assert bench.pilot.ways() is ways, "told once"
+    rank = next(way.rank for way in ways.ways if len(way.points) > 1 and way.points[0] != way.points[-1])
+    bench.goes(60, rank)
+    assert bench.pilot.report(DriverStage.LEASED).search.way == rank
+    bench.pilot.advise(again=False)
+    bench.cycles(60)
+    assert bench.pilot.report(DriverStage.LEASED).search.way is None
+    stands = bench.q
+    assert bench.cycles(20) == [None] * 20
+    bench.pilot.advise(again=True)
+    bench.wishes()
+    bench.cycles(5)
+    assert bench.pilot.ways().ways[0].points[0] == pytest.approx(stands, abs=1e-4)
+    assert bench.pilot.ways() is not ways

@@ -41,6 +41,7 @@ NOT_RUN = {
     ],
     "ask-the-advisor.md": ["takes many minutes"],
     "console.md": ["needs Chromium"],
+    "measure.md": ["needs Chromium"],
     "containers.md": [
         "needs a container engine; tests/launch/test_containers.py",
         "needs a container engine; tests/launch/test_containers.py",

@@ -9,7 +9,8 @@ from console_bench import ConsoleBench
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.console.messages import EXPIRY_S, AckOutcome, Pong, StopPhase
+from deltaq_services.console.commands import EXPIRY_S
+from deltaq_services.console.messages import AckOutcome, Pong, StopPhase
 
 REFUSED, EXPIRED, DONE, ASKED = AckOutcome.REFUSED, AckOutcome.EXPIRED, AckOutcome.DONE, AckOutcome.ASKED
 JOG = {"robot": "fr", "wish": [0.1, 0, 0, 0, 0, 0]}

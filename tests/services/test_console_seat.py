@@ -120,14 +120,14 @@ def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
     lease(anna, "take")
     take = bench.driver_requests()[-1]
     bench.done(bench.core.disconnect(anna.client, bench.now_s))
-    bench.done(bench.core.driver_said("fr", driving.DriverAnswer(id=take.id, done=True), bench.now_s))
+    bench.done(bench.core.drivers.said("fr", driving.DriverAnswer(id=take.id, done=True), bench.now_s))
     bench.driver_answers()
     assert lease(bench.browser("bo"), "take").outcome is ASKED
 
 
 def test_a_driver_that_ended_leaves_nobody_waiting(bench, anna):
     anna.send("mode", id="m", robot="fr", mode="decoupled")
-    anna.hears(bench.core.driver_ended("fr", "signal 9", bench.now_s))
+    anna.hears(bench.core.drivers.ended("fr", "signal 9", bench.now_s))
     assert "signal 9" in anna.acks("m")[-1].text
     assert anna.send("jog", **JOG).outcome is REFUSED
     assert anna.status().robots["fr"].lease.holder is None
@@ -138,14 +138,14 @@ def test_a_lease_that_was_lost_is_told(bench, anna):
     lost = driving.DriverReport(
         stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another"
     )
-    bench.core.driver_said("fr", lost, bench.now_s)
+    bench.core.drivers.said("fr", lost, bench.now_s)
     assert anna.send("jog", **JOG).outcome is REFUSED
     assert not anna.status().robots["fr"].lease.mine
     assert any("taken by another" in text for text in anna.events("lease"))
 
 
 def test_an_answer_that_nobody_waits_for_changes_nothing(bench, anna):
-    bench.core.driver_said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
+    bench.core.drivers.said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
     assert anna.send("jog", **JOG).outcome is DONE
 
 
@@ -164,3 +164,48 @@ def test_mode_view_distance_and_outputs_reach_the_driver(bench):
     assert anna.acks("o")[-1].text == "held"
     anna.send("jog", robot="gr", hand="tool", wish=[0, 0, 0.1, 0, 0, 0])
     assert bench.driver_requests("gr")[-1].twist == (0, 0, 0.1, 0, 0, 0)
+
+
+def held_outside(bench, holder="deltaq drive"):
+    bench.core.board.heard({"fr": holder, "gr": None}, bench.now_s)
+
+
+def test_a_holder_at_this_console_is_asked_and_not_robbed(bench, anna, bo):
+    assert "anna has fr: ask for it" in lease(bo, "take_over").text
+    assert not any(getattr(request, "by_force", False) for request in bench.driver_requests())
+
+
+def test_an_observer_takes_nothing_over(bench):
+    held_outside(bench)
+    assert lease(bench.browser("eve", operator=False), "take_over").outcome is REFUSED
+    assert bench.driver_requests() == []
+
+
+def test_a_holder_outside_is_named_and_cannot_be_asked(bench, bo):
+    held_outside(bench)
+    seen = bo.status().robots["fr"].lease
+    assert (seen.holder, seen.outside, seen.mine) == ("deltaq drive", True, False)
+    assert lease(bo, "ask").outcome is REFUSED
+
+
+def test_a_robot_is_taken_from_a_holder_outside_by_force_and_that_is_told(bench, bo):
+    held_outside(bench)
+    assert lease(bo, "take_over", id="t").outcome is ASKED
+    take = bench.driver_requests()[-1]
+    assert (take.client, take.by_force) == ("bo (console)", True)
+    assert bo.send("jog", **JOG).outcome is REFUSED, "not before it is granted"
+    bo.hears(bench.driver_answers())
+    assert bo.acks("t")[-1].outcome is DONE
+    told = bo.status().robots["fr"].lease
+    assert (told.mine, told.outside) == (True, False)
+    assert "bo takes fr from deltaq drive" in bo.events("lease")
+
+
+def test_without_the_operators_token_it_stays_with_its_holder_and_the_reason_is_told(bench, bo):
+    held_outside(bench)
+    lease(bo, "take_over", id="t")
+    bo.hears(bench.driver_answers(done=False, text="not_permitted: the operator's token is needed"))
+    assert bo.acks("t")[-1].outcome is REFUSED
+    assert "token" in bo.acks("t")[-1].text
+    told = bo.status().robots["fr"].lease
+    assert (told.holder, told.mine) == ("deltaq drive", False)

@@ -131,6 +131,31 @@ class AdvisorMode(TeleoperationMode):
         return self._route.done if self._route is not None and self._driven == self._wanted else 0.0
 
     @property
+    def begun(self) -> int | None:
+        """The option on whose path the robot is, or was when the choice was withdrawn."""
+        return self._driven
+
+    @property
+    def driven(self) -> float:
+        """Fraction of the duration of that path that lies behind the robot."""
+        return self._route.done if self._route is not None else 0.0
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether the robot stands where that path ends."""
+        return self._route is not None and bool(np.abs(self._q - self._route.end).max() < ARRIVED)
+
+    @property
+    def search(self) -> Progress | None:
+        """What is known of the search; None before anything is."""
+        return self._advisor.progress
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether a question has not been answered yet."""
+        return self._advisor.is_busy
+
+    @property
     def status(self) -> str:
         """What the advisor is doing, or how far the robot is on its path."""
         if self.arrived_at is not None:
@@ -149,9 +174,7 @@ class AdvisorMode(TeleoperationMode):
     @property
     def arrived_at(self) -> int | None:
         """The option that was chosen, once the robot stands there."""
-        if self._route is None or self._driven != self._wanted:
-            return None
-        return self._driven if bool(np.abs(self._q - self._route.end).max() < ARRIVED) else None
+        return self._driven if self._driven == self._wanted and self.is_at_end else None
 
     def stand_in(self) -> AdvisorMode:
         """An advisor mode with one option near the robot's home; returns when the advisor itself is ready."""
@@ -165,6 +188,12 @@ class AdvisorMode(TeleoperationMode):
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
         self._advisor.ask(q)
+
+    def forget(self) -> None:
+        """At rest: end the search, and forget the choice; what is known stays known."""
+        self._advisor.give_up()
+        self._wanted = self._driven = self._route = None
+        self._hindrance = ""
 
     def leave(self) -> None:
         """Nobody waits for the advisor any more."""

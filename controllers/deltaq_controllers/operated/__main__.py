@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from asyncio.subprocess import DEVNULL
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 
@@ -16,16 +17,27 @@ from deltaq_controllers.camera.controllers import FocusController, camera_contro
 from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.live import REFUSED, UNREACHABLE, USAGE, cell_model, settle_memory
+from deltaq_controllers.live import (
+    REFUSED,
+    UNREACHABLE,
+    USAGE,
+    cell_model,
+    settle_memory,
+    where_others_are,
+)
 from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.operated.pilot import Pilot
+from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner
 from deltaq_controllers.operated.shell import OperatedRobot
 from deltaq_protocol import connect
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
-from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode
+from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode, Reach
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
+OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
+"""Environment variable with the operator's token."""
 FOLLOWS = "paper"
 """The camera's law."""
 _PATIENT = 10
@@ -45,7 +57,9 @@ async def operate(options: argparse.Namespace) -> None:
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     say(DriverReport(stage=DriverStage.STARTING, mode=DrivingMode.JOINT))
-    async with connect(options.url, client=f"driver of {options.robot}") as cell:
+    # taking a robot from its holder is a privilege where the HLI was given a token
+    token = os.environ.get(OPERATOR_TOKEN) or None
+    async with connect(options.url, client=f"driver of {options.robot}", token=token) as cell:
         with ExitStack() as stack:
             teleoperator = teleoperator_for(cell, options.robot, stack)
             has_camera = teleoperator.robot.description.camera is not None
@@ -53,13 +67,13 @@ async def operate(options: argparse.Namespace) -> None:
             pilot = Pilot(teleoperator, partial(_follower, cell, options.robot, compiling))
             for mode in DrivingMode:
                 # the advisor is a process of its own, for who asks for it
-                if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW):
+                if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW, DrivingMode.POSE):
                     _prepare(pilot, mode)
             await asyncio.to_thread(practise, teleoperator)
             if compiling.done():
                 _prepare(pilot, DrivingMode.FOLLOW)
             settle_memory()
-            operated = OperatedRobot(cell, options.robot, pilot, say)
+            operated = OperatedRobot(cell, options.robot, pilot, say, _planning(cell, options.robot))
             listening = asyncio.ensure_future(operated.listen(lines))
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.add_signal_handler(number, listening.cancel)
@@ -108,6 +122,19 @@ def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> FocusC
         raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
     scene = Scene(model, robot, others[0], FollowerGains().latency_s)
     return camera_controller_named(FOLLOWS, scene, VIEW_M)
+
+
+def _planning(cell: Cell, robot: str) -> Callable[[Reach, Array], PlannedReach]:
+    """Plans ways to poses; the planner is made when it is first needed."""
+    others = where_others_are(cell, robot)
+    planners: list[ReachPlanner] = []
+
+    def plan(reach: Reach, q: Array) -> PlannedReach:
+        if not planners:
+            planners.append(ReachPlanner(cell_model(cell.description), robot))
+        return planners[0].plan(q, others(), reach.hand, reach.position_m, reach.quaternion_wxyz)
+
+    return plan
 
 
 def main() -> int:

@@ -8,20 +8,23 @@ import numpy as np
 
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.interface import ControllerError, View
+from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operated.reach import PlannedReach
+from deltaq_controllers.operated.ways import option_way, search_of
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import DriverReport, DriverStage, DrivingMode, Wish
+from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Way, Wish
 from deltaq_protocol.messages import Outcome, Verdict
 
 _REST = OperatorCommand()
 
 
 class Pilot:
-    """Turns wishes into increments: by the teleoperator, or by a camera controller while it follows.
+    """Turns wishes into increments: by the teleoperator, by that of a way to a pose, or by a camera controller.
 
-    Between the two the robot is at rest: neither knows what the other has set out to do.
+    Between two of them the robot is at rest: neither knows what the other has set out to do.
 
     Args:
         teleoperator: of the robot.
@@ -35,6 +38,11 @@ class Pilot:
         self._teleoperator = teleoperator
         self._make_follower = make_follower
         self._follower: FocusController | None = None
+        self._reach: PlannedReach | None = None
+        self._active: Teleoperator | None = teleoperator
+        self._is_still = True
+        self._when_still: Callable[[Array], None] | None = None
+        self._ways: tuple[object, DriverWays] = (None, DriverWays(mode=DrivingMode.JOINT))
         self._mode = DrivingMode(teleoperator.mode.value)
         self._wish, self._until_s = _REST, -np.inf
         self.is_following = False
@@ -46,16 +54,50 @@ class Pilot:
         Raises:
             ControllerError: the robot cannot be driven in it.
         """
-        if mode is not DrivingMode.FOLLOW:
+        if mode is DrivingMode.FOLLOW:
+            if self._follower is None:
+                self._follower = self._make_follower()
+        elif mode is not DrivingMode.POSE:
             self._teleoperator.mode_named(ModeName(mode.value))
-        elif self._follower is None:
-            self._follower = self._make_follower()
 
     def change_mode(self, mode: DrivingMode, frame: driving.Axes) -> None:
         """Drive in a mode that was prepared, from the next rest on."""
         self.rest()
-        self._mode = mode
+        self._mode, self._reach = mode, None
         self._teleoperator.frame = Frame(frame)
+
+    def advise(self, *, again: bool) -> None:
+        """Have options looked for from where the robot comes to rest, or end the search and forget the choice.
+
+        Raises:
+            ControllerError: the advisor does not drive.
+        """
+        advisor = self._advisor
+        if advisor is None or self._active is not self._teleoperator:
+            raise ControllerError("the advisor is asked in mode advisor: choose it first")
+        self.rest()
+        self._when_still = advisor.enter if again else lambda _q: advisor.forget()
+
+    def check_reach(self) -> None:
+        """Check that a way to a pose may be planned now.
+
+        Raises:
+            ControllerError: another mode, or the robot moves.
+        """
+        if self._mode is not DrivingMode.POSE:
+            raise ControllerError("a pose is reached in mode pose: choose it first")
+        if not self._is_still:
+            raise ControllerError("the robot moves: let it come to rest, and choose the pose then")
+
+    def take_reach(self, reach: PlannedReach) -> None:
+        """Offer a way to a pose.
+
+        Raises:
+            ControllerError: another mode, or the robot moves.
+        """
+        self.check_reach()
+        self.rest()
+        self._reach = reach
 
     def wish(self, wish: Wish, now_s: float) -> None:
         """Wish to move, for as long as a wish lasts.
@@ -69,7 +111,13 @@ class Pilot:
             if command != _REST:
                 raise ControllerError("the camera follows: choose another mode to move the robot by hand")
             return
-        self._teleoperator.check(command, ModeName(self._mode.value))
+        if self._mode is DrivingMode.POSE:
+            if command != _REST and (self._reach is None or command != OperatorCommand(option=1)):
+                raise ControllerError(
+                    "in mode pose the robot goes to a pose that was planned, and nowhere else"
+                )
+        else:
+            self._teleoperator.check(command, ModeName(self._mode.value))
         self._wish, self._until_s = command, now_s + driving.WISH_S
 
     def rest(self) -> None:
@@ -87,6 +135,7 @@ class Pilot:
         if self._mode is DrivingMode.FOLLOW:
             self._mode = DrivingMode(self._teleoperator.mode.value)
         self.is_following = False
+        self._when_still = None
 
     def increment(self, view: View, is_still: bool, now_s: float) -> Array | None:
         """The increment for this cycle, (n,) [rad or m]; None if the robot is at rest and is to stay so.
@@ -96,11 +145,31 @@ class Pilot:
             is_still: the setpoint stands still.
             now_s: time [s].
         """
+        self._is_still = is_still
         if self.is_following or self._mode is DrivingMode.FOLLOW:
             return self._following(view, is_still)
-        teleoperator = self._teleoperator
+        by_pose = self._mode is DrivingMode.POSE
+        wanted: Teleoperator | None = self._teleoperator
+        if by_pose:
+            wanted = None if self._reach is None else self._reach.teleoperator
+        if wanted is not self._active:
+            if not is_still:
+                return None  # without increments the gate's brake brings it to rest
+            self._active = wanted
+        if wanted is None:
+            return None
+        return self._teleoperated(
+            wanted, ModeName.ADVISOR if by_pose else ModeName(self._mode.value), view, now_s
+        )
+
+    def _teleoperated(
+        self, teleoperator: Teleoperator, mode: ModeName, view: View, now_s: float
+    ) -> Array | None:
+        is_still = self._is_still
+        if is_still and self._when_still is not None:
+            self._when_still(view.own.q_cmd)
+            self._when_still = None
         command = self._wish if now_s < self._until_s else _REST
-        mode = ModeName(self._mode.value)
         if command == _REST and is_still and teleoperator.is_at_rest and teleoperator.mode is mode:
             self._limit = ""
             return None
@@ -117,22 +186,52 @@ class Pilot:
                 "" if is_whole or verdict is None else f"{verdict.outcome}: {verdict.reasons[0].what}"
             )
             return
-        self._teleoperator.take_verdict(verdict)
-        if self._teleoperator.limitation is not None:
-            self._limit = self._teleoperator.limitation.text
+        if self._active is None:
+            return
+        self._active.take_verdict(verdict)
+        if self._active.limitation is not None:
+            self._limit = self._active.limitation.text
 
     def report(self, stage: DriverStage, longest_cycle_s: float | None = None) -> DriverReport:
         """How the robot is driven."""
         distance_m = None if self._follower is None else self._follower.desired_distance_m
+        offers = self._offers
+        by_pose = self._mode is DrivingMode.POSE
         return DriverReport(
             stage=stage,
             mode=self._mode,
             frame=self._teleoperator.frame.value,
             limit=self._limit,
-            doing="" if self.is_following else self._teleoperator.status,
+            doing="" if self.is_following or by_pose else self._teleoperator.status,
             distance_m=distance_m,
             longest_cycle_s=longest_cycle_s,
+            search=None if offers is None else search_of(offers),
         )
+
+    def ways(self) -> DriverWays:
+        """The ways that are offered now; equal to those before where nothing has changed."""
+        offers = self._offers
+        source: object = None if offers is None else offers.options if self._reach is None else self._reach
+        if source is not self._ways[0] or self._ways[1].mode is not self._mode:
+            self._ways = source, DriverWays(mode=self._mode, ways=self._offered(offers))
+        return self._ways[1]
+
+    def _offered(self, offers: AdvisorMode | None) -> tuple[Way, ...]:
+        if self._reach is not None:
+            return (self._reach.way,)
+        options = () if offers is None else offers.options
+        return tuple(option_way(rank, option) for rank, option in enumerate(options, start=1))
+
+    @property
+    def _offers(self) -> AdvisorMode | None:
+        """The mode that offers ways, if one drives."""
+        if self._mode is DrivingMode.POSE:
+            return None if self._reach is None else _advisor_of(self._reach.teleoperator)
+        return self._advisor if self._mode is DrivingMode.ADVISOR else None
+
+    @property
+    def _advisor(self) -> AdvisorMode | None:
+        return _advisor_of(self._teleoperator)
 
     def _following(self, view: View, is_still: bool) -> Array | None:
         wanted = self._mode is DrivingMode.FOLLOW
@@ -159,3 +258,9 @@ class Pilot:
                 f"{prefix}{axis}": rate for axis, rate in zip(HAND_AXES, wish.twist, strict=True) if rate
             }
         return OperatorCommand(rates, option=wish.option)
+
+
+def _advisor_of(teleoperator: Teleoperator) -> AdvisorMode | None:
+    """The mode `advisor`, if it drives now."""
+    made = next((mode for mode in teleoperator.made_modes if mode.name is teleoperator.mode), None)
+    return made if isinstance(made, AdvisorMode) else None

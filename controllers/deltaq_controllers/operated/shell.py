@@ -7,21 +7,27 @@ import contextlib
 import time
 from collections.abc import Callable
 
+import numpy as np
 from pydantic import ValidationError
 
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.live import PATIENCE_CYCLES, view_of
 from deltaq_controllers.operated.pilot import Pilot
+from deltaq_controllers.operated.reach import PlannedReach
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import (
     REQUESTS,
+    Advise,
     ChangeMode,
     DriverAnswer,
     DriverMessage,
     DriverReport,
     DriverRequest,
     DriverStage,
+    DriverWays,
     DrivingMode,
+    Reach,
     Release,
     Switch,
     Take,
@@ -47,10 +53,19 @@ class OperatedRobot:
         robot: its name.
         pilot: makes the increments.
         say: sends a line.
+        plan: plans ways to poses.
     """
 
-    def __init__(self, cell: Cell, robot: str, pilot: Pilot, say: Callable[[DriverMessage], None]) -> None:
-        self._cell, self._robot, self._pilot, self._say = cell, robot, pilot, say
+    def __init__(
+        self,
+        cell: Cell,
+        robot: str,
+        pilot: Pilot,
+        say: Callable[[DriverMessage], None],
+        plan: Callable[[Reach, Array], PlannedReach],
+    ) -> None:
+        self._cell, self._robot, self._pilot, self._say, self._plan = cell, robot, pilot, say, plan
+        self._told_ways: DriverWays | None = None
         self._wanted: asyncio.Queue[Take | None] = asyncio.Queue()
         self._leased: LeasedRobot | None = None
         self._leaving = asyncio.Event()
@@ -59,6 +74,7 @@ class OperatedRobot:
         self._longest_s = 0.0
         self._told: tuple[float, DriverReport | None] = (0.0, None)
         self._tasks: set[asyncio.Task[None]] = set()
+        self._planning = asyncio.Lock()
 
     async def listen(self, lines: asyncio.StreamReader) -> None:
         """Take requests until the input ends; then the robot comes to rest and is released."""
@@ -100,22 +116,37 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: ChangeMode | ViewAt | Switch) -> None:
+    async def _do(self, request: ChangeMode | ViewAt | Switch | Advise | Reach) -> None:
         text = ""
         try:
-            if isinstance(request, ChangeMode):
-                await asyncio.to_thread(self._pilot.prepare, request.mode)
-                self._pilot.change_mode(request.mode, request.frame)
-            elif isinstance(request, ViewAt):
-                await asyncio.to_thread(self._pilot.prepare, DrivingMode.FOLLOW)
-                self._pilot.view_at(request.distance_m)
-            elif self._leased is None:
-                text = "the robot's lease is not held"
-            else:
-                await self._leased.io(request.outputs)
+            match request:
+                case ChangeMode():
+                    await asyncio.to_thread(self._pilot.prepare, request.mode)
+                    self._pilot.change_mode(request.mode, request.frame)
+                case ViewAt():
+                    await asyncio.to_thread(self._pilot.prepare, DrivingMode.FOLLOW)
+                    self._pilot.view_at(request.distance_m)
+                case Advise():
+                    self._pilot.advise(again=request.action == "ask")
+                case Reach():
+                    await self._reach(request)
+                case Switch():
+                    if self._leased is None:
+                        raise ControllerError("the robot's lease is not held")
+                    await self._leased.io(request.outputs)
         except DeltaqError as error:
             text = str(error)
         self._say(DriverAnswer(id=request.id, done=not text, text=text))
+
+    async def _reach(self, request: Reach) -> None:
+        """Plan at rest, in a thread: states are to be read meanwhile. Of several poses the newest counts."""
+        self._pilot.check_reach()
+        state = self._cell.state(self._robot)
+        if state is None:
+            raise ControllerError(f"no state of {self._robot} has come yet")
+        async with self._planning:
+            planned = await asyncio.to_thread(self._plan, request, np.array(state.q_cmd))
+        self._pilot.take_reach(planned)
 
     async def _serve(self, take: Take) -> None:
         """Hold the lease until it is given back, or lost."""
@@ -123,7 +154,7 @@ class OperatedRobot:
         answered = False
         trouble = ""
         try:
-            async with self._cell.lease(self._robot, take.client) as leased:
+            async with self._cell.lease(self._robot, take.client, take.by_force) as leased:
                 self._leased = leased
                 self._say(DriverAnswer(id=take.id, done=True))
                 answered = True
@@ -195,4 +226,8 @@ class OperatedRobot:
                 self._told = (now_s, report)
                 self._say(report.model_copy(update={"longest_cycle_s": self._longest_s or None}))
                 self._longest_s = 0.0
+            ways = self._pilot.ways()
+            if ways != self._told_ways:
+                self._told_ways = ways
+                self._say(ways)
             await asyncio.sleep(REPORT_S)

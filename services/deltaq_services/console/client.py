@@ -6,7 +6,8 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 
 from deltaq_services.console.clock_offset import ClockOffset
-from deltaq_services.console.messages import MOST_MESSAGES_S, Ack
+from deltaq_services.console.commands import MOST_MESSAGES_S
+from deltaq_services.console.messages import Ack
 from deltaq_services.console.rate_limit import RateLimit
 
 _ANSWERS_KEPT = 256

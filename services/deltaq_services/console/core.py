@@ -13,32 +13,16 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Verdict
 from deltaq_services.console.client import Client
+from deltaq_services.console.commands import EXPIRY_S, AnyCommand, Ping, Record, ReplayShown, Stop
 from deltaq_services.console.decoding import InvalidCommandError, command_of
+from deltaq_services.console.driver_desk import DriverDesk
 from deltaq_services.console.event_log import EventLog
-from deltaq_services.console.messages import (
-    EXPIRY_S,
-    Ack,
-    AckOutcome,
-    AnyCommand,
-    ConsoleHello,
-    DryRun,
-    Jog,
-    LeaseCommand,
-    LeaseVerb,
-    Ping,
-    Pong,
-    Record,
-    ReplayShown,
-    Reset,
-    RobotCommand,
-    Stop,
-)
+from deltaq_services.console.messages import Ack, AckOutcome, ConsoleHello, Pong
 from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
 from deltaq_services.console.pending import PendingRequests, acknowledged
 from deltaq_services.console.picture import Picture
 from deltaq_services.console.recordings import RecordingDesk
 from deltaq_services.console.robot_side import RobotSide
-from deltaq_services.console.seat import Handled
 from deltaq_services.console.status_board import StatusBoard
 from deltaq_services.console.stop_progress import StopProgress
 from deltaq_services.console.words import bound_of
@@ -63,6 +47,7 @@ class ConsoleCore:
         stop: how far the newest stop is.
         board: what browsers are told when it changes.
         desk: the recording that is being written.
+        drivers: what is asked of robots and their drivers.
     """
 
     def __init__(
@@ -86,6 +71,7 @@ class ConsoleCore:
         self._token_needed = token_needed
         self._numbers = itertools.count(1)
         self._pending = PendingRequests()
+        self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log)
 
     def connect(
         self, name: str, is_operator: bool, now_s: float
@@ -109,17 +95,15 @@ class ConsoleCore:
             token_needed=self._token_needed,
             server_ms=1000.0 * now_s,
         )
-        return client, [ToClient(number, message) for message in (hello, *self._log.kept)]
+        ways = (side.ways for side in self.robots.values() if side.ways is not None)
+        return client, [ToClient(number, message) for message in (hello, *self._log.kept, *ways)]
 
     def disconnect(self, client: Client, now_s: float) -> list[ConsoleOutput]:
         """A browser has gone: what it drove comes to rest and is released."""
         del self.clients[client.number]
         self.board.forget(client)
         self._log.add(now_s, "client", f"{client.name} has gone")
-        outputs: list[ConsoleOutput] = []
-        for side in self.robots.values():
-            outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
-        return outputs
+        return self.drivers.leave(client)
 
     def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
         """A browser has sent something; whatever it is, it is answered."""
@@ -176,37 +160,6 @@ class ConsoleCore:
             told = {"text": text, "verdict": verdict.outcome, "scale": verdict.scale, "pair": verdict.pair}
             ack = ack.model_copy(update=told)
         return [ToClient(client.number, client.answer(ack))]
-
-    def driver_said(self, robot: str, said: driving.DriverMessage, now_s: float) -> list[ConsoleOutput]:
-        """A line of a robot's driver."""
-        side = self.robots[robot]
-        if isinstance(said, driving.DriverReport):
-            side.report = said
-            if said.stage is driving.DriverStage.FREE and side.seat.lost():
-                self._log.add(now_s, "lease", f"the lease was lost: {said.doing}", robot)
-            return []
-        client, command, asked = self._pending.answered(said.id)
-        outputs: list[ConsoleOutput] = []
-        if isinstance(asked, ToDriver):
-            handled = side.seat.answered(asked.request, said, self._pending.new_id)
-            self._tell(handled, robot, now_s)
-            outputs += self._pending.send(handled.requests, None, "")
-        if client is not None and client.number in self.clients:
-            outcome = AckOutcome.DONE if said.done else AckOutcome.REFUSED
-            outputs.append(acknowledged(client, command, outcome, said.text))
-        return outputs
-
-    def driver_ended(self, robot: str, text: str, now_s: float) -> list[ConsoleOutput]:
-        """A robot's driver is gone: what it was asked for did not happen."""
-        side = self.robots[robot]
-        side.seat.driver_ended()
-        side.report = None
-        self._log.add(now_s, "lease", f"the driver has ended: {text}", robot)
-        return [
-            acknowledged(client, command, AckOutcome.REFUSED, f"the driver has ended: {text}")
-            for client, command, _ in self._pending.given_up(robot)
-            if client is not None and client.number in self.clients
-        ]
 
     def recorder_ended(self, why: str, now_s: float) -> None:
         """The recorder has ended; `why` is empty if it was asked to."""
@@ -268,61 +221,9 @@ class ConsoleCore:
                 now_s, "recording", begins if to_recorder.file else f"{client.name} ends the recording"
             )
             return [to_recorder, acknowledged(client, command.id, AckOutcome.DONE, "")]
-        return self._obey_for_robot(client, command, now_s)
+        return self.drivers.obey(client, command, now_s)
 
     def _replay(self, client: Client, shown: bool) -> list[ConsoleOutput]:
         """A browser shows a recording from now on, or no more: what it drives rests and is released, for others."""
         client.shows_replay = shown
-        outputs: list[ConsoleOutput] = []
-        if shown:
-            for side in self.robots.values():
-                outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
-        return outputs
-
-    def _obey_for_robot(self, client: Client, command: RobotCommand, now_s: float) -> list[ConsoleOutput]:
-        side = self.robots.get(command.robot)
-        if side is None:
-            raise ValueError(
-                f"robot: the cell has no robot {command.robot!r}; it has {', '.join(self.robots)}"
-            )
-        if isinstance(command, Reset):
-            return self._pending.ask(client, command.id, AskHli(self._pending.new_id(), "reset", side.name))
-        if isinstance(command, DryRun):
-            dq = side.checked(command)
-            return self._pending.ask(
-                client, command.id, AskHli(self._pending.new_id(), "dry_run", side.name, dq)
-            )
-        if isinstance(command, LeaseCommand):
-            return self._lease(client, command, side, now_s)
-        if not side.seat.is_held_by(client):
-            holder = side.seat.holder
-            raise ValueError(
-                f"robot: {side.name} is not yours to move: "
-                + ("take it" if holder is None else f"{holder.name} has it")
-            )
-        if isinstance(command, Jog):
-            wish = side.wish_of(command)
-            cannot = side.cannot_move(now_s)
-            if cannot:
-                raise ValueError(cannot)
-            return [ToDriver(side.name, wish), acknowledged(client, command.id, AckOutcome.DONE, "")]
-        request = side.request_of(command, self._pending.new_id())
-        sent = self._pending.send([ToDriver(side.name, request)], client, command.id)
-        return [*sent, acknowledged(client, command.id, AckOutcome.ASKED, "asked")]
-
-    def _lease(
-        self, client: Client, command: LeaseCommand, side: RobotSide, now_s: float
-    ) -> list[ConsoleOutput]:
-        handled = side.seat.handle(client, command.action, self._pending.new_id)
-        if handled.refusal:
-            raise ValueError(f"action: {handled.refusal}")
-        self._tell(handled, side.name, now_s)
-        # who grants a robot is not told when it was taken by another
-        waits = client if command.action in (LeaseVerb.TAKE, LeaseVerb.RELEASE) else None
-        outcome = AckOutcome.ASKED if waits is not None and not handled.is_done else AckOutcome.DONE
-        sent = self._pending.send(handled.requests, waits, command.id)
-        return [*sent, acknowledged(client, command.id, outcome, "")]
-
-    def _tell(self, handled: Handled, robot: str, now_s: float) -> None:
-        if handled.told:
-            self._log.add(now_s, "lease", handled.told, robot)
+        return self.drivers.leave(client) if shown else []

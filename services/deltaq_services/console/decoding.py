@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from deltaq_protocol.errors import ProtocolError
-from deltaq_services.console.messages import COMMANDS, MAX_MESSAGE_BYTES, AnyCommand
+from deltaq_services.console.commands import COMMANDS, MAX_MESSAGE_BYTES, AnyCommand
 
 _LONGEST_SHOWN = 80
 _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "expected_tags", "pattern")

@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from deltaq_services.console.messages import Record, RecordingView
+from deltaq_services.console.commands import Record
+from deltaq_services.console.messages import RecordingView
 from deltaq_services.console.outputs import ToRecorder
 
 ENDING = ".mcap"

@@ -10,17 +10,17 @@ from deltaq_cell.description import RobotDescription
 from deltaq_protocol import driving
 from deltaq_protocol.messages import Phase
 from deltaq_services.console.client import Client
-from deltaq_services.console.feed import RobotFeed
-from deltaq_services.console.messages import (
-    Bound,
+from deltaq_services.console.commands import (
+    AskAdvisor,
+    DragPose,
+    DriverCommand,
     DryRun,
     Jog,
-    LeaseView,
-    RobotStatusView,
     SetMode,
-    SetOutput,
     ViewDistance,
 )
+from deltaq_services.console.feed import RobotFeed
+from deltaq_services.console.messages import Bound, LeaseView, RobotStatusView, WaysView
 from deltaq_services.console.seat import Seat
 from deltaq_services.console.stop_progress import RobotMotion
 from deltaq_services.console.words import phase_words
@@ -43,6 +43,7 @@ class RobotSide:
         feed: what is heard of it.
         seat: who drives it.
         report: the newest of its driver; None while there is no driver.
+        ways: that its driver offers now.
         outside_holder: who holds its lease as the HLI says.
         bound: what bound the newest verdict that was not admitted whole.
     """
@@ -52,6 +53,7 @@ class RobotSide:
         self.feed = RobotFeed(robot, cycle_s, bodies)
         self.seat = Seat(name)
         self.report: driving.DriverReport | None = None
+        self.ways: WaysView | None = None
         self.outside_holder: str | None = None
         self.bound: Bound | None = None
         self.outputs: dict[str, bool] = dict.fromkeys(robot.outputs, False)
@@ -70,18 +72,13 @@ class RobotSide:
         if jog.option is not None:
             return driving.Wish(option=jog.option)
         if jog.hand:
-            if jog.hand not in self._hands:
-                raise ValueError(
-                    f"hand: {self.name} has no hand {jog.hand!r}; it has {', '.join(self._hands)}"
-                )
+            hand = self._hand(jog.hand)
             if len(jog.wish) != _TWIST:
                 raise ValueError(f"wish: a twist has {_TWIST} elements, got {len(jog.wish)}")
             for what, bound, part in (("m/s", MOST_M_S, jog.wish[:3]), ("rad/s", MOST_RAD_S, jog.wish[3:])):
                 size = float(np.linalg.norm(part))
                 if size > bound * (1.0 + 1e-9):
                     raise ValueError(f"wish: {size:g} {what} is too fast for a hand; bound {bound:g}")
-            # a robot with one hand calls it by no name
-            hand = jog.hand if len(self._hands) > 1 else ""
             x, y, z, rx, ry, rz = jog.wish
             return driving.Wish(twist=(x, y, z, rx, ry, rz), hand=hand)
         if len(jog.wish) != len(self._max_velocity):
@@ -93,7 +90,13 @@ class RobotSide:
                 raise ValueError(f"wish: {joint} at {speed:g} {self.units[joint]}/s; bound {bound:g}")
         return driving.Wish(joints=jog.wish)
 
-    def request_of(self, command: SetMode | ViewDistance | SetOutput, request: str) -> driving.DriverRequest:
+    def _hand(self, hand: str) -> str:
+        """The hand as the driver knows it: a robot with one hand calls it by no name."""
+        if hand not in self._hands:
+            raise ValueError(f"hand: {self.name} has no hand {hand!r}; it has {', '.join(self._hands)}")
+        return hand if len(self._hands) > 1 else ""
+
+    def request_of(self, command: DriverCommand, request: str) -> driving.DriverRequest:
         """The driver's request that a command means.
 
         Raises:
@@ -107,6 +110,15 @@ class RobotSide:
             if not self._has_camera:
                 raise ValueError(f"value_m: {self.name} carries no camera")
             return driving.ViewAt(id=request, distance_m=command.value_m)
+        if isinstance(command, AskAdvisor):
+            return driving.Advise(id=request, action=command.action)
+        if isinstance(command, DragPose):
+            return driving.Reach(
+                id=request,
+                hand=self._hand(command.hand),
+                position_m=command.position_m,
+                quaternion_wxyz=command.quaternion_wxyz,
+            )
         names = tuple(self.outputs)
         if command.index >= len(names):
             raise ValueError(f"index: {self.name} has {len(names)} outputs, got {command.index}")
@@ -148,6 +160,7 @@ class RobotSide:
         holder = seat.holder.name if seat.holder is not None else self.outside_holder
         lease = LeaseView(
             holder=holder,
+            outside=seat.holder is None and holder is not None,
             wanted_by=seat.wanted_by.name if seat.wanted_by is not None else None,
             text=seat.text,
         )
@@ -164,6 +177,7 @@ class RobotSide:
             frame="world" if report is None else report.frame,
             driving=said,
             view_distance_m=None if report is None else report.distance_m,
+            search=None if report is None else report.search,
             bound=self.bound,
             outputs=self.outputs,
             inputs=self.inputs,

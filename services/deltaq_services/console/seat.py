@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 from deltaq_protocol import driving
 from deltaq_services.console.client import Client
-from deltaq_services.console.messages import LeaseVerb
+from deltaq_services.console.commands import LeaseVerb
 from deltaq_services.console.outputs import ToDriver
 
 _LONGEST_NAME = 64
@@ -71,6 +71,8 @@ class Seat:
         match action:
             case LeaseVerb.TAKE:
                 return self._take(client, request)
+            case LeaseVerb.TAKE_OVER:
+                return self._take(client, request, by_force=True)
             case LeaseVerb.RELEASE:
                 return self._released_by(client, request)
             case LeaseVerb.ASK:
@@ -118,7 +120,7 @@ class Seat:
         """The driver's process is gone, and the lease with it."""
         self._stage, self.holder, self._next = _Stage.FREE, None, None
 
-    def _take(self, client: Client, request: Callable[[], str]) -> Handled:
+    def _take(self, client: Client, request: Callable[[], str], by_force: bool = False) -> Handled:
         if self.is_held_by(client):
             return Handled(is_done=True)
         if self.holder is not None:
@@ -127,7 +129,8 @@ class Seat:
         if self.wanted_by is client:
             self.wanted_by = None
         name = f"{client.name} (console)"[:_LONGEST_NAME]
-        return Handled((ToDriver(self.robot, driving.Take(id=request(), client=name)),))
+        take = driving.Take(id=request(), client=name, by_force=by_force)
+        return Handled((ToDriver(self.robot, take),))
 
     def _released_by(self, client: Client, request: Callable[[], str]) -> Handled:
         if self.holder is not client:

@@ -29,7 +29,7 @@ def build(app: FastAPI, settings: Settings) -> None:
 
     @ui.page("/", title=title)
     def page() -> None:
-        for sheet in ("theme.css", "layout.css", "parts.css", "replay.css"):
+        for sheet in ("theme.css", "layout.css", "parts.css", "ways.css", "replay.css"):
             ui.add_head_html(f'<link rel="stylesheet" href="{_STYLES}/{sheet}">')
         lay_out()
 

@@ -56,7 +56,9 @@ export class Connection extends EventTarget {
   /** Ask for the time, and give up a line that is silent. */
   pulse() {
     if (!this._socket) return;
-    if (this.now() - this._heardAt > (this.isUp ? SILENT_MS : OPENING_MS)) {
+    // until it is greeted a line counts for nothing, whatever else it brings
+    const isDead = this.isUp ? this.now() - this._heardAt > SILENT_MS : this.now() - this._openedAt > OPENING_MS;
+    if (isDead) {
       this._drop();
       return;
     }
@@ -68,7 +70,7 @@ export class Connection extends EventTarget {
   _connect() {
     const socket = new this.Socket(this.url);
     this._socket = socket;
-    this._heardAt = this.now();
+    this._openedAt = this.now();
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => socket === this._socket && this._hear(data);
     socket.onclose = () => socket === this._socket && this._drop();

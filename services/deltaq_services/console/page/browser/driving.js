@@ -1,7 +1,12 @@
 // The panel on the left: which robot, who has it, how it is driven, and its digital signals.
 
+import { advisorCards } from "./advisor_cards.js";
 import { el, part, say } from "./dom.js";
+import { holdsFor } from "./hold.js";
 import { jogPad } from "./jog.js";
+import { posePanel } from "./pose_panel.js";
+
+const TAKE_OVER_MS = 1000;
 
 export const MODES = [
   ["joint", "Joint", "each joint by itself; leads out of any limit"],
@@ -9,6 +14,7 @@ export const MODES = [
   ["coupled", "Coupled", "the hand by all joints"],
   ["self-motion", "Self-motion", "any joint, the hand stays"],
   ["advisor", "Advisor", "to an option of the advisor, the hand stays"],
+  ["pose", "Pose", "to a pose of the hand that is dragged in the picture and shown first"],
   ["follow", "Follow", "the camera keeps the leader's hand in view"],
 ];
 
@@ -36,18 +42,26 @@ export class Driven extends EventTarget {
     return ["joint", "self-motion", null].includes(this.mode);
   }
 
+  /** Whether the robot is moved by hand in this mode, by buttons, keys and sticks. */
+  get isJogged() {
+    return !["advisor", "pose", "follow"].includes(this.mode);
+  }
+
   choose(name) {
     this.name = name;
     this.dispatchEvent(new Event("change"));
   }
 
   // what wish.js asks
+  jogs = () => this.isJogged;
   robot = () => this.name;
   length = () => (this.isByJoints ? this.scenery.joints.length : 6);
   hand = () => (this.isByJoints ? "" : this.scenery.tools[0].name);
 }
 
-export function drivingPanel(live, scene, driven, wish) {
+/** @param context {live, scene, driven, wish, stage, views, ways, picture, thumbnails}. */
+export function drivingPanel(context) {
+  const { live, scene, driven, wish } = context;
   const panel = part("driving");
   const tabs = el("div", { class: "tabs", role: "tablist" });
   const body = el("div", { class: "driving" });
@@ -76,6 +90,9 @@ export function drivingPanel(live, scene, driven, wish) {
     take: ["Take control", "primary"], ask: ["Ask for it", "primary"], release: ["Release", ""],
     grant: ["Hand over", "primary"], refuse: ["Keep it", ""],
   };
+  // against the will of a holder who cannot be asked from here: held, so that it is meant
+  const takeOver = el("button", { class: "slow" }, "Take it over: hold");
+  holdsFor(takeOver, TAKE_OVER_MS, () => ask("lease", { action: "take_over" }));
   const verbs = Object.fromEntries(
     Object.entries(buttons).map(([verb, [text, look]]) => [
       verb, el("button", { class: look, onclick: () => ask("lease", { action: verb }) }, text),
@@ -108,16 +125,18 @@ export function drivingPanel(live, scene, driven, wish) {
   const modeBox = el("section", {}, el("h2", {}, "Mode"), modes, frames, doing);
   const moveBox = el("section", {}, el("h2", {}, "Move"), speed, pad);
   const signals = el("section", { class: "signals" });
+  const advisor = advisorCards(context, ask);
+  const pose = posePanel(context, ask);
   body.append(
-    el("section", { class: "card" }, phase, remedy, reset, lease, el("div", { class: "row" }, ...Object.values(verbs)), answer),
-    modeBox, zoom, moveBox, signals,
+    el("section", { class: "card" }, phase, remedy, reset, lease, el("div", { class: "row" }, ...Object.values(verbs), takeOver), answer),
+    modeBox, advisor.box, pose.box, zoom, moveBox, signals,
   );
 
   function show() {
     const robot = live.robot(driven.name);
     for (const tab of tabs.children) tab.setAttribute("aria-selected", String(tab.dataset.robot === driven.name));
     if (!robot) return;
-    const { holder, mine, wanted_by: wantedBy, text } = robot.lease;
+    const { holder, outside, mine, wanted_by: wantedBy, text } = robot.lease;
     const locked = live.locked(driven.name);
     body.dataset.mine = String(mine);
     phase.dataset.phase = robot.phase;
@@ -125,11 +144,14 @@ export function drivingPanel(live, scene, driven, wish) {
     say(remedy, robot.remedy);
     reset.hidden = robot.phase !== "held";
     reset.disabled = !!locked;
-    const whose = mine ? "You have control." : holder ? `${holder} has control.` : "Nobody has control.";
+    const elsewhere = outside ? " It is no browser at this console: wait until it lets go, or take the robot over, which brings it to rest." : "";
+    const whose = mine ? "You have control." : holder ? `${holder} has control.${elsewhere}` : "Nobody has control.";
     const me = live.hello?.client;
     say(lease, wantedBy ? `${whose} ${wantedBy === me ? "You have asked for it." : `${wantedBy} asks for it.`}` : text ? `${whose} ${text}` : whose);
     verbs.take.hidden = mine || !!holder;
-    verbs.ask.hidden = mine || !holder || wantedBy === me;
+    verbs.ask.hidden = mine || !holder || outside || wantedBy === me;
+    takeOver.hidden = mine || !outside;
+    takeOver.disabled = !!locked;
     verbs.release.hidden = !mine;
     verbs.grant.hidden = verbs.refuse.hidden = !mine || !wantedBy;
     for (const button of Object.values(verbs)) button.disabled = !!locked;
@@ -142,19 +164,21 @@ export function drivingPanel(live, scene, driven, wish) {
       button.setAttribute("aria-checked", String(robot.mode === mode));
       button.disabled = !!locked || !mine;
     }
-    frames.hidden = driven.isByJoints || robot.mode === "follow" || robot.mode === "advisor";
+    frames.hidden = driven.isByJoints || !(driven.isJogged || robot.mode === "pose");
     for (const button of frames.children) {
       button.setAttribute("aria-checked", String(robot.frame === button.dataset.frame));
       button.disabled = !!locked || !mine;
     }
-    say(doing, robot.driving);
+    say(doing, robot.mode === "advisor" ? "" : robot.driving);
+    advisor.show();
+    pose.show();
     zoom.hidden = robot.mode !== "follow";
     distance.disabled = !!live.cannotDrive(driven.name);
     if (robot.view_distance_m && document.activeElement !== distance) {
       distance.value = robot.view_distance_m;
       say(distanceText, `${robot.view_distance_m.toFixed(2)} m`);
     }
-    moveBox.hidden = !mine || robot.mode === "follow";
+    moveBox.hidden = !mine || !driven.isJogged;
     showSignals(robot, locked || !mine);
   }
 
@@ -179,5 +203,5 @@ export function drivingPanel(live, scene, driven, wish) {
   driven.addEventListener("change", show);
   setInterval(show, 500);
   show();
-  return { ask };
+  return { ask, pose };
 }

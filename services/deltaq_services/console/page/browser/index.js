@@ -20,7 +20,9 @@ import { RobotView, StructureView } from "./robots.js";
 import { Stage } from "./scene.js";
 import { coverStale, showBar } from "./status_bar.js";
 import { bindStop, Stop } from "./stop.js";
+import { Thumbnails } from "./thumbnails.js";
 import { viewBar } from "./views.js";
+import { WayPicture, Ways } from "./ways.js";
 import { Wish } from "./wish.js";
 
 /** Address of the live WebSocket; a token in the page's address goes with it. */
@@ -54,7 +56,7 @@ export async function start(holder) {
 
   const quality = new URLSearchParams(location.search).get("quality") ?? remembered("quality", "auto");
   const stage = new Stage(holder, { floorHeight: floorHeight(scene.structure), quality });
-  const store = new MeshStore(async (url) => (await fetch(url)).text());
+  const store = new MeshStore(async (url) => (await fetch(url)).text(), stage.full);
   const paint = stage.shading.material();
   const views = await Promise.all(scene.robots.map((robot) => RobotView.make(robot, store, paint)));
   views.forEach((view) => view.robot.home && view.place(view.robot.home));
@@ -74,7 +76,10 @@ export async function start(holder) {
 
   const driven = new Driven(live, scene);
   const wish = new Wish(live, driven);
-  const { ask } = drivingPanel(live, scene, driven, wish);
+  const ways = new Ways(live);
+  const wayPicture = new WayPicture(stage, views);
+  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage) };
+  const { ask, pose } = drivingPanel(context);
   eventLog(live);
   const player = replayBar(live, scene);
   recordings(live, scene, player.open);
@@ -108,7 +113,7 @@ export async function start(holder) {
   const gamepad = new Gamepad(driven, wish, actions, drawing.show);
 
   // for tests and the curious: what is behind the page
-  window.deltaq = { scene, live, stage, views, stop, wish, driven, picture, overlays, motion, gamepad, player };
+  window.deltaq = { scene, live, stage, views, stop, wish, driven, picture, overlays, motion, gamepad, player, ways, wayPicture, gizmo: pose.gizmo };
   part("console").dataset.ready = "true";
   return () => connection.close();
 }

@@ -1,6 +1,7 @@
 // Buttons that move a robot while they are held: one pair a joint, or a pair for each axis of the hand.
 
 import { el, jointText, say } from "./dom.js";
+import { holds } from "./hold.js";
 
 export const HAND_M_S = 0.25; // of the hand at full speed
 export const HAND_RAD_S = 0.6;
@@ -16,31 +17,6 @@ export function speedOf(driven, index) {
   return driven.share * JOINT_SHARE * driven.scenery.joints[index].max_speed;
 }
 
-/** Let a button hold a wish: by pointer, or by Space and Enter. */
-function holds(button, wish, source, parts) {
-  const begin = () => {
-    if (!wish.hold(source, parts())) return;
-    button.dataset.held = "true";
-  };
-  const end = () => {
-    wish.release(source);
-    delete button.dataset.held;
-  };
-  button.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
-    button.setPointerCapture(event.pointerId);
-    begin();
-  });
-  for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(kind, end);
-  button.addEventListener("keydown", (event) => {
-    if (![" ", "Enter"].includes(event.key)) return;
-    event.preventDefault();
-    if (!event.repeat) begin();
-  });
-  button.addEventListener("keyup", end);
-  button.addEventListener("contextmenu", (event) => event.preventDefault());
-}
-
 export function jogPad(live, driven, wish) {
   const pad = el("div", { class: "jog" });
   const why = el("p", { class: "why", role: "status" });
@@ -52,7 +28,8 @@ export function jogPad(live, driven, wish) {
   function pair(index, title, axis, value) {
     const buttons = [-1, 1].map((sign) => {
       const button = el("button", { class: "hold", "aria-label": `${title} ${sign < 0 ? "minus" : "plus"}, hold to move` }, sign < 0 ? "−" : "+");
-      holds(button, wish, `pad ${index} ${sign}`, () => ({ [index]: sign * speedOf(driven, index) }));
+      const source = `pad ${index} ${sign}`;
+      holds(button, () => wish.hold(source, { [index]: sign * speedOf(driven, index) }), () => wish.release(source));
       return button;
     });
     const row = el("div", { class: "jog-row", "data-axis": axis }, buttons[0], el("span", {}, el("b", {}, title), value), buttons[1]);

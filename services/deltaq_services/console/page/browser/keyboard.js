@@ -9,7 +9,7 @@ const HAND_KEYS = {
 };
 
 function isTyping(target) {
-  return target.matches?.("input[type=text], input[type=search], textarea, select");
+  return target.matches?.("input[type=text], input[type=search], input[type=number], textarea, select");
 }
 
 export function driveByKeys(driven, wish, choose) {

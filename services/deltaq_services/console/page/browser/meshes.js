@@ -60,28 +60,35 @@ export function creasedNormals(positions) {
   return normals;
 }
 
+// segments around, and from pole to equator: where the processor draws every triangle counts
+const FULL = { around: 32, thin: 16, pole: 8 };
+const LEAN = { around: 20, thin: 10, pole: 4 };
+
 /** Geometry of a basic shape of scene.json, its frame at its centre, cylinders and capsules along z. */
-function basicShape(kind, size) {
+function basicShape(kind, size, { around, thin, pole }) {
   if (kind === "box") return new THREE.BoxGeometry(...size);
-  if (kind === "sphere") return new THREE.SphereGeometry(size[0], 24, 16);
+  if (kind === "sphere") return new THREE.SphereGeometry(size[0], around, 2 * pole);
   const [radius, length] = size;
+  const segments = radius < 0.05 ? thin : around;
   const geometry =
     kind === "capsule"
-      ? new THREE.CapsuleGeometry(radius, length, 8, 28)
-      : new THREE.CylinderGeometry(radius, radius, length, radius < 0.05 ? 16 : 32);
+      ? new THREE.CapsuleGeometry(radius, length, pole, segments)
+      : new THREE.CylinderGeometry(radius, radius, length, segments);
   return geometry.rotateX(Math.PI / 2); // three.js has them along y
 }
 
 /** Meshes are fetched once, whoever asks. */
 export class MeshStore {
-  constructor(fetchText) {
+  /** @param fetchText fetches a file; isFull: as round as graphics hardware can have it. */
+  constructor(fetchText, isFull) {
     this._fetchText = fetchText;
+    this._segments = isFull ? FULL : LEAN;
     this._soups = new Map();
   }
 
   /** Geometry of one visual or structure body, without indices, in its own frame. */
   async geometry(body) {
-    if (body.kind && body.kind !== "mesh") return basicShape(body.kind, body.size).toNonIndexed();
+    if (body.kind && body.kind !== "mesh") return basicShape(body.kind, body.size, this._segments).toNonIndexed();
     if (!this._soups.has(body.url)) {
       this._soups.set(
         body.url,

@@ -9,6 +9,7 @@ const MARGINS = [[0.1, "#ff3d6e"], [0.3, "#f0d53a"], [Infinity, "#4fb3ea"]];
 const WITHIN_ROBOT = 0.4; // of one robot's own bodies a smaller distance is kept, and is usual
 const BRAKE = "#39c6d6";
 const MOVES = 0.015; // rad or m to rest, from which on the brake is drawn
+const SEEN = 0.004; // m: a link whose brake is shorter hides its own ghost
 const MARKED_MS = 1500;
 const GHOSTS = { full: [0.34, 0.67, 1], lean: [1] }; // shares of the way to rest at which a robot is drawn
 
@@ -75,7 +76,10 @@ export class Overlays {
     frame.robots.forEach((robot, index) => {
       const moves = robot.q.some((value, k) => Math.abs(robot.rest[k] - value) > MOVES);
       for (const { share, ghost } of this._ghosts[index]) {
-        if (moves) ghost.place(robot.q.map((value, k) => value + share * (robot.rest[k] - value)));
+        if (moves) {
+          ghost.place(robot.q.map((value, k) => value + share * (robot.rest[k] - value)));
+          ghost.showApart(this.views[index], SEEN);
+        }
         if (moves || ghost.root.visible) this.stage.ask();
         ghost.root.visible = moves;
       }

@@ -59,6 +59,14 @@ export class RobotView {
     return this._groups[index + 1];
   }
 
+  /** Show only what joints carry that stand elsewhere than in `other` by more than `apart` [m, and as much in axes]. */
+  showApart(other, apart) {
+    this._groups.forEach((group, index) => {
+      const [ours, theirs] = [group.matrix.elements, other._groups[index].matrix.elements];
+      group.visible = ours.some((value, k) => Math.abs(value - theirs[k]) > apart);
+    });
+  }
+
   /** T_world_tool of the first tool, as 16 numbers. */
   toolPose(index = 0) {
     const tool = this.robot.tools[index];

@@ -5,7 +5,7 @@ import { Floor } from "./floor.js";
 import { Pace } from "./pace.js";
 import { ROOMS, Shading } from "./shading.js";
 
-const SHADOW_EVERY_MS = { full: 0, lean: 300 };
+const SHADOW_EVERY_MS = { full: 0, lean: 500 };
 const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jagged edges
 
 /** Whether WebGL is computed by the processor. */
@@ -53,6 +53,7 @@ export class Stage {
 
     this._before = [];
     this._after = [];
+    this._ahead = [];
     this._wanted = this._moved = true;
     this._shadowAt = -Infinity;
     this._size = new THREE.Vector2();
@@ -72,6 +73,12 @@ export class Stage {
   /** Call `action(now_ms)` ahead of every frame of the screen. */
   beforeEach(action) {
     this._before.push(action);
+  }
+
+  /** Call `action(renderer)` once, ahead of the next picture, which then covers whatever it drew. */
+  onceAhead(action) {
+    this._ahead.push(action);
+    this.ask();
   }
 
   /** Call `action(renderer, now_ms)` after each picture that was drawn. */
@@ -151,6 +158,7 @@ export class Stage {
       this.renderer.shadowMap.needsUpdate = this.full;
       this.floor.cast(this.renderer, this.solid);
     }
+    for (const action of this._ahead.splice(0)) action(this.renderer);
     this.renderer.render(this.scene, this.camera);
     this.frames += 1;
     for (const action of this._after) action(this.renderer, now);

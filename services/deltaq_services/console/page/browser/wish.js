@@ -23,10 +23,11 @@ export class Wish {
     return this._held.size > 0;
   }
 
-  /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}. */
+  /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}, or {option: rank} to go along that way. */
   hold(source, parts) {
     const name = this.target.robot();
-    this._refuse(this.live.cannotDrive(name));
+    const isJog = parts.option === undefined;
+    this._refuse(this.live.cannotDrive(name) || (isJog && this.target.jogs?.() === false ? "choose another mode to move it by hand" : ""));
     if (this.refused) return false;
     if (this._robot && this._robot !== name) this.releaseAll();
     const begins = !this._held.size;
@@ -56,12 +57,14 @@ export class Wish {
     if (text) this._forget = setTimeout(() => (this.refused = ""), TOLD_MS);
   }
 
+  /** What is held, as a jog has it: a way, or the sum of all speeds. */
   _sum() {
+    for (const { option } of this._held.values()) if (option !== undefined) return { option };
     const wish = new Array(this.target.length()).fill(0);
     for (const parts of this._held.values()) {
       for (const [index, speed] of Object.entries(parts)) wish[index] += speed;
     }
-    return wish;
+    return { wish };
   }
 
   _send() {
@@ -74,14 +77,14 @@ export class Wish {
   }
 
   _rest() {
-    this._put(new Array(this.target.length()).fill(0));
+    this._put({ wish: new Array(this.target.length()).fill(0) });
     this._robot = null;
   }
 
-  _put(wish) {
+  _put(wanted) {
     if (!this._robot) return;
-    const hand = this.target.hand();
-    this.live.send("jog", { robot: this._robot, wish, ...(hand ? { hand } : {}) }).then((ack) => {
+    const hand = wanted.wish && this.target.hand();
+    this.live.send("jog", { robot: this._robot, ...wanted, ...(hand ? { hand } : {}) }).then((ack) => {
       if (ack.outcome === "refused") this._refuse(ack.text);
     });
   }

@@ -1,0 +1,193 @@
+"""The way to a pose of a hand, straight in the joints, and how far it is clear on a copy of the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.advisor.advisor import Option, Progress
+from deltaq_controllers.advisor.answered import Answered
+from deltaq_controllers.advisor.exact import Clearance, ExactClearance
+from deltaq_controllers.advisor.time_parameterisation import timed
+from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
+from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_controllers.modes.motion import ModeName
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operated.ways import joints, points
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import Way
+
+STEP = 0.01
+"""Distance between two configurations of a way that are looked at, in the joint that moves most [rad or m]."""
+_SAMPLES = 400
+_SHARES = (0.1, 0.3, 1.0)
+"""How far the base goes towards each sample of its range."""
+_TRIED = 6
+"""Ends whose ways are looked at, the quickest first."""
+_MEASURED = 12
+"""Configurations of a way whose least distance is told."""
+
+
+@dataclass(frozen=True)
+class PlannedReach:
+    """A way that can be driven, and what is told of it."""
+
+    teleoperator: Teleoperator
+    way: Way
+
+
+class ReachPlanner:
+    """Plans ways of one robot of a cell, the other robots standing still.
+
+    Args:
+        cell: a copy of the model, for this planner alone.
+        robot: name of the robot.
+
+    Raises:
+        ControllerError: the robot's arms have no closed form.
+    """
+
+    def __init__(self, cell: CellModel, robot: str) -> None:
+        self._robot: RobotModel = cell.robots[robot]
+        self._cycle_s = cell.description.cycle_s
+        try:
+            self._tracker = ConstraintTracker(self._robot)
+        except TrackingError as error:
+            raise ControllerError(f"mode pose: {error}") from None
+        self._exact = ExactClearance(cell, robot)
+        # the same samples every time: a pose that is dragged a little leads to a way that differs a little
+        self._samples = np.random.default_rng(0).uniform(size=(_SAMPLES, len(self._tracker.base)))
+
+    def plan(
+        self,
+        q: Array,
+        others: Mapping[str, Array],
+        hand: str,
+        position_m: tuple[float, float, float],
+        quaternion_wxyz: tuple[float, float, float, float],
+    ) -> PlannedReach:
+        """The way of a hand to a pose in the world; other hands stay where they are.
+
+        Args:
+            q: (n,) setpoint at which the robot rests.
+            others: (n,) setpoint of each other robot.
+            hand: its name; empty for a robot with one hand.
+            position_m: of the hand in the world.
+            quaternion_wxyz: of the hand in the world, of any length but zero.
+
+        Raises:
+            ControllerError: an unknown hand, no rotation, or a pose that is out of reach.
+        """
+        T_world_hands = self._tracker.hands(q)
+        T_world_hands[self._index_of(hand)] = _pose(position_m, quaternion_wxyz)
+        self._exact.place(others)
+        best: tuple[Array, int] | None = None
+        for end in self._ends(q, T_world_hands)[:_TRIED]:
+            path = _straight(q, end)
+            clear = self._clear_until(path)
+            if best is None or clear / len(path) > best[1] / len(best[0]):
+                best = path, clear
+            if clear == len(path):
+                break
+        if best is None:
+            raise ControllerError(
+                f"{self._robot.name} cannot bring its hand there: it is out of reach, or a joint would pass its limit"
+            )
+        return self._planned(*best)
+
+    def _index_of(self, hand: str) -> int:
+        hands = self._robot.hands
+        if not hand and len(hands) == 1:
+            return 0
+        if hand not in hands:
+            raise ControllerError(f"hand: {self._robot.name} has no hand {hand!r}; it has {', '.join(hands)}")
+        return hands.index(hand)
+
+    def _ends(self, q: Array, T_world_hands: Array) -> Array:
+        """(N, n) configurations with the hands there: first one with the base where it is, then the quickest."""
+        base, robot = self._tracker.base, self._robot
+        bases = [q[None, base]]
+        if len(base):
+            reached = robot.lower[base] + self._samples * (robot.upper - robot.lower)[base]
+            bases += [q[base] + share * (reached - q[base]) for share in _SHARES]
+        ends = self._tracker.track(np.concatenate(bases), T_world_hands, q)
+        duration = (np.abs(ends - q) / robot.max_velocity).max(axis=1)
+        duration[0] *= 0.0  # a base that need not move does not; NaN stays NaN
+        order = np.argsort(duration)
+        found: Array = ends[order[np.isfinite(duration[order])]]
+        return found
+
+    def _clear_until(self, path: Array) -> int:
+        """How many configurations of a path (P, n) keep all distances, from the first on."""
+        for index in range(len(path)):
+            if not self._exact.keeps(path[index : index + 1]):
+                return index
+        return len(path)
+
+    def _planned(self, path: Array, clear: int) -> PlannedReach:
+        end = path[-1]
+        seen = path[np.linspace(0, min(clear, len(path) - 1), _MEASURED).round().astype(int)]
+        tightest = min((self._exact.measure(q) for q in seen), key=lambda clearance: clearance.room_m)
+        share = 1.0 if clear == len(path) else clear / len(path)
+        option = Option(
+            end,
+            energy=0.0,
+            values={},
+            costs={},
+            clearance=tightest,
+            nearest_limit="",
+            limit_share=0.0,
+            hands_move=True,
+            start=path[0],
+            path=path,
+            no_path="",
+        )
+        answered = Answered(self._tracker, Progress("", 1.0, 0.0, 0, (option,)))
+        modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, self._cycle_s, answered)}
+        setpoints = timed(path, self._tracker, self._cycle_s, hands_move=True)
+        first = setpoints[min(1, len(setpoints) - 1)] - setpoints[0]
+        way = Way(
+            rank=1,
+            q=joints(end),
+            points=points(path),
+            clearance_m=tightest.distance_m,
+            pair=tightest.pair,
+            clear=share,
+            text=_words(share, tightest),
+            first=tuple(first.tolist()),
+        )
+        return PlannedReach(Teleoperator(self._robot, self._cycle_s, ModeName.ADVISOR, modes=modes), way)
+
+
+def _pose(
+    position_m: tuple[float, float, float], quaternion_wxyz: tuple[float, float, float, float]
+) -> Array:
+    w, x, y, z = quaternion_wxyz
+    size = float(np.linalg.norm(quaternion_wxyz))
+    if size < 1e-6:
+        raise ControllerError("quaternion_wxyz: is no rotation, all of it is zero")
+    T = np.eye(4)
+    T[:3, :3] = pin.Quaternion(w / size, x / size, y / size, z / size).matrix()
+    T[:3, 3] = position_m
+    return T
+
+
+def _straight(q: Array, end: Array) -> Array:
+    pieces = max(1, int(np.ceil(np.abs(end - q).max() / STEP)))
+    path: Array = q + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (end - q)
+    path[0], path[-1] = q, end
+    return path
+
+
+def _words(share: float, tightest: Clearance) -> str:
+    near = f"{100 * tightest.distance_m:.1f} cm between {' and '.join(tightest.pair)}"
+    if share == 1.0:
+        return f"clear all the way, at least {near}"
+    kept_cm = 100 * (tightest.distance_m - tightest.room_m)
+    return f"clear for {share:.0%} of the way, then {near}; {kept_cm:.1f} cm are kept"

@@ -1,0 +1,54 @@
+"""What is told of ways that are offered: options of the advisor, or the way to a pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltaq_controllers.advisor.advisor import Option
+from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.driving import MOST_WAY_POINTS, Search, Way
+
+_DECIMALS = 5
+"""Of what is only drawn [rad or m]."""
+
+
+def option_way(rank: int, option: Option) -> Way:
+    """An option of the advisor; its rank counts from 1."""
+    return Way(
+        rank=rank,
+        q=joints(option.q),
+        points=() if option.path is None else points(option.path),
+        why_not="" if option.path is not None else option.no_path,
+        energy=option.energy,
+        costs=option.costs,
+        clearance_m=option.clearance.distance_m,
+        pair=option.clearance.pair,
+        nearest_limit=option.nearest_limit,
+        limit_share=option.limit_share,
+    )
+
+
+def search_of(mode: AdvisorMode) -> Search:
+    """How far the search of an advisor's mode is, and the robot on the way that was begun."""
+    progress = mode.search
+    return Search(
+        doing="" if progress is None else progress.doing,
+        done=0.0 if progress is None else min(1.0, max(0.0, progress.done)),
+        is_busy=mode.is_searching,
+        trials=0 if progress is None else progress.trials,
+        way=mode.begun,
+        driven=round(mode.driven, 3),
+        arrived=mode.is_at_end,
+    )
+
+
+def points(path: Array) -> tuple[tuple[float, ...], ...]:
+    """As many configurations of a path (P, n) as are told, the ends among them."""
+    count = min(len(path), MOST_WAY_POINTS)
+    return tuple(joints(path[index]) for index in np.linspace(0, len(path) - 1, count).round().astype(int))
+
+
+def joints(q: Array) -> tuple[float, ...]:
+    """A configuration (n,), as it is drawn."""
+    return tuple(np.round(q, _DECIMALS).tolist())

@@ -1,0 +1,176 @@
+"""What browsers send to the console, as JSON.
+
+Times named `_ms` are milliseconds of the clock of whoever wrote them; all else is in SI units. A command is answered
+with one `ack` that carries its `id`; the same `id` twice is done once and answered twice. What it means that a command
+expires is in `deltaq_services.console.clock_offset`.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, TypeAdapter
+
+from deltaq_protocol.driving import Axes, Coordinate, DrivingMode, QuaternionPart
+from deltaq_protocol.messages import Joints, JointValue, Message, Name
+
+MAX_MESSAGE_BYTES = 4096
+"""Longest message that a browser may send."""
+MOST_MESSAGES_S = 120.0
+"""Messages that a browser may send in a second; `stop` is not counted among them."""
+
+_MOTION_S, _OTHER_S = 0.5, 2.0
+EXPIRY_S = {
+    "lease": _OTHER_S,
+    "reset": _OTHER_S,
+    "mode": _MOTION_S,
+    "jog": _MOTION_S,
+    "view_distance": _MOTION_S,
+    "output": _MOTION_S,
+    "dry_run": _OTHER_S,
+    "advise": _OTHER_S,
+    "reach": _MOTION_S,
+    "record": _OTHER_S,
+    "replay": _OTHER_S,
+}
+"""How late a command may come, by its type [s]: later it is not carried out. A stop is, whenever it comes."""
+
+CommandId = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+class ConsoleCommand(Message):
+    """Base of what a browser sends."""
+
+    id: CommandId
+    sent_ms: FiniteFloat
+
+
+class Ping(ConsoleCommand):
+    """Measures the clocks; answered with a `Pong`, not with an `Ack`. To be sent once a second or more often."""
+
+    type: Literal["ping"]
+
+
+class Stop(ConsoleCommand):
+    """Bring every robot to rest. It never expires, observers may send it, and it needs no field but its type."""
+
+    type: Literal["stop"]
+    id: Annotated[str, Field(max_length=64)] = ""
+    sent_ms: FiniteFloat = 0.0
+
+
+class Reset(ConsoleCommand):
+    """End the hold of a robot."""
+
+    type: Literal["reset"]
+    robot: Name
+
+
+class LeaseVerb(StrEnum):
+    """What can be done about a robot's lease: `ask` its holder for it, who answers with `grant` or `refuse`.
+
+    A holder outside this console cannot be asked: `take_over` takes the lease from it, against its will.
+    """
+
+    TAKE = "take"
+    RELEASE = "release"
+    ASK = "ask"
+    GRANT = "grant"
+    REFUSE = "refuse"
+    TAKE_OVER = "take_over"
+
+
+class LeaseCommand(ConsoleCommand):
+    """Take a robot's lease, give it back, or hand it over."""
+
+    type: Literal["lease"]
+    robot: Name
+    action: LeaseVerb
+
+
+class SetMode(ConsoleCommand):
+    """How the robot is driven from now on, and in which axes hands are moved."""
+
+    type: Literal["mode"]
+    robot: Name
+    mode: DrivingMode
+    frame: Axes = "world"
+
+
+class Jog(ConsoleCommand):
+    """A wish to move, which ends by itself after 0.25 s unless it is renewed by the next one.
+
+    Without `hand` the wish is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that hand, (6,): three
+    linear [m/s] and three angular [rad/s] in the axes of the mode's frame. `option` is the rank of a way, held down.
+    """
+
+    type: Literal["jog"]
+    robot: Name
+    wish: Annotated[tuple[JointValue, ...], Field(max_length=32)] = ()
+    hand: Annotated[str, Field(max_length=64)] = ""
+    option: Annotated[int, Field(ge=1, le=99)] | None = None
+
+
+class ViewDistance(ConsoleCommand):
+    """The distance that a follower keeps from its focus [m]."""
+
+    type: Literal["view_distance"]
+    robot: Name
+    value_m: Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
+
+
+class SetOutput(ConsoleCommand):
+    """Switch a digital output, by its place in the robot's `outputs`."""
+
+    type: Literal["output"]
+    robot: Name
+    index: Annotated[int, Field(ge=0, le=63)]
+    value: bool
+
+
+class AskAdvisor(ConsoleCommand):
+    """In mode `advisor`: look for options from where the robot rests, or end the search and forget the choice."""
+
+    type: Literal["advise"]
+    robot: Name
+    action: Literal["ask", "cancel"]
+
+
+class DragPose(ConsoleCommand):
+    """In mode `pose`: plan the way that brings a hand to a pose in the world; nothing moves."""
+
+    type: Literal["reach"]
+    robot: Name
+    hand: Annotated[str, Field(min_length=1, max_length=64)]
+    position_m: tuple[Coordinate, Coordinate, Coordinate]
+    quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
+
+
+class DryRun(ConsoleCommand):
+    """The gate's verdict on an increment if it came now, (n,) [rad or m]; nothing moves."""
+
+    type: Literal["dry_run"]
+    robot: Name
+    dq: Joints
+
+
+class Record(ConsoleCommand):
+    """Begin to record the cell to a new file in the console's folder, or end it."""
+
+    type: Literal["record"]
+    action: Literal["start", "stop"]
+
+
+class ReplayShown(ConsoleCommand):
+    """Whether this browser shows a recording: while it does, it commands nothing but a stop."""
+
+    type: Literal["replay"]
+    shown: bool
+
+
+DriverCommand = SetMode | ViewDistance | SetOutput | AskAdvisor | DragPose
+"""What a robot's driver is asked to do."""
+RobotCommand = Reset | LeaseCommand | Jog | DryRun | DriverCommand
+AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand
+COMMANDS: TypeAdapter[AnyCommand] = TypeAdapter(Annotated[AnyCommand, Field(discriminator="type")])

@@ -1,0 +1,98 @@
+// The advisor's options as ranked cards: a picture, scores by criterion, what is nearest, and a button that is held to go.
+
+import { el, say } from "./dom.js";
+import { holds } from "./hold.js";
+
+const TITLES = {
+  travel: "joint travel", clearance: "clearance", limits: "joint limits", speed: "hand speed", manipulability: "manipulability",
+  condition: "condition", smallest_singular_value: "least singular value", effective_mass: "effective mass",
+  effective_mass_rate: "its change", compliance: "compliance", potential_energy_partition: "share of springs",
+  kinetic_energy: "kinetic energy", kinetic_energy_partition: "share of inertia",
+};
+const FIRST = ["travel", "clearance"]; // what options are ranked by
+
+/** A criterion's cost, 0 good to 1 bad, as a score of a hundred. */
+export const score = (cost) => Math.round(100 * (1 - Math.min(1, Math.max(0, cost))));
+
+function bar(name, cost) {
+  return el("li", { title: `${TITLES[name] ?? name}: ${score(cost)} of 100` },
+    el("span", {}, TITLES[name] ?? name), el("i", { style: `--score: ${score(cost)}%` }), el("b", {}, String(score(cost))));
+}
+
+/**
+ * @param context {live, driven, wish, ways Ways, picture WayPicture, thumbnails, views}; ask(type, fields) sends a command.
+ */
+export function advisorCards({ live, driven, wish, ways, picture, thumbnails, views }, ask) {
+  const doing = el("p", { class: "doing", role: "status" });
+  const bar_ = el("progress", { max: 1 });
+  const again = el("button", { onclick: () => ask("advise", { action: "ask" }) }, "Look again");
+  const cancel = el("button", { onclick: cancelled }, "Cancel");
+  const list = el("ol", { class: "cards" });
+  const box = el("section", { class: "advisor" }, el("h2", {}, "Options"), doing, bar_, el("div", { class: "row" }, again, cancel), list);
+  let drawn = "";
+  let kept = new Map(); // rank -> what changes on its card
+
+  function cancelled() {
+    wish.releaseAll();
+    picture.show(driven.name, null);
+    ask("advise", { action: "cancel" });
+  }
+
+  function card(way) {
+    const go = el("button", { class: "primary hold-to-go", disabled: !way.points.length }, way.points.length ? "Hold to go" : "No way there");
+    const source = `option ${way.rank}`;
+    holds(go, () => wish.hold(source, { option: way.rank }), () => wish.release(source));
+    const driven_ = el("progress", { max: 1, value: 0, "aria-label": `Way to option ${way.rank}` });
+    const costs = Object.entries(way.costs);
+    const rest = costs.filter(([name]) => !FIRST.includes(name));
+    const item = el("li", { class: "card-option", "data-option": way.rank, tabindex: 0 },
+      el("header", {}, el("b", {}, `${way.rank}`), el("span", {}, `energy ${way.energy.toFixed(3)}`), el("small", {}, `${way.nearest_limit} ${Math.round(100 * way.limit_share)} % from its limit`)),
+      thumbnails.of(views.find(({ name }) => name === driven.name), way.q),
+      el("ul", { class: "scores" }, ...FIRST.filter((name) => name in way.costs).map((name) => bar(name, way.costs[name]))),
+      el("p", { class: "doing" }, `${(100 * way.clearance_m).toFixed(1)} cm between ${way.pair.join(" and ")}`),
+      el("details", {}, el("summary", {}, "All criteria"), el("ul", { class: "scores" }, ...rest.map(([name, cost]) => bar(name, cost)))),
+      el("p", { class: "why", hidden: !way.why_not }, way.why_not),
+      go, driven_,
+    );
+    const show = () => picture.show(driven.name, way);
+    const hide = () => wish.isActive || picture.show(driven.name, null);
+    for (const kind of ["pointerenter", "focusin"]) item.addEventListener(kind, show);
+    for (const kind of ["pointerleave", "focusout"]) item.addEventListener(kind, hide);
+    kept.set(way.rank, { go, progress: driven_, has: !!way.points.length });
+    return item;
+  }
+
+  /** Cards are made anew only where the options have changed: a button that is held must stay. */
+  function fill() {
+    const offered = ways.of(driven.name, "advisor");
+    const told = JSON.stringify([driven.name, offered]);
+    if (told === drawn || wish.isActive) return;
+    drawn = told;
+    kept = new Map();
+    picture.show(driven.name, null);
+    list.replaceChildren(...offered.map(card));
+  }
+
+  function show() {
+    const robot = live.robot(driven.name);
+    box.hidden = robot?.mode !== "advisor";
+    if (box.hidden) return;
+    fill();
+    const { search, lease } = robot;
+    const cannot = live.cannotDrive(driven.name);
+    say(doing, search?.is_busy ? `${search.doing || "thinking"}, ${search.trials} configurations tried` : robot.driving);
+    bar_.hidden = !search?.is_busy;
+    bar_.value = search?.done ?? 0;
+    again.disabled = cancel.disabled = !!cannot || !lease.mine;
+    for (const [rank, { go, progress, has }] of kept) {
+      const isOn = search?.way === rank;
+      if (!wish.isActive) delete go.dataset.held;
+      go.disabled = !!cannot || !has || (isOn && search.arrived);
+      say(go, !has ? "No way there" : isOn && search.arrived ? "The robot is here" : isOn && search.driven > 0 ? "Hold to go on" : "Hold to go");
+      progress.hidden = !isOn;
+      progress.value = isOn ? (search.arrived ? 1 : search.driven) : 0;
+    }
+  }
+  ways.addEventListener("change", show);
+  return { box, show };
+}

@@ -1,0 +1,137 @@
+// A pose of the hand that is dragged in the picture: what would be admitted is shown first, and the robot goes only
+// while a button is held.
+
+import { quaternionOf } from "./drag_math.js";
+import { el, say } from "./dom.js";
+import { Gizmo } from "./gizmo.js";
+import { holds } from "./hold.js";
+
+const ASK_AGAIN_MS = 200; // while it is dragged
+const AXES = ["x", "y", "z"];
+
+/** @param context {live, driven, wish, stage, views, ways, picture}; ask(type, fields) sends a command. */
+export function posePanel({ live, driven, wish, stage, views, ways, picture }, ask) {
+  const gizmo = new Gizmo(stage);
+  const words = el("p", { class: "forecast", role: "status" });
+  const gate = el("p", { class: "doing" });
+  const share = el("progress", { max: 1, value: 0, "aria-label": "Clear part of the way" });
+  const go = el("button", { class: "primary hold-to-go" }, "Hold to go");
+  const back = el("button", {}, "Back");
+  const tools = el("select", { "aria-label": "Hand" });
+  const fields = AXES.map((axis, k) => {
+    const field = el("input", { type: "number", step: 10, "aria-label": `${axis} of the hand in mm` });
+    field.addEventListener("change", () => {
+      if (!gizmo.T || field.value === "") return;
+      const T = Float64Array.from(gizmo.T);
+      T[12 + k] = Number(field.value) / 1000;
+      gizmo.place(T, driven.frame === "tool");
+      want();
+    });
+    return field;
+  });
+  const box = el("section", { class: "pose" },
+    el("h2", {}, "Pose"),
+    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or write where it is to be [mm]. Nothing moves yet."),
+    tools,
+    el("div", { class: "coordinates" }, ...AXES.flatMap((axis, k) => [el("label", {}, axis), fields[k]])),
+    words, share, gate, el("div", { class: "row" }, go, back),
+  );
+  let robot = "";
+  let asked = { isBusy: false, isWanted: false, since: 0 };
+  let dryRunOf = null;
+  let refusal = "";
+
+  holds(go, () => wish.hold("pose", { option: 1 }), () => wish.release("pose"));
+  back.addEventListener("click", reset);
+  tools.addEventListener("change", reset);
+
+  const viewOf = () => views.find(({ name }) => name === driven.name);
+
+  /** The gizmo at the hand, and no way. */
+  function reset() {
+    const index = Math.max(0, tools.selectedIndex);
+    gizmo.place(viewOf().toolPose(index), driven.frame === "tool");
+    picture.show(driven.name, null);
+    refusal = "";
+    asked.isDragged = false;
+    write();
+  }
+
+  function write() {
+    fields.forEach((field, k) => document.activeElement === field || (field.value = Math.round(1000 * gizmo.T[12 + k])));
+  }
+
+  /** Ask for the way to where the gizmo is; of what was asked meanwhile only the newest counts. */
+  async function want() {
+    asked.isDragged = true;
+    write();
+    if (asked.isBusy) {
+      asked.isWanted = true;
+      return;
+    }
+    asked.isBusy = true;
+    asked.isWanted = false;
+    const T = gizmo.T;
+    const position_m = [T[12], T[13], T[14]];
+    const heard = (ack) => {
+      if (ack.outcome === "asked") return;
+      refusal = ack.outcome === "done" ? "" : ack.text;
+      setTimeout(() => {
+        asked.isBusy = false;
+        if (asked.isWanted) want();
+        show();
+      }, gizmo.isHeld ? ASK_AGAIN_MS : 0);
+    };
+    const hand = tools.value;
+    live.send("reach", { robot: driven.name, hand, position_m, quaternion_wxyz: quaternionOf(T) }, heard);
+  }
+  gizmo.addEventListener("drag", want);
+  gizmo.addEventListener("dragend", want);
+
+  /** What the gate itself says of the first step, asked once for each way. */
+  function dryRun(way) {
+    if (dryRunOf === way || !way.first.length || gizmo.isHeld) return;
+    dryRunOf = way;
+    say(gate, "");
+    live.send("dry_run", { robot: driven.name, dq: way.first }, (ack) => {
+      if (dryRunOf !== way || ack.outcome === "asked") return;
+      say(gate, ack.verdict ? `The gate, asked for its first step: ${ack.verdict}${ack.text ? `, ${ack.text}` : ""}.` : ack.text);
+    });
+  }
+
+  function show() {
+    const told = live.robot(driven.name);
+    const isOn = told?.mode === "pose" && told.lease.mine && !live.replay;
+    box.hidden = told?.mode !== "pose";
+    if (!isOn) {
+      gizmo.hide();
+      robot = "";
+      return;
+    }
+    if (robot !== driven.name) {
+      robot = driven.name;
+      tools.replaceChildren(...driven.scenery.tools.map(({ name }) => el("option", {}, name)));
+      tools.hidden = driven.scenery.tools.length < 2;
+      dryRunOf = null;
+      reset();
+    }
+    if (gizmo.byHand !== (driven.frame === "tool") && !gizmo.isHeld) gizmo.place(gizmo.T, driven.frame === "tool");
+    const [way] = asked.isDragged ? ways.of(driven.name, "pose") : [];
+    const { search } = told;
+    const cannot = live.cannotDrive(driven.name);
+    const isThere = !!search?.arrived;
+    if (isThere && !wish.isActive && asked.isDragged && !asked.isBusy && !gizmo.isHeld) reset();
+    picture.show(driven.name, refusal || !asked.isDragged ? null : (way ?? null), false);
+    say(words, refusal || (way ? `Forecast: ${way.text}.` : asked.isDragged ? "Looking for a way …" : ""));
+    words.dataset.clear = String(!refusal && (way?.clear ?? 1) === 1);
+    share.hidden = !way || !!refusal;
+    share.value = way?.clear ?? 0;
+    if (!wish.isActive) delete go.dataset.held;
+    go.disabled = !!cannot || !way || !!refusal;
+    say(go, search?.driven > 0 && !isThere ? `Hold to go on, ${Math.round(100 * search.driven)} % done` : "Hold to go");
+    if (way && !refusal) dryRun(way);
+    else say(gate, "");
+  }
+  ways.addEventListener("change", show);
+  return { box, show, gizmo };
+}

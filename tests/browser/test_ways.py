@@ -1,0 +1,152 @@
+"""Options of the advisor, a pose to drag, and a robot taken over, in Chromium before a running cell."""
+
+import numpy as np
+import pytest
+from test_page import AT_REST, Q
+
+from deltaq_launch.cell_connection import connect
+
+pytestmark = [pytest.mark.browser, pytest.mark.live, pytest.mark.timeout(300)]
+
+SEARCH = "deltaq.live.robot('gr').search"
+TIP = """(() => {
+    // the tip of the arrow along z, in the window
+    const {gizmo, stage} = deltaq;
+    gizmo.root.updateMatrixWorld(true);
+    const at = gizmo.root.localToWorld(gizmo.root.position.clone().set(0, 0, 0.9)).project(stage.camera);
+    const box = stage.canvas.getBoundingClientRect();
+    return [box.left + (at.x + 1) / 2 * box.width, box.top + (1 - at.y) / 2 * box.height];
+})()"""
+
+
+def in_mode(page, mode):
+    """Take gr, whichever way it was driven before, and drive it in a mode."""
+    page.locator("[data-robot=gr]").click()
+    page.wait_for_function("deltaq.live.locked('gr') === ''")
+    page.get_by_role("button", name="Take control").click()
+    page.wait_for_function(
+        "(deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode)"
+        " || document.querySelector('.answer').textContent"
+    )
+    assert page.locator(".answer").first.text_content() == ""
+    page.locator(f"[data-mode={mode}]").click()
+    page.wait_for_function("mode => deltaq.live.robot('gr').mode === mode", arg=mode)
+
+
+def hold(page, button, option):
+    """Hold a button; its wish is taken up anew if the picture was old for a moment."""
+    button.scroll_into_view_if_needed()
+    button.hover()
+    page.mouse.down()
+    page.evaluate(
+        "option => { window.pressing = setInterval(() => deltaq.wish.isActive"
+        " || deltaq.wish.hold('test', {option}), 50); }",
+        option,
+    )
+
+
+def let_go(page):
+    page.evaluate("clearInterval(window.pressing); deltaq.wish.release('test')")
+    page.mouse.up()
+    page.wait_for_function(f"!deltaq.wish.isActive && {AT_REST}")
+
+
+def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
+    page = opened()
+    in_mode(page, "advisor")
+    page.wait_for_function(f"document.querySelector('.card-option') && !{SEARCH}.is_busy")
+    before = page.evaluate(Q)
+    ways = page.evaluate("deltaq.ways.of('gr', 'advisor').map(({rank, points}) => [rank, points.length])")
+    rank = next(rank for rank, points in ways if points > 1)
+    card = page.locator(f"[data-option='{rank}']")
+    assert "joint travel" in card.text_content()
+
+    # a ghost where it leads, and nothing moves
+    card.hover()
+    page.wait_for_function(f"deltaq.wayPicture.way?.rank === {rank}")
+    assert page.evaluate(Q) == pytest.approx(before, abs=1e-4)
+
+    # it goes while the button is held, and rests when it is let go
+    hold(page, card.locator(".hold-to-go"), rank)
+    page.wait_for_function(f"{SEARCH}.way === {rank} && {SEARCH}.driven > 0.02")
+    let_go(page)
+    page.wait_for_function(f"{SEARCH}.driven < 1")
+    assert page.evaluate(Q) != pytest.approx(before, abs=1e-3)
+
+    page.get_by_role("button", name="Cancel").click()
+    page.wait_for_function(f"{SEARCH}.way === null")
+    assert page.evaluate(AT_REST)
+    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+
+
+def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, served_cell):
+    page = opened()
+    in_mode(page, "pose")
+    page.wait_for_function("deltaq.gizmo.root.visible")
+    before = page.evaluate(Q)
+    hand = page.evaluate("Array.from(deltaq.gizmo.T)")
+    x, y = page.evaluate(TIP)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y + 40, steps=4)
+    page.mouse.up()
+    dragged = page.evaluate("Array.from(deltaq.gizmo.T)")
+    assert dragged[14] < hand[14] - 0.02
+    assert dragged[:14] == pytest.approx(hand[:14], abs=1e-9), "along z, and not else"
+    page.wait_for_function("document.querySelector('.forecast').textContent.startsWith('Forecast: clear')")
+    page.wait_for_function("document.querySelector('.pose').textContent.includes('first step: admitted')")
+    assert page.evaluate("deltaq.wayPicture.way?.clear") == 1
+    assert page.evaluate(Q) == pytest.approx(before, abs=1e-4), "shown, and not gone to"
+
+    hold(page, page.locator(".pose .hold-to-go"), 1)
+    page.wait_for_function(f"{SEARCH}?.arrived")
+    let_go(page)
+    there = served_cell.model.robots["gr"].forward(np.array(page.evaluate(Q)))[:3, 3]
+    assert there == pytest.approx(dragged[12:15], abs=2e-3)
+    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+
+
+def test_a_pose_out_of_reach_or_behind_a_body_is_told_and_out_of_reach_cannot_be_gone_to(opened, served_cell):
+    page = opened()
+    in_mode(page, "pose")
+    page.wait_for_function("deltaq.gizmo.root.visible")
+    field = page.get_by_label("x of the hand in mm")
+    field.fill("9000")
+    field.press("Enter")
+    page.wait_for_function("document.querySelector('.forecast').textContent.includes('out of reach')")
+    assert page.locator(".pose .hold-to-go").is_disabled()
+    tank = next(body for body in served_cell.model.structure if "tank" in body.name)
+    for axis, value in zip("xyz", tank.placement.translation, strict=True):
+        field = page.get_by_label(f"{axis} of the hand in mm")
+        field.fill(str(round(1000 * value)))
+        field.press("Enter")
+    page.wait_for_function("deltaq.wayPicture.way?.clear < 1")
+    assert "clear for" in page.locator(".forecast").text_content()
+    assert page.evaluate("deltaq.wayPicture._shown.blocked.root.visible")
+    page.get_by_role("button", name="Back", exact=True).click()
+    page.wait_for_function("deltaq.wayPicture.way === null")
+    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+
+
+def test_a_robot_is_taken_over_from_a_holder_outside_by_a_button_that_is_held(opened, served_cell):
+    with connect(served_cell.model.description, "night shift") as outside, outside.lease("gr"):
+        page = opened()
+        page.locator("[data-robot=gr]").click()
+        page.wait_for_function("deltaq.live.robot('gr').lease.outside")
+        words = page.locator(".lease").text_content()
+        assert "night shift has control" in words
+        assert "no browser at this console" in words
+        button = page.get_by_role("button", name="Take it over: hold")
+        button.hover()
+        page.mouse.down()
+        page.mouse.up()
+        assert page.evaluate("deltaq.live.robot('gr').lease.holder") == "night shift", "a click is not enough"
+        page.mouse.down()
+        page.wait_for_function("deltaq.live.robot('gr').lease.mine")
+        page.mouse.up()
+        assert "You have control" in page.locator(".lease").text_content()
+        page.locator(".opener").click()
+        page.wait_for_function(
+            "[...document.querySelectorAll('.log li')].some((line) => line.textContent.includes('from night shift'))"
+        )
+        page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
