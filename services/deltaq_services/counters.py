@@ -33,6 +33,12 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "states", "cycles of robots that were heard"),
     Counted(HLI, "states_ignored", "states of a robot, or with joints, that the cell does not have"),
     Counted(HLI, "increments", "increments received, valid or not"),
+    Counted(HLI, "increments_unproven", "increments over zenoh that show no lease; they were not read"),
+    Counted(
+        HLI,
+        "increments_too_many",
+        "increments of a holder beyond those that are judged in a cycle; they were not read",
+    ),
     Counted(HLI, "requests", "increments handed on to the gate: at most one a robot and cycle"),
     Counted(HLI, "refused", "increments that never reached the gate"),
     Counted(HLI, "refused_{code}", "those refused for this reason"),

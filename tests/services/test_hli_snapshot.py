@@ -147,7 +147,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "identity",
         "counters",
     }
-    assert set(vars(state.leases)) == {"_leases", "_epoch"} | {"_lease_s", "_new_token"}
+    assert set(vars(state.leases)) == {"_leases", "_ended", "_epoch"} | {"_lease_s", "_new_token"}
     assert set(vars(state.commands)) == {"_id", "_epoch", "_outdated_id", "_stop_id", "_awaited", "_stops"}
     fixed = {"joints", "_max_age_cycles", "_max_state_age_s"}
     remembered = {"state", "received_s", "_asked_cycle", "_awaited", "_waiting"}

@@ -39,6 +39,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.increments import Increments
+from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.snapshot import HliMemory
@@ -230,7 +231,7 @@ class HliCore:
         """Welcome a client, or tell it that it speaks another version."""
         if hello.protocol not in LINE_VERSIONS:
             self.counters["version_mismatches"] += 1
-            ours = " and ".join(map(str, LINE_VERSIONS))
+            ours = ", ".join(map(str, LINE_VERSIONS))
             text = f"client speaks protocol {hello.protocol}, this server {ours}"
             hint = "install the deltaq version that the server runs"
             error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
@@ -267,6 +268,11 @@ class HliCore:
             identity=self.description.identity,
             mismatches=self.mismatches,
         )
+
+    @property
+    def leases(self) -> Leases:
+        """The leases of all robots."""
+        return self._state.leases
 
     @property
     def mismatches(self) -> tuple[str, ...]:

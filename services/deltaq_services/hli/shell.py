@@ -13,6 +13,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
 from deltaq_protocol.topic import Realm
+from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
@@ -49,6 +50,7 @@ class Hli:
         self.core = HliCore(
             cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token
         )
+        self.authentication = Authentication(self.core.leases, operator_token, secrets.token_hex(32))
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))

@@ -89,11 +89,19 @@ class HliState:
                     outputs += self.end_lease(lease)
         return outputs
 
-    def refuse(self, robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
-        """Refuse an increment: count it, and send the verdict to the sender and to every watcher."""
+    def refuse(
+        self,
+        robot: str,
+        cycle: int,
+        seq: int,
+        reason: Reason,
+        sender: Sender | None,
+        is_holders: bool = True,
+    ) -> list[Output]:
+        """Refuse an increment: count it, and send the verdict to the sender; the holder's to every watcher too."""
         self.counters["refused"] += 1
         self.counters[f"refused_{reason.code}"] += 1
-        return refusal(robot, cycle, seq, reason, sender)
+        return refusal(robot, cycle, seq, reason, sender, is_holders)
 
     def refuse_asked(self, asked: Asked, reason: Reason) -> list[Output]:
         """Refuse an increment that had been accepted before."""

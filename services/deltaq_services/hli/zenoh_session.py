@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import zenoh
 
@@ -16,6 +16,8 @@ from deltaq_protocol.seal import Seal
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
+
+T = TypeVar("T")
 
 _WAITING = 256
 """Samples or queries of one topic that may wait for the loop; at rest there is none."""
@@ -44,6 +46,19 @@ class LoopSession:
     def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
         """Call `take` in the loop with every sample of a topic, of any robot and service."""
         self._served.subscribe(topic.key(self._cell), self._inbox(topic, take).put)
+
+    def subscribe_sifted(
+        self, topic: Topic, sift: Callable[[zenoh.Sample], T | None], take: Callable[[T], None]
+    ) -> None:
+        """The same, with what `sift` makes of a sample in zenoh's thread; None: the loop does not hear of it."""
+        inbox = self._inbox(topic, take)
+
+        def put(sample: zenoh.Sample) -> None:
+            sifted = sift(sample)
+            if sifted is not None:
+                inbox.put(sifted)
+
+        self._served.subscribe(topic.key(self._cell), put)
 
     def answer(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
         """Call `take` in the loop with every query of a topic, of any robot."""

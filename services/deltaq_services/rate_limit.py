@@ -1,4 +1,4 @@
-"""How many messages a browser may send: so many a second, and as many at once."""
+"""How many messages one sender may send: so many a second, and as many at once."""
 
 from __future__ import annotations
 
