@@ -226,7 +226,7 @@ class ChallengeRequest(Message):
 
 
 class Challenge(Message):
-    """A challenge: nonce of the proof beside one request of the operator, in hexadecimal digits; good once, for seconds."""
+    """A challenge: nonce of the proof beside one request of the operator, in hexadecimal digits; good once."""
 
     type: Literal["challenge"] = "challenge"
     challenge: Annotated[str, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$")]

@@ -73,11 +73,21 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "dry_runs", "dry runs that were requested"),
     Counted(HLI, "contacts_switched", "requests to allow or forbid a contact"),
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
+    Counted(HLI, "commands_too_many", "commands refused because clients asked for too many in a second"),
     Counted(HLI, "stops_sent_again", "stops sent once more because the gate had not answered them"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
-    Counted(HLI, "tcp_connections_refused", "TCP connections refused because too many were open"),
+    Counted(
+        HLI,
+        "tcp_connections_refused",
+        "TCP connections for which there was no place; a stop was heard on them",
+    ),
+    Counted(
+        HLI,
+        "tcp_lines_slowed",
+        "times that lines of TCP clients had to wait because more came than are served",
+    ),
     Counted(HLI, "tcp_given_up", "TCP connections ended for a missing hello, long lines or malformed ones"),
     Counted(HLI, "tcp_not_reading", "TCP connections ended because their client did not read its answers"),
     Counted(

@@ -18,6 +18,14 @@ class RateLimit:
         self._left = most_s
         self._at_s: float | None = None
 
+    def snapshot(self) -> tuple[float, float | None]:
+        """What is left, and since when, for `restore`."""
+        return self._left, self._at_s
+
+    def restore(self, memory: tuple[float, float | None]) -> None:
+        """Go on from where another was."""
+        self._left, self._at_s = memory
+
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed now."""
         if self._at_s is not None:

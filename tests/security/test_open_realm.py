@@ -122,6 +122,7 @@ async def test_without_the_rules_of_access_it_would(monkeypatch: pytest.MonkeyPa
 async def test_no_state_and_no_verdict_of_a_stranger_reaches_a_client(running: Running, mode: str) -> None:
     stranger = await running.stranger(mode)
     async with running.cell.lease("fr") as robot:
+        await anext(running.cell.states("fr"))
         verdicts = running.cell.verdicts("fr")
         seen: list[Verdict] = []
         watching = asyncio.create_task(anext(verdicts))

@@ -142,7 +142,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "_state", "_gate", "_gate_heard_s", "_states", "_services", "_proximity",
     } | {"_tool_pose", "description", "counters", "increments", "requests"}  # fmt: skip
     state = core._state
-    assert set(vars(state)) == {"leases", "commands", "links", "mismatches"} | {
+    assert set(vars(state)) == {"leases", "commands", "command_rate", "links", "mismatches"} | {
         "cell",
         "identity",
         "counters",

@@ -64,8 +64,17 @@ class Authentication:
         self._counts[robot] = lease.token, asked
         return lease.token
 
+    def is_known(self, key: str, message: bytes, proof: bytes) -> bool:
+        """Whether any holder or the operator made a request, new or not; any thread may ask."""
+        if len(message) > MAX_MESSAGE_BYTES:
+            return False
+        keys = [key_of(token) for token in self._leases.tokens()]
+        if self._operator_key is not None:
+            keys.append(self._operator_key)
+        return any(proven_nonce(mac_key, key, message, proof) is not None for mac_key in keys)
+
     def challenge(self, time_s: float) -> bytes:
-        """A challenge for the operator's next request."""
+        """A challenge for the operator's next request; any thread may ask."""
         return self._challenges.new(time_s)
 
     def operator(self, key: str, message: bytes, proof: bytes, time_s: float) -> str | None:

@@ -6,6 +6,7 @@ that were used are remembered as long as they would be good, and only who knows 
 
 from __future__ import annotations
 
+import itertools
 import struct
 from hashlib import blake2b
 from hmac import compare_digest
@@ -26,13 +27,12 @@ class Challenges:
 
     def __init__(self, secret: str) -> None:
         self._key = blake2b(secret.encode(), digest_size=_MAC_BYTES).digest()
-        self._count = 0
+        self._counts = itertools.count(1)
         self._used: dict[bytes, float] = {}
 
     def new(self, time_s: float) -> bytes:
-        """A challenge that was never made before."""
-        self._count += 1
-        made = _MADE.pack(time_s, self._count)
+        """A challenge that was never made before; any thread may ask."""
+        made = _MADE.pack(time_s, next(self._counts))
         return made + self._mac(made)
 
     def accept(self, challenge: bytes, time_s: float) -> bool:

@@ -147,6 +147,7 @@ class HliCore:
             gate=(self._gate, self._gate_heard_s),
             heard_s=tuple(stream.snapshot() for stream in self._streams()),
             proximity_s=self._proximity.snapshot(),
+            command_rate=state.command_rate.snapshot(),
         )
 
     def restore(self, memory: HliMemory) -> None:
@@ -161,6 +162,7 @@ class HliCore:
         for stream, times_s in zip(self._streams(), memory.heard_s, strict=True):
             stream.restore(times_s)
         self._proximity.restore(memory.proximity_s)
+        state.command_rate.restore(memory.command_rate)
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate for what has waited, and tell the controllers.

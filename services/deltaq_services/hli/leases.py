@@ -78,6 +78,10 @@ class Leases:
         lease = self._leases.get(robot)
         return lease if lease is not None and lease.token == token else None
 
+    def tokens(self) -> list[str]:
+        """Tokens of all leases; any thread may ask."""
+        return [lease.token for lease in tuple(self._leases.values()) if lease is not None]
+
     def newest_tokens(self, robot: str) -> tuple[str | None, str | None]:
         """Tokens of a robot's lease and of the one that ended last, where there are such; any thread may ask."""
         lease = self._leases.get(robot)

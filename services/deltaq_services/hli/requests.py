@@ -75,6 +75,8 @@ class Requests:
     def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
         """Bring every robot to rest; anyone may."""
         self._state.counters["stops"] += 1
+        if self._state.commands.join_stop(sender):
+            return []
         outputs = self._state.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
         command = self._state.new_command(kind="stop", reason=ReasonCode.OPERATOR_STOP)
         return outputs + self._state.command(command, sender, Done(what="stop"), time_s)

@@ -60,11 +60,13 @@ class Sieve:
         key = str(sample.key_expr)
         robot, proof = self._robots.get(key), sample.attachment
         if robot is None or proof is None:
-            return self._unproven()
+            self._count_unproven()
+            return None
         payload = sample.payload.to_bytes()
         proven = self._authentication.holder_of_increment(robot, key, payload, proof.to_bytes())
         if proven is None:
-            return self._unproven()
+            self._count_unproven()
+            return None
         rates = self._rates if proven.is_present else self._ended_rates
         with self._lock:
             if not rates[robot].take(self._now()):
@@ -77,6 +79,6 @@ class Sieve:
         with self._lock:
             return self._counters.copy()
 
-    def _unproven(self) -> None:
+    def _count_unproven(self) -> None:
         with self._lock:
             self._counters["increments_unproven"] += 1

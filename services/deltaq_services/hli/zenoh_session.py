@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import zenoh
 
 from deltaq_protocol.codec import pack
-from deltaq_protocol.inbox import ClientInbox
+from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import Seal
 from deltaq_protocol.served_in_loop import ServedInLoop
@@ -21,6 +21,8 @@ T = TypeVar("T")
 
 _WAITING = 256
 """Samples or queries of one topic that may wait for the loop; at rest there is none."""
+_QUERIES_A_TURN = 4
+"""Of one topic, before the loop turns to others: robots' states do not wait for a flood of questions."""
 
 
 class LoopSession:
@@ -42,6 +44,7 @@ class LoopSession:
         self._publishers: dict[tuple[str, ...], Any] = {}
         self._served = ServedInLoop(session, loop)
         self._inboxes: dict[str, ClientInbox[Any]] = {}
+        self._first: list[ClientInbox[Any]] = []
 
     def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
         """Call `take` in the loop with every sample of a topic, of any robot and service."""
@@ -60,9 +63,29 @@ class LoopSession:
 
         self._served.subscribe(topic.key(self._cell), put)
 
-    def answer(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
-        """Call `take` in the loop with every query of a topic, of any robot."""
-        self._served.answer(topic.key(self._cell), self._inbox(topic, take).put)
+    def answer_at_once(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
+        """Call `take` in zenoh's thread with every query of a topic; for answers that take no thought."""
+        self._served.answer(topic.key(self._cell), take)
+
+    def answer(
+        self,
+        topic: Topic,
+        take: Callable[[zenoh.Query], None],
+        goes_first: Callable[[zenoh.Query], bool] | None = None,
+    ) -> None:
+        """Call `take` in the loop with every query of a topic, of any robot.
+
+        Those that `goes_first` names, which zenoh's thread asks, wait apart from the others.
+        """
+        inbox = self._inbox(topic, take, _QUERIES_A_TURN)
+        if goes_first is None:
+            self._served.answer(topic.key(self._cell), inbox.put)
+            return
+        first = self._served.inbox(take, _WAITING)
+        self._first.append(first)
+        self._served.answer(
+            topic.key(self._cell), lambda query: (first if goes_first(query) else inbox).put(query)
+        )
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
@@ -82,13 +105,15 @@ class LoopSession:
     def counters(self) -> Counter[str]:
         """Counts of messages that were dropped because they came too fast, and of those that could not be served."""
         counters = Counter({f"{name}_dropped": inbox.dropped for name, inbox in self._inboxes.items()})
-        counters["failed"] = sum(inbox.failed for inbox in self._inboxes.values())
+        counters["failed"] = sum(inbox.failed for inbox in (*self._inboxes.values(), *self._first))
         return counters
 
     def close(self) -> None:
         """Stop listening, and close the session."""
         self._served.close()
 
-    def _inbox(self, topic: Topic, take: Callable[[Any], None]) -> ClientInbox[Any]:
-        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING)
+    def _inbox(
+        self, topic: Topic, take: Callable[[Any], None], a_turn: int = ITEMS_A_TURN
+    ) -> ClientInbox[Any]:
+        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING, a_turn)
         return inbox
