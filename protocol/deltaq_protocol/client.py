@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import os
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -64,6 +65,8 @@ M = TypeVar("M", bound=Message)
 StateHolder = Newest[zenoh.Sample, RobotState]
 
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+TOKEN_VARIABLE = "DELTAQ_CLIENT_TOKEN"
+"""Environment variable: the token of a client that is given none by its program."""
 SILENCE_S = 1.0
 """Silence after which a reader of states asks whether the server is still there."""
 _VERDICTS_WAITING = 1024
@@ -84,7 +87,7 @@ class Cell:
         self.counters: Counter[str] = Counter()
         self._wire = wire
         self._client = client
-        self._operator = None if token is None else Prover(token)
+        self._role = None if token is None else Prover(token)
         self._newest: dict[str, StateHolder] = {name: self._subscribed(name) for name in self.robots}
         self._verdict_listeners: dict[str, set[Callable[[Verdict], None]]] = {}
         self._leases: set[LeasedRobot] = set()
@@ -162,7 +165,7 @@ class Cell:
             ServiceUnreachableError: no answer in time.
         """
         request = ResetRequest(robot=self._known(robot), client=self._client)
-        return unpack(Done, await self._ask_as_operator(topics.RESET, request))
+        return unpack(Done, await self._ask_with_token(topics.RESET, request))
 
     async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
         """The gate's verdict on an increment if it came now; nothing moves.
@@ -187,7 +190,7 @@ class Cell:
             ServiceUnreachableError: no answer in time.
         """
         request = ContactRequest(contact=contact, allowed=allowed, client=self._client)
-        return unpack(Done, await self._ask_as_operator(topics.CONTACT, request))
+        return unpack(Done, await self._ask_with_token(topics.CONTACT, request))
 
     async def status(self) -> Status:
         """The running cell: phases, leases, ages, counters.
@@ -217,10 +220,7 @@ class Cell:
         action = LeaseAction.TAKE if take else LeaseAction.ACQUIRE
         request = LeaseRequest(robot=self._known(robot), action=action, client=client or self._client)
         listeners = self._listeners(robot)  # before the lease, so that no verdict on it is missed
-        if take:
-            payload = await self._ask_as_operator(topics.LEASE, request, robot)
-        else:
-            payload = await self._wire.ask(topics.LEASE, self.description.cell, request, robot)
+        payload = await self._ask_with_token(topics.LEASE, request, robot)
         reply = unpack(LeaseReply, payload)
         if not reply.granted:
             raise _not_granted(reply)
@@ -258,13 +258,13 @@ class Cell:
             leased.release_now()
         self._wire.close()
 
-    async def _ask_as_operator(self, topic: Topic, request: Message, robot: str = "") -> bytes:
-        """Ask for what the operator alone may; the token, where there is one, answers a challenge and is not sent."""
+    async def _ask_with_token(self, topic: Topic, request: Message, robot: str = "") -> bytes:
+        """Ask for what a role may; the token, where there is one, answers a challenge and is not sent."""
         cell, prove = self.description.cell, None
-        if self._operator is not None:
+        if self._role is not None:
             asked = await self._wire.ask(topics.CHALLENGE, cell, ChallengeRequest())
             nonce = bytes.fromhex(unpack(Challenge, asked).challenge)
-            prove = partial(self._operator.prove, nonce=nonce)
+            prove = partial(self._role.prove, nonce=nonce)
         return await self._wire.ask(topic, cell, request, robot, prove=prove)
 
     def _known(self, robot: str) -> str:
@@ -320,13 +320,14 @@ def connect(
     Args:
         address: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
         client: name that others see.
-        token: the operator's token, where `reset` and taking a lease need one.
+        token: the operator's or the controller's, where the server asks for one; it is not sent. None: what the
+            environment holds in `DELTAQ_CLIENT_TOKEN`, if anything.
 
     Raises:
         ServiceUnreachableError: nobody answers there.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    return Opening(_connected(address, client, token))
+    return Opening(_connected(address, client, token or os.environ.get(TOKEN_VARIABLE) or None))
 
 
 @asynccontextmanager

@@ -84,6 +84,12 @@ COUNTERS: tuple[Counted, ...] = (
         "TCP connections for which there was no place; a stop was heard on them",
     ),
     Counted(
+        HLI, "tokens_wrong", "wrong tokens in the hello of TCP clients; the log has each with its address"
+    ),
+    Counted(
+        HLI, "tokens_not_compared", "tokens refused unseen because wrong ones came from the same address"
+    ),
+    Counted(
         HLI,
         "tcp_lines_slowed",
         "times that lines of TCP clients had to wait because more came than are served",

@@ -26,6 +26,11 @@ class RateLimit:
         """Go on from where another was."""
         self._left, self._at_s = memory
 
+    def has_left(self, now_s: float) -> bool:
+        """Whether one more would be allowed now."""
+        since_s = 0.0 if self._at_s is None else now_s - self._at_s
+        return self._left + since_s * self.most_s >= 1.0
+
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed now."""
         if self._at_s is not None:

@@ -31,6 +31,7 @@ from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_services.hli import open_front
+from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.shell import Hli
 
 OPERATOR = "the operator's token, 0123456789"
@@ -55,9 +56,9 @@ class Running:
 
 
 @asynccontextmanager
-async def serving() -> AsyncIterator[Running]:
-    cell = small_cell()
-    async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, OPERATOR) as hli:
+async def serving(controller_token: str | None = None) -> AsyncIterator[Running]:
+    cell, roles = small_cell(), Roles(OPERATOR, controller_token)
+    async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, roles) as hli:
         await peer.turn()
         cycles = asyncio.create_task(peer.run())
         async with connect(cell.hli, client="operator", token=OPERATOR) as client:
@@ -257,3 +258,45 @@ async def test_without_the_operator_s_token_a_client_takes_nothing_and_resets_no
             with pytest.raises(RefusedError):
                 await other.lease("fr", take=True).open()
     assert running.peer.commands.empty()
+
+
+async def test_each_role_may_do_its_own_and_no_more() -> None:
+    token = "the controller's token"
+    async with serving(token) as running:
+        operator, cell = running.cell, running.peer.cell
+        async with (
+            connect(cell.hli, client="observer") as observer,
+            connect(cell.hli, client="controller", token=token) as controller,
+        ):
+            with pytest.raises(RefusedError, match="not entitled"):
+                await observer.lease("fr").open()
+            async with controller.lease("fr") as robot:
+                assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+                with pytest.raises(RefusedError):
+                    await controller.reset("fr")
+                await observer.stop()  # anybody may
+                await operator.reset("fr")
+            async with json_client(cell.tcp_port) as line:
+                asked = {"type": "lease", "robot": "fr", "action": "acquire"}
+                assert not (await line.ask("lease", **asked))["granted"]
+                io = await line.ask("io", type="io", robot="gr", outputs={"gripper": True})
+                assert io["code"] == ReasonCode.LEASE_NOT_HELD
+            async with json_client(cell.tcp_port, token=token) as line:
+                assert (await line.ask("lease", **asked))["granted"]
+
+
+async def test_tokens_are_not_guessed_over_tcp(running: Running, caplog: pytest.LogCaptureFixture) -> None:
+    port = running.peer.cell.tcp_port
+    for _ in range(50):
+        async with json_client(port, name=None) as guesser:
+            told_so = await guesser.ask("welcome", type="hello", protocol=1, client="guesser", token="guess")
+            assert told_so["code"] == ReasonCode.NOT_PERMITTED
+            await guesser.ended()
+    counters = running.hli.status().hli
+    assert counters["tokens_wrong"] + counters["tokens_not_compared"] == 50
+    logged = [record.getMessage() for record in caplog.records if "wrong token" in record.getMessage()]
+    assert len(logged) == counters["tokens_wrong"]
+    assert "127.0.0.1" in logged[0]
+    assert "guess" not in logged[0].replace("guesser", "")
+    async with json_client(port) as line:  # without a token everybody may look on, and stop
+        assert (await line.ask("done", type="stop"))["type"] == "done"

@@ -8,6 +8,7 @@ from deltaq_protocol.proof import Prover
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.challenges import GOOD_FOR_S, Challenges
 from deltaq_services.hli.leases import Leases
+from deltaq_services.hli.roles import Roles
 
 KEY, MESSAGE = "deltaq/lab/fr/lease", b"renew"
 
@@ -15,7 +16,7 @@ KEY, MESSAGE = "deltaq/lab/fr/lease", b"renew"
 def bench(operator: str | None = "token") -> tuple[Leases, Authentication]:
     names = (f"secret-{k}" for k in itertools.count())
     leases = Leases(["fr", "gr"], 1.0, lambda: next(names), 1)
-    return leases, Authentication(leases, operator, "ours")
+    return leases, Authentication(leases, Roles(operator), "ours")
 
 
 def test_the_holder_s_request_is_good_once_and_in_order() -> None:
@@ -67,19 +68,19 @@ def test_a_challenge_is_answered_once_soon_and_by_who_knows_the_token() -> None:
     _, authentication = bench()
     operator, stranger = Prover("token"), Prover("guessed")
     challenge = authentication.challenge(10.0)
-    assert authentication.operator(KEY, MESSAGE, stranger.prove(KEY, MESSAGE, challenge), 10.0) is None
+    assert authentication.token(KEY, MESSAGE, stranger.prove(KEY, MESSAGE, challenge), 10.0) is None
     answer = operator.prove(KEY, MESSAGE, challenge)
-    assert authentication.operator(KEY, MESSAGE, answer, 10.0 + GOOD_FOR_S) == "token"
-    assert authentication.operator(KEY, MESSAGE, answer, 10.0) is None
+    assert authentication.token(KEY, MESSAGE, answer, 10.0 + GOOD_FOR_S) == "token"
+    assert authentication.token(KEY, MESSAGE, answer, 10.0) is None
     late = operator.prove(KEY, MESSAGE, authentication.challenge(10.0))
-    assert authentication.operator(KEY, MESSAGE, late, 10.1 + GOOD_FOR_S) is None
-    assert authentication.operator(KEY, MESSAGE, operator.prove(KEY, MESSAGE, b"of mine"), 10.0) is None
+    assert authentication.token(KEY, MESSAGE, late, 10.1 + GOOD_FOR_S) is None
+    assert authentication.token(KEY, MESSAGE, operator.prove(KEY, MESSAGE, b"of mine"), 10.0) is None
 
 
 def test_where_there_is_no_operator_nobody_proves_to_be_it() -> None:
     _, authentication = bench(operator=None)
     challenge = authentication.challenge(0.0)
-    assert authentication.operator(KEY, MESSAGE, Prover("").prove(KEY, MESSAGE, challenge), 0.0) is None
+    assert authentication.token(KEY, MESSAGE, Prover("").prove(KEY, MESSAGE, challenge), 0.0) is None
 
 
 def test_a_flood_of_challenges_takes_nobody_s_away_and_leaves_nothing_behind() -> None:

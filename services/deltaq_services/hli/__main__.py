@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import signal
 import sys
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.messages import Description, ToolPose
+from deltaq_services.hli.client_tokens import client_roles
+from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.shell import Hli
 from deltaq_services.process import arguments, ask_for_real_time, run
-
-OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
-"""Environment variable: where set, `take` and `reset` need this token."""
 
 _REAL_TIME_PRIORITY = 9
 """Below the gate's: clients that keep the HLI busy must not keep the gate from deciding."""
 
 
-async def _run(model: CellModel, description: Description) -> None:
+async def _run(model: CellModel, description: Description, roles: Roles) -> None:
     cell = model.description
 
     def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
@@ -30,7 +28,7 @@ async def _run(model: CellModel, description: Description) -> None:
     stopped = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
-    async with Hli(cell, description, tool_pose, os.environ.get(OPERATOR_TOKEN) or None):
+    async with Hli(cell, description, tool_pose, roles):
         print(
             f"ready: hli of {cell.cell} on {cell.hli} and tcp {cell.tcp_address}:{cell.tcp_port}", flush=True
         )
@@ -44,9 +42,10 @@ def main() -> None:
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
     cell = CellModel.load(options.cell)
+    roles = client_roles(cell.description)
     description = cell.description_message()
     ask_for_real_time(_REAL_TIME_PRIORITY)
-    asyncio.run(_run(cell, description))
+    asyncio.run(_run(cell, description, roles))
 
 
 if __name__ == "__main__":

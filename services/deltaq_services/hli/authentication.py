@@ -1,4 +1,4 @@
-"""Who a zenoh message is from, as far as it proves it: the holder of a lease, or the operator.
+"""Who a zenoh message is from, as far as it proves it: the holder of a lease, or who has the token of a role.
 
 Plain decisions; the shell passes the time in. What is not proven is not decoded.
 """
@@ -11,6 +11,7 @@ from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_protocol.proof import key_of, proven_nonce
 from deltaq_services.hli.challenges import Challenges
 from deltaq_services.hli.leases import Leases
+from deltaq_services.hli.roles import Roles
 
 
 class Proven(NamedTuple):
@@ -25,14 +26,13 @@ class Authentication:
 
     Args:
         leases: whose secrets may have proven something.
-        operator_token: the operator's; None where there is no operator.
+        roles: whose tokens may have proven something.
         secret: that challenges are made with, different each time.
     """
 
-    def __init__(self, leases: Leases, operator_token: str | None, secret: str) -> None:
+    def __init__(self, leases: Leases, roles: Roles, secret: str) -> None:
         self._leases = leases
-        self._operator_key = None if operator_token is None else key_of(operator_token)
-        self._operator_token = operator_token
+        self._roles = roles
         self._challenges = Challenges(secret)
         self._counts: dict[str, tuple[str, int]] = {}
 
@@ -65,23 +65,22 @@ class Authentication:
         return lease.token
 
     def is_known(self, key: str, message: bytes, proof: bytes) -> bool:
-        """Whether any holder or the operator made a request, new or not; any thread may ask."""
+        """Whether any holder, or who has a token, made a request, new or not; any thread may ask."""
         if len(message) > MAX_MESSAGE_BYTES:
             return False
-        keys = [key_of(token) for token in self._leases.tokens()]
-        if self._operator_key is not None:
-            keys.append(self._operator_key)
-        return any(proven_nonce(mac_key, key, message, proof) is not None for mac_key in keys)
+        tokens = (*self._leases.tokens(), *self._roles.tokens)
+        return any(proven_nonce(key_of(token), key, message, proof) is not None for token in tokens)
 
     def challenge(self, time_s: float) -> bytes:
-        """A challenge for the operator's next request; any thread may ask."""
+        """A challenge for the next request with a token; any thread may ask."""
         return self._challenges.new(time_s)
 
-    def operator(self, key: str, message: bytes, proof: bytes, time_s: float) -> str | None:
-        """The operator's token, if the operator made a request, in answer to a challenge that is not used yet."""
-        if self._operator_key is None or len(message) > MAX_MESSAGE_BYTES:
+    def token(self, key: str, message: bytes, proof: bytes, time_s: float) -> str | None:
+        """The token of a role that a request proves, in answer to a challenge that is not used yet."""
+        if len(message) > MAX_MESSAGE_BYTES:
             return None
-        nonce = proven_nonce(self._operator_key, key, message, proof)
-        if not nonce or not self._challenges.accept(nonce, time_s):
-            return None
-        return self._operator_token
+        for token in self._roles.tokens:
+            nonce = proven_nonce(key_of(token), key, message, proof)
+            if nonce and self._challenges.accept(nonce, time_s):
+                return token
+        return None

@@ -42,6 +42,7 @@ from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
+from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.snapshot import HliMemory
 from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
@@ -58,7 +59,7 @@ class HliCore:
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
-        operator_token: where given, `take` and `reset` need it.
+        roles: of clients; None: everybody is an operator.
 
     Attributes:
         increments: takes the controllers' increments.
@@ -73,7 +74,7 @@ class HliCore:
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         new_token: Callable[[], str],
         first_epoch: int,
-        operator_token: str | None = None,
+        roles: Roles | None = None,
     ) -> None:
         self._state = HliState(cell, CellIdentity.parse(description.identity), new_token, first_epoch)
         self._tool_pose = tool_pose
@@ -87,7 +88,7 @@ class HliCore:
         self.description = description
         self.counters = self._state.counters
         self.increments = Increments(self._state)
-        self.requests = Requests(self._state, operator_token)
+        self.requests = Requests(self._state, roles or Roles())
 
     def take(
         self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None

@@ -135,7 +135,7 @@ class OpenFront:
         sender = QuerySender(query, topics.CONTACT.key(self._cell))
         try:
             request = unpack(ContactRequest, _payload(query))
-            request = request.model_copy(update={"token": self._operator_token(query)})
+            request = request.model_copy(update={"token": self._role_token(query)})
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
@@ -185,7 +185,7 @@ class OpenFront:
                 request.robot, str(query.key_expr), _payload(query), _proof(query)
             )
         if isinstance(request, LeaseRequest | ResetRequest):
-            fields["token"] = self._operator_token(query)
+            fields["token"] = self._role_token(query)
         return request.model_copy(update=fields)
 
     def _is_proven(self, query: zenoh.Query) -> bool:
@@ -193,8 +193,8 @@ class OpenFront:
         proof = _proof(query)
         return bool(proof) and self._port.authentication.is_known(str(query.key_expr), _payload(query), proof)
 
-    def _operator_token(self, query: zenoh.Query) -> str | None:
-        return self._port.authentication.operator(
+    def _role_token(self, query: zenoh.Query) -> str | None:
+        return self._port.authentication.token(
             str(query.key_expr), _payload(query), _proof(query), self._port.now()
         )
 

@@ -8,6 +8,7 @@ from typing import Protocol
 from deltaq_protocol.messages import Status
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.core import HliCore
+from deltaq_services.hli.roles import Roles
 from deltaq_services.outputs import Output
 
 
@@ -16,6 +17,7 @@ class Port(Protocol):
 
     core: HliCore
     authentication: Authentication
+    roles: Roles
     loop: asyncio.AbstractEventLoop
 
     def now(self) -> float:

@@ -17,6 +17,7 @@ from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
+from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.tcp_front import TcpFront
 from deltaq_services.outputs import Output, ToSender
 from deltaq_services.pace import Pace
@@ -31,7 +32,7 @@ class Hli:
         cell: description of the cell.
         told: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
-        operator_token: where given, `take` and `reset` need it.
+        roles: of clients; None: everybody is an operator.
 
     Raises:
         ServiceUnreachableError: on entering, if the open realm's endpoint cannot be listened on.
@@ -43,14 +44,15 @@ class Hli:
         cell: CellDescription,
         description: Description,
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
-        operator_token: str | None = None,
+        roles: Roles | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
+        self.roles = roles or Roles()
         self.core = HliCore(
-            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token
+            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, self.roles
         )
-        self.authentication = Authentication(self.core.leases, operator_token, secrets.token_hex(32))
+        self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32))
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))

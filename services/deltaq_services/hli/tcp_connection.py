@@ -68,6 +68,9 @@ class Front(Protocol):
     def admit(self, connection: TcpConnection, address: str) -> bool:
         """Take up a connection; False: for a stop alone, since there are too many."""
 
+    def token_may_be_used(self, hello: Hello, address: str) -> bool:
+        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
+
     def leave(self, connection: TcpConnection) -> None:
         """Forget a connection that broke."""
 
@@ -97,6 +100,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._malformed_in_a_row = 0
         self._is_slow = False
         self._for_stop_alone = False
+        self._address = ""
         self._newest_states: dict[str, bytes] = {}
         self._hello_deadline: asyncio.TimerHandle | None = None
         self.leases: dict[str, str] = {}
@@ -111,7 +115,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         sock: socket.socket = transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         peer = transport.get_extra_info("peername")
-        if not self._front.admit(self, peer[0] if peer else ""):
+        self._address = peer[0] if peer else ""
+        if not self._front.admit(self, self._address):
             self._for_stop_alone = True
             self._port.loop.call_later(STOP_DEADLINE_S, self.close)
             return
@@ -281,6 +286,12 @@ class TcpConnection(asyncio.Protocol, Sender):
         return core.take(request.model_copy(update=fields), now, self)
 
     def _greet(self, hello: Hello) -> list[Output]:
+        if hello.token is not None and not self._front.token_may_be_used(hello, self._address):
+            text = "wrong token, or too many wrong ones came from this address; the connection ends"
+            hint = "give the right one a second later, or none: then you may look on, and stop"
+            self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=hello.type))
+            self.close()
+            return []
         outputs = self._port.core.take(hello, self._port.now(), self)
         self._port.carry_out(outputs)
         if hello.protocol not in LINE_VERSIONS:

@@ -9,11 +9,12 @@ import socket
 from collections import Counter
 
 from deltaq_protocol.codec import to_line
-from deltaq_protocol.messages import Error, RobotState
+from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
+from deltaq_services.hli.roles import Tries
 from deltaq_services.hli.tcp_connection import TcpConnection
 
 _log = logging.getLogger(__name__)
@@ -36,6 +37,7 @@ class TcpFront:
         self._server: asyncio.Server | None = None
         self._places: Places[TcpConnection] = Places()
         self._turns: LineTurns[TcpConnection] = LineTurns()
+        self._tries = Tries()
         self._is_scheduled = False
         self.counters: Counter[str] = Counter()
 
@@ -77,6 +79,19 @@ class TcpFront:
         )
         hint = "close one that is not needed; a stop is obeyed here all the same, if it comes now"
         connection.deliver(Error(code=ReasonCode.TOO_MANY, message=text, hint=hint))
+        return False
+
+    def token_may_be_used(self, hello: Hello, address: str) -> bool:
+        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
+        now = self._port.now()
+        if not self._tries.may_try(address, now):
+            self.counters["tokens_not_compared"] += 1
+            return False
+        if not self._port.roles.is_wrong(hello.token or ""):
+            return True
+        self._tries.failed(address, now)
+        self.counters["tokens_wrong"] += 1
+        _log.warning("a wrong token from %s, who says to be %r", address, hello.client)
         return False
 
     def leave(self, connection: TcpConnection) -> None:
