@@ -15,12 +15,13 @@ def off_loopback(cell: CellDescription) -> tuple[str, str] | None:
     """The first field of a cell that lets clients come from other machines, and its value; None if none does."""
     if not Endpoint.parse(cell.hli).is_loopback:
         return "hli", cell.hli
-    if not _is_loopback(cell.tcp_address):
+    if not is_loopback(cell.tcp_address):
         return "tcp_address", cell.tcp_address
     return None
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

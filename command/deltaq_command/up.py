@@ -43,6 +43,7 @@ def up(
         select,
     )
     from deltaq_services.hli.client_tokens import client_roles
+    from deltaq_services.hli.line_encryption import line_encryption
 
     description = load_cell(cell)
     services = cell_services(description, cell, real)
@@ -59,7 +60,9 @@ def up(
         servers = [service for service in services if service.role is Role.ROBOT_SERVER]
         refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
     if any(service.role is Role.HLI for service in services):
-        client_roles(description)  # refuses an open realm that other machines reach
+        # refuse an open realm that other machines reach, and tokens in the clear
+        client_roles(description)
+        line_encryption(description)
     output = console()
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))

@@ -8,6 +8,7 @@ import pytest
 from small_cell import small_cell
 
 from deltaq_services.hli.client_tokens import LEAST_CHARACTERS, ClientTokenError, client_roles
+from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption
 from deltaq_services.hli.roles import MOST_TRIES_S, Role, Roles, Tries
 
 OPERATOR, CONTROLLER = "o" * LEAST_CHARACTERS, "c" * LEAST_CHARACTERS
@@ -66,6 +67,18 @@ def test_tokens_come_from_a_file_or_from_the_environment(tmp_path: Path) -> None
     assert [roles.of(token) for token in (OPERATOR, CONTROLLER, None, "", "guessed", "\ud800")] == [
         Role.OPERATOR, Role.CONTROLLER, *[Role.OBSERVER] * 4,
     ]  # fmt: skip
+
+
+def test_tokens_do_not_cross_a_network_in_the_clear() -> None:
+    exposed = small_cell(tcp_address="0.0.0.0", clients_need_tokens=True)
+    with pytest.raises(LineEncryptionError, match=r"tcp_address \(0\.0\.0\.0\) .* in the clear"):
+        line_encryption(exposed, {})
+    with pytest.raises(LineEncryptionError, match="go together"):
+        line_encryption(exposed, {"DELTAQ_LINES_KEY_FILE": "key.pem"})
+    both = {"DELTAQ_LINES_KEY_FILE": "/no/key.pem", "DELTAQ_LINES_CERTIFICATE_FILE": __file__}
+    with pytest.raises(LineEncryptionError, match=r"/no/key\.pem cannot be used"):
+        line_encryption(exposed, both)
+    assert line_encryption(small_cell(clients_need_tokens=True), {}) is None
 
 
 def test_with_an_operator_alone_everybody_else_is_a_controller_and_without_one_an_operator() -> None:

@@ -6,9 +6,10 @@ a stop is read from it. When too many of them wait the oldest gives way, so that
 
 from __future__ import annotations
 
-import ipaddress
 from enum import Enum, auto
 from typing import Generic, TypeVar
+
+from deltaq_cell.open_realm import is_loopback
 
 C = TypeVar("C")
 
@@ -35,7 +36,7 @@ class Places(Generic[C]):
     def take(self, connection: C, address: str) -> tuple[Place, C | None]:
         """Give a connection its place; also returns the one that gives way for it, if one must."""
         mine = sum(taken == address for taken in self.clients.values())
-        if len(self.clients) < MAX_CONNECTIONS and (mine < MAX_OF_A_PEER or _is_loopback(address)):
+        if len(self.clients) < MAX_CONNECTIONS and (mine < MAX_OF_A_PEER or is_loopback(address)):
             self.clients[connection] = address
             return Place.CLIENT, None
         self._for_stops[connection] = None
@@ -48,10 +49,3 @@ class Places(Generic[C]):
         """A connection has ended; whether it was a client's."""
         self._for_stops.pop(connection, None)
         return self.clients.pop(connection, None) is not None
-
-
-def _is_loopback(address: str) -> bool:
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import ssl
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -33,6 +34,7 @@ class Hli:
         told: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         roles: of clients; None: everybody is an operator.
+        encryption: of the lines over TCP; None: they are in the clear.
 
     Raises:
         ServiceUnreachableError: on entering, if the open realm's endpoint cannot be listened on.
@@ -45,10 +47,12 @@ class Hli:
         description: Description,
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         roles: Roles | None = None,
+        encryption: ssl.SSLContext | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
         self.roles = roles or Roles()
+        self._encryption = encryption
         self.core = HliCore(
             cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, self.roles
         )
@@ -60,7 +64,7 @@ class Hli:
     async def __aenter__(self) -> Hli:
         self.loop = asyncio.get_running_loop()
         self._tcp = TcpFront(self)
-        await self._tcp.listen(self._cell.tcp_address, self._cell.tcp_port)
+        await self._tcp.listen(self._cell.tcp_address, self._cell.tcp_port, self._encryption)
         try:
             self._guarded = GuardedFront(self._cell, self)
             try:

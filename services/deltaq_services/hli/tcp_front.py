@@ -6,6 +6,7 @@ import asyncio
 import functools
 import logging
 import socket
+import ssl
 from collections import Counter
 
 from deltaq_protocol.codec import to_line
@@ -25,6 +26,8 @@ _WAIT_S = 0.005
 """Where lines wait for their rates, they are looked at again after this."""
 _ACCEPTED_A_TURN = 8
 """Connections taken up before the loop turns to others."""
+_HANDSHAKE_S = 5.0
+"""Connections that do not agree on their encryption until then end."""
 _WAITING_CONNECTIONS = 1024
 """Connections that the system keeps until they are taken up; beyond, a newcomer waits for a second."""
 
@@ -51,14 +54,19 @@ class TcpFront:
         """The longest answer, made once."""
         return to_line(self._port.core.description)
 
-    async def listen(self, address: str, tcp_port: int) -> None:
-        """Start to serve.
+    async def listen(self, address: str, tcp_port: int, encryption: ssl.SSLContext | None) -> None:
+        """Start to serve; `encryption`: None where lines are in the clear.
 
         Raises:
             OSError: if the address cannot be listened on.
         """
         self._server = await self._port.loop.create_server(
-            lambda: TcpConnection(self._port, self), address, tcp_port, backlog=_ACCEPTED_A_TURN
+            lambda: TcpConnection(self._port, self),
+            address,
+            tcp_port,
+            backlog=_ACCEPTED_A_TURN,
+            ssl=encryption,
+            ssl_handshake_timeout=None if encryption is None else _HANDSHAKE_S,
         )
         for listener in self._server.sockets:
             # asyncio takes the length of the system's queue for the number that it accepts at once
