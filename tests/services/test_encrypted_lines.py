@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 import ssl
 import subprocess
@@ -60,4 +61,7 @@ async def test_over_tls_a_client_is_served_as_in_the_clear_and_in_the_clear_it_i
         assert "stops" not in hli.status().hli
         assert len(hli._tcp.connections) == 1
         silent.close()
-        writer.close()
+        for end in (writer, clear[1]):
+            end.close()
+            with contextlib.suppress(OSError):
+                await end.wait_closed()
