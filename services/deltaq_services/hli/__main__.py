@@ -12,6 +12,7 @@ import sys
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_services.hli.client_tokens import client_roles
+from deltaq_services.hli.flood_wait import give_each_session_a_thread
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.shell import Hli
@@ -53,6 +54,7 @@ def main() -> None:
     """Serve the clients of a cell."""
     options = arguments("High-level interface: between controllers and the gate")
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+    give_each_session_a_thread()
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
     cell = CellModel.load(options.cell)

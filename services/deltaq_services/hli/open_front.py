@@ -77,10 +77,10 @@ class OpenFront:
         session.answer(topics.IO, self._on_io, self._is_proven)
         session.answer(topics.RESET, self._on_reset, self._is_proven)
         session.answer(topics.STOP, self._on_stop)
-        session.answer(topics.DRY_RUN, self._on_dry_run)
+        session.answer(topics.DRY_RUN, self._on_dry_run, _is_nobody_s)
         session.answer_at_once(topics.CHALLENGE, self._on_challenge)
         session.answer(topics.CONTACT, self._on_contact, self._is_proven)
-        session.answer(topics.STATUS, self._on_status)
+        session.answer(topics.STATUS, self._on_status, _is_nobody_s)
         # clients ask for the description first: when it is there, so is everything above
         session.answer_at_once(topics.DESCRIPTION, self._on_description)
 
@@ -197,6 +197,11 @@ class OpenFront:
         return self._port.authentication.token(
             str(query.key_expr), _payload(query), _proof(query), self._port.now()
         )
+
+
+def _is_nobody_s(_query: zenoh.Query) -> bool:
+    """Anybody may ask; nobody goes first."""
+    return False
 
 
 def _payload(query: zenoh.Query) -> bytes:

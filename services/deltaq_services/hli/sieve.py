@@ -14,12 +14,17 @@ from typing import NamedTuple
 import zenoh
 
 from deltaq_services.hli.authentication import Authentication
+from deltaq_services.hli.flood_wait import FloodWait
 from deltaq_services.rate_limit import RateLimit
 
 MOST_A_CYCLE = 4
 """Increments of a holder that are judged, on average: one is passed on, the rest is replaced by newer ones."""
 MOST_ENDED_S = 5.0
 """Increments a second of one who has lost the lease that are answered; each answer goes to every watcher."""
+
+
+MOST_UNPROVEN_S = 100.0
+"""Increments a second that show no lease and are read as fast as they come; no client sends any."""
 
 
 class Sifted(NamedTuple):
@@ -52,6 +57,7 @@ class Sieve:
         self._now = now
         self._rates = {robot: RateLimit(MOST_A_CYCLE / cycle_s) for robot in keys}
         self._ended_rates = {robot: RateLimit(MOST_ENDED_S) for robot in keys}
+        self._flood_wait = FloodWait(MOST_UNPROVEN_S)
         self._lock = threading.Lock()
         self._counters: Counter[str] = Counter()
 
@@ -82,3 +88,4 @@ class Sieve:
     def _count_unproven(self) -> None:
         with self._lock:
             self._counters["increments_unproven"] += 1
+        self._flood_wait.one_more()

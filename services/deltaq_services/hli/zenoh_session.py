@@ -16,11 +16,14 @@ from deltaq_protocol.seal import Seal
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
+from deltaq_services.hli.flood_wait import FloodWait
 
 T = TypeVar("T")
 
 _WAITING = 256
 """Samples or queries of one topic that may wait for the loop; at rest there is none."""
+_QUERIES_S = 200.0
+"""Of one topic, of all who prove nothing: whoever asks more has to wait, and nobody else."""
 _QUERIES_A_TURN = 4
 """Of one topic, before the loop turns to others: robots' states do not wait for a flood of questions."""
 
@@ -65,7 +68,13 @@ class LoopSession:
 
     def answer_at_once(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
         """Call `take` in zenoh's thread with every query of a topic; for answers that take no thought."""
-        self._served.answer(topic.key(self._cell), take)
+        flood = FloodWait(_QUERIES_S)
+
+        def answer(query: zenoh.Query) -> None:
+            take(query)
+            flood.one_more()
+
+        self._served.answer(topic.key(self._cell), answer)
 
     def answer(
         self,
@@ -81,11 +90,17 @@ class LoopSession:
         if goes_first is None:
             self._served.answer(topic.key(self._cell), inbox.put)
             return
-        first = self._served.inbox(take, _WAITING)
+        first, flood = self._served.inbox(take, _WAITING), FloodWait(_QUERIES_S)
         self._first.append(first)
-        self._served.answer(
-            topic.key(self._cell), lambda query: (first if goes_first(query) else inbox).put(query)
-        )
+
+        def put(query: zenoh.Query) -> None:
+            if goes_first(query):
+                first.put(query)
+            else:
+                inbox.put(query)
+                flood.one_more()
+
+        self._served.answer(topic.key(self._cell), put)
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
