@@ -34,10 +34,15 @@ def answered_by_error(data: Mapping[str, object]) -> dict[str, Any]:
     """The fields of an `Error` that name what it answers, from a request whatever its fields hold."""
     kind, robot, seq = data.get("type"), data.get("robot"), data.get("seq")
     return {
-        "request": kind[:_LONGEST_NAME] if isinstance(kind, str) else None,
-        "robot": robot[:_LONGEST_NAME] if isinstance(robot, str) else None,
+        "request": _text(kind) if isinstance(kind, str) else None,
+        "robot": _text(robot) if isinstance(robot, str) else None,
         "seq": seq if isinstance(seq, int) and not isinstance(seq, bool) and abs(seq) < 2**63 else None,
     }
+
+
+def _text(name: str) -> str:
+    """A name as it can be sent: JSON can smuggle in half a surrogate pair, which is no text."""
+    return name[:_LONGEST_NAME].encode(errors="replace").decode()
 
 
 def unknown_robot(robot: str) -> Reason:
