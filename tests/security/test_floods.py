@@ -27,8 +27,8 @@ from deltaq_protocol.messages import (
     ResetRequest,
 )
 from deltaq_protocol.session import open_session
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_STOP_PLACES
-from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.shell import Hli
 
 DQ = (0.001,) * 6
@@ -38,7 +38,7 @@ CYCLES = 40
 @asynccontextmanager
 async def serving() -> AsyncIterator[tuple[Hli, Any]]:
     cell = small_cell(lease_s=5.0)
-    async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, Roles("operator")) as hli:
+    async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, ClientRoles("operator")) as hli:
         await peer.turn()
         yield hli, peer
 

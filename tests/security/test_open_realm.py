@@ -31,7 +31,7 @@ from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_services.hli import open_front
-from deltaq_services.hli.roles import Roles
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
 OPERATOR = "the operator's token, 0123456789"
@@ -57,7 +57,7 @@ class Running:
 
 @asynccontextmanager
 async def serving(controller_token: str | None = None) -> AsyncIterator[Running]:
-    cell, roles = small_cell(), Roles(OPERATOR, controller_token)
+    cell, roles = small_cell(), ClientRoles(OPERATOR, controller_token)
     async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, roles) as hli:
         await peer.turn()
         cycles = asyncio.create_task(peer.run())

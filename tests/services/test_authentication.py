@@ -7,8 +7,8 @@ import itertools
 from deltaq_protocol.proof import Prover
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.challenges import GOOD_FOR_S, Challenges
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
-from deltaq_services.hli.roles import Roles
 
 KEY, MESSAGE = "deltaq/lab/fr/lease", b"renew"
 
@@ -16,7 +16,7 @@ KEY, MESSAGE = "deltaq/lab/fr/lease", b"renew"
 def bench(operator: str | None = "token") -> tuple[Leases, Authentication]:
     names = (f"secret-{k}" for k in itertools.count())
     leases = Leases(["fr", "gr"], 1.0, lambda: next(names), 1)
-    return leases, Authentication(leases, Roles(operator), "ours")
+    return leases, Authentication(leases, ClientRoles(operator), "ours")
 
 
 def test_the_holder_s_request_is_good_once_and_in_order() -> None:

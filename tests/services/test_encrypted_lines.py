@@ -14,8 +14,8 @@ from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_services.hli import tcp_front
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
-from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.shell import Hli
 
 TOKEN = "an operator's token"
@@ -44,7 +44,10 @@ async def test_over_tls_a_client_is_served_as_in_the_clear_and_in_the_clear_it_i
     cell = small_cell(clients_need_tokens=True)
     encryption = line_encryption(cell, files)
     trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
-    async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, Roles(TOKEN), encryption) as hli:
+    async with (
+        guarded_peer(cell) as peer,
+        Hli(cell, told(cell), tool_pose, ClientRoles(TOKEN), encryption) as hli,
+    ):
         cycle = await peer.turn()
         with pytest.raises(ssl.SSLCertVerificationError):
             await asyncio.open_connection("127.0.0.1", cell.tcp_port, ssl=ssl.create_default_context())

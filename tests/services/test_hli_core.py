@@ -35,9 +35,9 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.commands import MOST_AWAIT_A_STOP
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.state import MOST_COMMANDS_S
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic, published
 
@@ -57,7 +57,9 @@ class Bench:
     def __init__(self, operator_token: str | None = None) -> None:
         cell = small_cell()
         tokens = (f"token-{k}" for k in itertools.count())
-        self.core = HliCore(cell, told(cell), tool_pose, lambda: next(tokens), 1000, Roles(operator_token))
+        self.core = HliCore(
+            cell, told(cell), tool_pose, lambda: next(tokens), 1000, ClientRoles(operator_token)
+        )
         self.now = 50.0
         self.client = Client()
         self.token: str | None = None

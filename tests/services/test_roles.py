@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from small_cell import small_cell
 
+from deltaq_services.hli.client_roles import MOST_TRIES_S, ClientRole, ClientRoles, Tries
 from deltaq_services.hli.client_tokens import LEAST_CHARACTERS, ClientTokenError, client_roles
 from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption
-from deltaq_services.hli.roles import MOST_TRIES_S, Role, Roles, Tries
 
 OPERATOR, CONTROLLER = "o" * LEAST_CHARACTERS, "c" * LEAST_CHARACTERS
 OFF_LOOPBACK = [{"hli": "tcp/0.0.0.0:7447"}, {"tcp_address": "0.0.0.0"}, {"tcp_address": "robots.example"}]
@@ -27,7 +27,7 @@ def test_off_the_loopback_an_open_realm_does_not_exist_unless_the_cell_says_so(p
     with pytest.raises(ClientTokenError, match=next(iter(place))):
         client_roles(small_cell(**place), {"DELTAQ_OPERATOR_TOKEN": OPERATOR})
     allowed = small_cell(**place, anyone_who_connects_may_move_the_robots=True)
-    assert client_roles(allowed, {}).of(None) is Role.OPERATOR
+    assert client_roles(allowed, {}).of(None) is ClientRole.OPERATOR
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_tokens_come_from_a_file_or_from_the_environment(tmp_path: Path) -> None
     }
     roles = client_roles(small_cell(hli="tcp/0.0.0.0:7447", clients_need_tokens=True), environment)
     assert [roles.of(token) for token in (OPERATOR, CONTROLLER, None, "", "guessed", "\ud800")] == [
-        Role.OPERATOR, Role.CONTROLLER, *[Role.OBSERVER] * 4,
+        ClientRole.OPERATOR, ClientRole.CONTROLLER, *[ClientRole.OBSERVER] * 4,
     ]  # fmt: skip
 
 
@@ -82,10 +82,10 @@ def test_tokens_do_not_cross_a_network_in_the_clear() -> None:
 
 
 def test_with_an_operator_alone_everybody_else_is_a_controller_and_without_one_an_operator() -> None:
-    assert Roles(OPERATOR).of(None) is Role.CONTROLLER
-    assert Roles(OPERATOR).is_wrong("guessed")
-    assert Roles().of("anything") is Role.OPERATOR
-    assert not Roles().is_wrong("anything")
+    assert ClientRoles(OPERATOR).of(None) is ClientRole.CONTROLLER
+    assert ClientRoles(OPERATOR).is_wrong("guessed")
+    assert ClientRoles().of("anything") is ClientRole.OPERATOR
+    assert not ClientRoles().is_wrong("anything")
 
 
 def test_few_wrong_tokens_of_an_address_are_compared_and_those_of_another_are_not_kept_waiting() -> None:

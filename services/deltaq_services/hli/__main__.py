@@ -11,10 +11,10 @@ import sys
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.messages import Description, ToolPose
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.client_tokens import client_roles
 from deltaq_services.hli.flood_wait import give_each_session_a_thread
 from deltaq_services.hli.line_encryption import line_encryption
-from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.shell import Hli
 from deltaq_services.process import arguments, ask_for_real_time, run
 
@@ -25,7 +25,7 @@ _REAL_TIME_PRIORITY = 9
 
 
 async def _run(
-    model: CellModel, description: Description, roles: Roles, encryption: ssl.SSLContext | None
+    model: CellModel, description: Description, roles: ClientRoles, encryption: ssl.SSLContext | None
 ) -> None:
     cell = model.description
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_protocol.proof import key_of, proven_nonce
 from deltaq_services.hli.challenges import Challenges
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
-from deltaq_services.hli.roles import Roles
 
 
 class Proven(NamedTuple):
@@ -30,7 +30,7 @@ class Authentication:
         secret: that challenges are made with, different each time.
     """
 
-    def __init__(self, leases: Leases, roles: Roles, secret: str) -> None:
+    def __init__(self, leases: Leases, roles: ClientRoles, secret: str) -> None:
         self._leases = leases
         self._roles = roles
         self._challenges = Challenges(secret)

@@ -10,7 +10,7 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.open_realm import ALLOWS_ANYBODY, NEEDS_TOKENS, off_loopback
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.guarded_key import faults_of_secret
-from deltaq_services.hli.roles import Roles
+from deltaq_services.hli.client_roles import ClientRoles
 
 OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
 """Environment variable: where set, `take`, `reset` and `contact` need this token."""
@@ -26,7 +26,7 @@ class ClientTokenError(DeltaqError):
     """A token that is missing, too short, or not a secret."""
 
 
-def client_roles(cell: CellDescription, environment: Mapping[str, str] = os.environ) -> Roles:
+def client_roles(cell: CellDescription, environment: Mapping[str, str] = os.environ) -> ClientRoles:
     """The roles of a cell's clients.
 
     A token is in the variable, or in the file that the variable with `_FILE` behind its name gives.
@@ -59,7 +59,7 @@ def client_roles(cell: CellDescription, environment: Mapping[str, str] = os.envi
             f"{field} ({value}) of cell {cell.cell} lets other machines move its robots; set `{NEEDS_TOKENS}: true` "
             f"and give the tokens, listen on 127.0.0.1, or set `{ALLOWS_ANYBODY}: true`"
         )
-    return Roles(operator, controller)
+    return ClientRoles(operator, controller)
 
 
 def _token(name: str, environment: Mapping[str, str]) -> str | None:

@@ -38,11 +38,11 @@ from deltaq_protocol.messages import (
     Welcome,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
-from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.snapshot import HliMemory
 from deltaq_services.hli.state import HliState
 from deltaq_services.lagging import Heard
@@ -74,7 +74,7 @@ class HliCore:
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         new_token: Callable[[], str],
         first_epoch: int,
-        roles: Roles | None = None,
+        roles: ClientRoles | None = None,
     ) -> None:
         self._state = HliState(cell, CellIdentity.parse(description.identity), new_token, first_epoch)
         self._tool_pose = tool_pose
@@ -88,7 +88,7 @@ class HliCore:
         self.description = description
         self.counters = self._state.counters
         self.increments = Increments(self._state)
-        self.requests = Requests(self._state, roles or Roles())
+        self.requests = Requests(self._state, roles or ClientRoles())
 
     def take(
         self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None

@@ -7,8 +7,8 @@ from typing import Protocol
 
 from deltaq_protocol.messages import Status
 from deltaq_services.hli.authentication import Authentication
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
-from deltaq_services.hli.roles import Roles
 from deltaq_services.outputs import Output
 
 
@@ -17,7 +17,7 @@ class Port(Protocol):
 
     core: HliCore
     authentication: Authentication
-    roles: Roles
+    roles: ClientRoles
     loop: asyncio.AbstractEventLoop
 
     def now(self) -> float:

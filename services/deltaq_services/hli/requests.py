@@ -18,8 +18,8 @@ from deltaq_protocol.messages import (
     ResetRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.client_roles import ClientRole, ClientRoles
 from deltaq_services.hli.leases import Lease
-from deltaq_services.hli.roles import Role, Roles
 from deltaq_services.hli.state import HliState
 from deltaq_services.outputs import Output, Sender, ToSender
 
@@ -34,7 +34,7 @@ class Requests:
         roles: who may `take`, `reset` and switch contacts, and who may have a lease at all.
     """
 
-    def __init__(self, state: HliState, roles: Roles) -> None:
+    def __init__(self, state: HliState, roles: ClientRoles) -> None:
         self._state = state
         self._roles = roles
 
@@ -57,7 +57,7 @@ class Requests:
             self._state.leases.renew(own, time_s)
         elif request.action is LeaseAction.RENEW:
             code = ReasonCode.LEASE_NOT_HELD
-        elif self._roles.of(request.token) < Role.CONTROLLER:
+        elif self._roles.of(request.token) < ClientRole.CONTROLLER:
             code = ReasonCode.NOT_PERMITTED
         elif request.action is LeaseAction.ACQUIRE and current is not None:
             code = ReasonCode.LEASE_TAKEN
@@ -197,7 +197,7 @@ class Requests:
         )
 
     def _is_operator(self, token: str | None) -> bool:
-        return self._roles.of(token) is Role.OPERATOR
+        return self._roles.of(token) is ClientRole.OPERATOR
 
     def _robots_are(self, robot: str) -> tuple[str, str]:
         return f"the cell has no robot {robot}", "it has " + ", ".join(self._state.links)

@@ -15,10 +15,10 @@ from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.authentication import Authentication
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
-from deltaq_services.hli.roles import Roles
 from deltaq_services.hli.tcp_front import TcpFront
 from deltaq_services.outputs import Output, ToSender
 from deltaq_services.pace import Pace
@@ -46,12 +46,12 @@ class Hli:
         cell: CellDescription,
         description: Description,
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
-        roles: Roles | None = None,
+        roles: ClientRoles | None = None,
         encryption: ssl.SSLContext | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
-        self.roles = roles or Roles()
+        self.roles = roles or ClientRoles()
         self._encryption = encryption
         self.core = HliCore(
             cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, self.roles

@@ -12,10 +12,10 @@ from collections import Counter
 from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.client_roles import Tries
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
-from deltaq_services.hli.roles import Tries
 from deltaq_services.hli.tcp_connection import TcpConnection
 
 _log = logging.getLogger(__name__)

@@ -1,4 +1,4 @@
-"""Roles of clients: what a token makes of whoever has it. Plain decisions; the shell passes the time in.
+"""ClientRoles of clients: what a token makes of whoever has it. Plain decisions; the shell passes the time in.
 
 Where no operator's token is set, everybody is an operator: that is for one machine, whose users trust one another.
 """
@@ -16,7 +16,7 @@ MOST_TRIES_S = 3.0
 _MOST_PEERS = 256
 
 
-class Role(IntEnum):
+class ClientRole(IntEnum):
     """What a client may do; each may do what those before it may."""
 
     OBSERVER = 1
@@ -28,7 +28,7 @@ class Role(IntEnum):
 
 
 @dataclass(frozen=True)
-class Roles:
+class ClientRoles:
     """The tokens of a cell.
 
     Attributes:
@@ -39,12 +39,14 @@ class Roles:
     operator_token: str | None = None
     controller_token: str | None = None
 
-    def of(self, token: str | None) -> Role:
+    def of(self, token: str | None) -> ClientRole:
         """The role of who gives this token, or none; compared in constant time."""
         is_operator, is_controller = _is(self.operator_token, token), _is(self.controller_token, token)
         if self.operator_token is None or is_operator:
-            return Role.OPERATOR
-        return Role.CONTROLLER if self.controller_token is None or is_controller else Role.OBSERVER
+            return ClientRole.OPERATOR
+        return (
+            ClientRole.CONTROLLER if self.controller_token is None or is_controller else ClientRole.OBSERVER
+        )
 
     def is_wrong(self, token: str) -> bool:
         """Whether a token was given and is none of these."""
