@@ -19,6 +19,7 @@ from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_located
 from deltaq_cell.models import RobotModelError, nearest_name
 from deltaq_cell.never_checked import SAMPLES, Pair, Why, farthest_apart, ordered, samples
+from deltaq_cell.open_realm import ALLOWS_ANYBODY, NEEDS_TOKENS, off_loopback
 from deltaq_cell.problems import CellError, Problem
 from deltaq_cell.proximity import ProximityEngine
 from deltaq_cell.robot import RobotModel
@@ -93,6 +94,7 @@ class _Check:
 
     def problems(self) -> Iterator[Problem]:
         yield from self.ports()
+        yield from self.open_realm()
         yield from self.timing()
         models: dict[str, RobotModel] = {}
         for name, robot in self.cell.robots.items():
@@ -150,6 +152,22 @@ class _Check:
                 yield self.at(field, f"port {port} is that of {taken[port]} already; take another", port)
             else:
                 taken[port] = ".".join(str(part) for part in field)
+
+    def open_realm(self) -> Iterator[Problem]:
+        """Nobody on another machine moves a robot without a token, unless the cell says so."""
+        exposed = off_loopback(self.cell)
+        if exposed is None or self.cell.clients_need_tokens:
+            return
+        field, value = exposed
+        if self.cell.anyone_who_connects_may_move_the_robots:
+            told = "anyone who reaches this address may move the robots, reset a stop and set outputs"
+            yield self.at((field,), told, value, severity="warning")
+            return
+        told = (
+            "other machines reach this address, and would need no token to move the robots; set "
+            f"`{NEEDS_TOKENS}: true` and give the HLI the tokens, listen on 127.0.0.1, or set `{ALLOWS_ANYBODY}: true`"
+        )
+        yield self.at((field,), told, value)
 
     def timing(self) -> Iterator[Problem]:
         """No deadline of the gate is so short that a healthy cycle misses it."""

@@ -15,7 +15,16 @@ from typing import Any
 from deltaq_cell.description import CellDescription
 from deltaq_protocol.identity import CellIdentity
 
-_PLACES = {"hli", "sim", "tcp_address", "tcp_port", "console_address", "console_port"}
+_PLACES = {
+    "hli",
+    "sim",
+    "tcp_address",
+    "tcp_port",
+    "console_address",
+    "console_port",
+    "clients_need_tokens",
+    "anyone_who_connects_may_move_the_robots",
+}
 _PLACES_OF_ROBOT = {"server", "model"}
 _PLACES_OF_DRIVER = {"address", "port", "control_port", "krc_address", "ethernet_xml"}
 

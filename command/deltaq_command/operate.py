@@ -15,11 +15,23 @@ if TYPE_CHECKING:
 
 def stop(cell: CellOption = "lab", url: UrlOption = None, json: JsonOption = False) -> None:
     """Bring every robot of the cell to rest; each is held until it is reset. Anyone may."""
+    from deltaq_cell.load import load_cell
     from deltaq_command.console import print_json
     from deltaq_launch.cell_connection import Where, connect
+    from deltaq_launch.line_stop import stop_over_a_line
+    from deltaq_protocol.errors import ServiceUnreachableError
 
-    with connect(Where.of(cell, url), "deltaq stop") as running:
-        done = running.stop()
+    try:
+        with connect(Where.of(cell, url), "deltaq stop") as running:
+            done = running.stop()
+    except ServiceUnreachableError as no_session:
+        if url is not None:
+            raise
+        # every session may be taken; of lines there are some that are kept for a stop
+        try:
+            done = stop_over_a_line(load_cell(cell))
+        except ServiceUnreachableError:
+            raise no_session from None
     if json:
         print_json(done.model_dump(mode="json"))
     else:

@@ -42,6 +42,8 @@ def up(
         recorder,
         select,
     )
+    from deltaq_services.hli.client_tokens import client_roles
+    from deltaq_services.hli.line_encryption import line_encryption
 
     description = load_cell(cell)
     services = cell_services(description, cell, real)
@@ -57,6 +59,10 @@ def up(
     if real:
         servers = [service for service in services if service.role is Role.ROBOT_SERVER]
         refuse_unreal(description, find_cell(cell), [server.robot for server in servers if server.robot])
+    if any(service.role is Role.HLI for service in services):
+        # refuse an open realm that other machines reach, and tokens in the clear
+        client_roles(description)
+        line_encryption(description)
     output = console()
     log = prefixed_log(output, [service.name for service in services])
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))

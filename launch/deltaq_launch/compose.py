@@ -22,6 +22,7 @@ from deltaq_launch.services import (
     demo_controllers,
 )
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
+from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
 
 FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
 CELL = "lab"
@@ -35,7 +36,7 @@ HEADER = """\
 """
 
 
-CONSOLE_TOKEN, OPERATOR_TOKEN = "DELTAQ_CONSOLE_TOKEN", "DELTAQ_OPERATOR_TOKEN"
+CONSOLE_TOKEN = "DELTAQ_CONSOLE_TOKEN"
 _SECRET = "deltaq-guarded-key"
 KEY_MAKER = "guarded-key"
 """The service that makes the guarded realm's key for the others, if it is not there yet."""
@@ -60,7 +61,7 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     if off_loopback(cell) is None:
         file = f"{_KEY_FOLDER}/guarded.key"
         for container in guarded:
-            container["environment"] = {KEY_FILE: file}
+            container["environment"] = container.get("environment", {}) | {KEY_FILE: file}
             container["volumes"] = [*container.get("volumes", []), f"{_KEY_VOLUME}:{_KEY_FOLDER}:ro"]
             made = {KEY_MAKER: {"condition": "service_completed_successfully"}}
             container["depends_on"] = made | container.get("depends_on", {})
@@ -75,7 +76,7 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
             "volumes": {_KEY_VOLUME: {}},
         }
     for container in guarded:
-        container["environment"] = {KEY_FILE: f"/run/secrets/{_SECRET}"}
+        container["environment"] = container.get("environment", {}) | {KEY_FILE: f"/run/secrets/{_SECRET}"}
         container["secrets"] = [_SECRET]
     needed = f"name a file made with `deltaq key` in {KEY_FILE}"
     secret = {"file": f"${{{KEY_FILE}:?{needed}}}"}  # compose refuses to start anything without it
@@ -127,6 +128,11 @@ def _container(service: Service, cell_name: str) -> dict[str, Any]:
             "timeout": "10s",
             "retries": 3,
             "start_period": "60s",
+        }
+    if service.role is Role.HLI:
+        container["environment"] = {
+            OPERATOR_TOKEN: f"${{{OPERATOR_TOKEN}:-}}",
+            CONTROLLER_TOKEN: f"${{{CONTROLLER_TOKEN}:-}}",
         }
     if service.role is Role.CONSOLE:
         # numba writes to the folder in which it finds machine code

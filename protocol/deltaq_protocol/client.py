@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import os
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -33,6 +34,8 @@ from deltaq_protocol.describing import described
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import (
+    Challenge,
+    ChallengeRequest,
     ContactRequest,
     DescribeRequest,
     Description,
@@ -52,14 +55,18 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.opening import Opening
+from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_protocol.session import open_session
+from deltaq_protocol.topic import Topic
 from deltaq_protocol.wire import Wire
 
 M = TypeVar("M", bound=Message)
 StateHolder = Newest[zenoh.Sample, RobotState]
 
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+TOKEN_VARIABLE = "DELTAQ_CLIENT_TOKEN"
+"""Environment variable: the token of a client that is given none by its program."""
 SILENCE_S = 1.0
 """Silence after which a reader of states asks whether the server is still there."""
 _VERDICTS_WAITING = 1024
@@ -80,7 +87,7 @@ class Cell:
         self.counters: Counter[str] = Counter()
         self._wire = wire
         self._client = client
-        self._token = token
+        self._role = None if token is None else Prover(token)
         self._newest: dict[str, StateHolder] = {name: self._subscribed(name) for name in self.robots}
         self._verdict_listeners: dict[str, set[Callable[[Verdict], None]]] = {}
         self._leases: set[LeasedRobot] = set()
@@ -157,8 +164,8 @@ class Cell:
                 if the robot has not shown it in time.
             ServiceUnreachableError: no answer in time.
         """
-        request = ResetRequest(robot=self._known(robot), client=self._client, token=self._token)
-        return unpack(Done, await self._wire.ask(topics.RESET, self.description.cell, request))
+        request = ResetRequest(robot=self._known(robot), client=self._client)
+        return unpack(Done, await self._ask_with_token(topics.RESET, request))
 
     async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
         """The gate's verdict on an increment if it came now; nothing moves.
@@ -182,8 +189,8 @@ class Cell:
             RefusedError: the cell has no such contact, or `not_permitted` without the operator's token.
             ServiceUnreachableError: no answer in time.
         """
-        request = ContactRequest(contact=contact, allowed=allowed, client=self._client, token=self._token)
-        return unpack(Done, await self._wire.ask(topics.CONTACT, self.description.cell, request))
+        request = ContactRequest(contact=contact, allowed=allowed, client=self._client)
+        return unpack(Done, await self._ask_with_token(topics.CONTACT, request))
 
     async def status(self) -> Status:
         """The running cell: phases, leases, ages, counters.
@@ -211,11 +218,9 @@ class Cell:
     @asynccontextmanager
     async def _leased(self, robot: str, client: str | None, take: bool) -> AsyncIterator[LeasedRobot]:
         action = LeaseAction.TAKE if take else LeaseAction.ACQUIRE
-        request = LeaseRequest(
-            robot=self._known(robot), action=action, client=client or self._client, token=self._token
-        )
+        request = LeaseRequest(robot=self._known(robot), action=action, client=client or self._client)
         listeners = self._listeners(robot)  # before the lease, so that no verdict on it is missed
-        payload = await self._wire.ask(topics.LEASE, self.description.cell, request, robot)
+        payload = await self._ask_with_token(topics.LEASE, request, robot)
         reply = unpack(LeaseReply, payload)
         if not reply.granted:
             raise _not_granted(reply)
@@ -252,6 +257,15 @@ class Cell:
         for leased in self._leases:
             leased.release_now()
         self._wire.close()
+
+    async def _ask_with_token(self, topic: Topic, request: Message, robot: str = "") -> bytes:
+        """Ask for what a role may; the token, where there is one, answers a challenge and is not sent."""
+        cell, prove = self.description.cell, None
+        if self._role is not None:
+            asked = await self._wire.ask(topics.CHALLENGE, cell, ChallengeRequest())
+            nonce = bytes.fromhex(unpack(Challenge, asked).challenge)
+            prove = partial(self._role.prove, nonce=nonce)
+        return await self._wire.ask(topic, cell, request, robot, prove=prove)
 
     def _known(self, robot: str) -> str:
         if robot not in self.robots:
@@ -306,13 +320,14 @@ def connect(
     Args:
         address: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
         client: name that others see.
-        token: the operator's token, where `reset` and taking a lease need one.
+        token: the operator's or the controller's, where the server asks for one; it is not sent. None: what the
+            environment holds in `DELTAQ_CLIENT_TOKEN`, if anything.
 
     Raises:
         ServiceUnreachableError: nobody answers there.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    return Opening(_connected(address, client, token))
+    return Opening(_connected(address, client, token or os.environ.get(TOKEN_VARIABLE) or None))
 
 
 @asynccontextmanager

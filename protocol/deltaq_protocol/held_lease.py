@@ -8,6 +8,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import DeltaqError, RefusedError
 from deltaq_protocol.messages import LeaseAction, LeaseReply, LeaseRequest
+from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.wire import Wire
 
@@ -24,11 +25,11 @@ class HeldLease:
         granted: the reply with which it was given.
 
     Attributes:
-        token: shows the server that a message is the holder's.
+        prover: shows the server that a message is the holder's.
     """
 
     def __init__(self, wire: Wire, cell: str, robot: str, granted: LeaseReply) -> None:
-        self.token = granted.lease
+        self.prover = Prover(granted.lease or "")
         self._wire = wire
         self._cell = cell
         self._robot = robot
@@ -85,11 +86,13 @@ class HeldLease:
 
     def release_now(self) -> None:
         """`release` from where no loop runs any more."""
-        self._wire.ask_now(topics.LEASE, self._cell, self._request(LeaseAction.RELEASE), self._robot)
+        request = self._request(LeaseAction.RELEASE)
+        self._wire.ask_now(topics.LEASE, self._cell, request, self._robot, self.prover.prove_next)
 
     async def _ask(self, action: LeaseAction) -> LeaseReply:
-        payload = await self._wire.ask(topics.LEASE, self._cell, self._request(action), self._robot)
+        request, prove = self._request(action), self.prover.prove_next
+        payload = await self._wire.ask(topics.LEASE, self._cell, request, self._robot, prove=prove)
         return unpack(LeaseReply, payload)
 
     def _request(self, action: LeaseAction) -> LeaseRequest:
-        return LeaseRequest(robot=self._robot, action=action, lease=self.token)
+        return LeaseRequest(robot=self._robot, action=action)

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
 
-_ITEMS_A_TURN = 32
+ITEMS_A_TURN = 32
 """Items taken before the loop turns to other work, so that one flood does not starve the rest."""
 
 
@@ -24,15 +24,23 @@ class ClientInbox(Generic[T]):
         loop: the loop that takes them.
         take: called in the loop, once for each item.
         capacity: how many may wait; with 1 only the newest does.
+        a_turn: how many are taken before the loop turns to other work.
 
     Attributes:
         dropped: how many were dropped.
         failed: how many made `take` fail; the failure is logged, and the next item is taken.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[T], None], capacity: int) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        take: Callable[[T], None],
+        capacity: int,
+        a_turn: int = ITEMS_A_TURN,
+    ) -> None:
         self._loop = loop
         self._take = take
+        self._a_turn = a_turn
         self._items: deque[T] = deque(maxlen=capacity)
         self._is_scheduled = False
         self._is_open = True
@@ -60,7 +68,7 @@ class ClientInbox(Generic[T]):
 
     def _turn(self) -> None:
         self._is_scheduled = False
-        for _ in range(_ITEMS_A_TURN):
+        for _ in range(self._a_turn):
             if not self._items or not self._is_open:
                 return
             item = self._items.popleft()

@@ -65,6 +65,7 @@ class LeasedRobot:
         self.lease = HeldLease(wire, cell, name, granted)
         self._states = states
         self._newest = newest
+        self._key = topics.INCREMENT.key(cell, robot=name)
         self._publisher = wire.publisher(topics.INCREMENT, cell, name)
         self._stamps = stamps_if_asked(f"client-{name}", [name])
         self._seqs = itertools.count(1)
@@ -203,8 +204,8 @@ class LeasedRobot:
             RefusedError: the robot has no such output, or the lease was lost.
             ServiceUnreachableError: no answer in time.
         """
-        request = IoRequest(robot=self.name, outputs=dict(outputs or {}), lease=self.lease.token)
-        return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name))
+        request, prove = IoRequest(robot=self.name, outputs=dict(outputs or {})), self.lease.prover.prove_next
+        return unpack(IoReply, await self._wire.ask(topics.IO, self._cell, request, self.name, prove=prove))
 
     def take_verdict(self, verdict: Verdict) -> None:
         """A verdict on this robot has come; `Cell` calls this."""
@@ -254,12 +255,12 @@ class LeasedRobot:
             seq=seq,
             cycle=state.cycle,
             dq=tuple(float(element) for element in dq),
-            lease=self.lease.token,
         )
         if self._stamps is not None:
             self._stamps.add(StampStation.INCREMENT_OUT, self.name, state.cycle, seq)
+        payload = pack(increment)
         try:
-            self._publisher.put(pack(increment))
+            self._publisher.put(payload, attachment=self.lease.prover.prove(self._key, payload))
         except zenoh.ZError as error:
             raise ServiceUnreachableError(
                 f"{self.name} cannot be moved: the connection was closed; connect again"

@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from deltaq_protocol.reasons import ReasonCode
 
-PROTOCOL_VERSION = 2
-LINE_VERSIONS = (1, 2)
-"""Versions that clients over lines of JSON may speak: to them the second has only more fields to pass over."""
+PROTOCOL_VERSION = 3
+LINE_VERSIONS = (1, 2, 3)
+"""Versions that clients over lines of JSON may speak: to them later ones have only more fields to pass over."""
 
 JointValue = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Joints = Annotated[tuple[JointValue, ...], Field(min_length=1, max_length=32)]
@@ -95,8 +95,8 @@ class RobotState(Message):
 class Increment(Message):
     """A controller's request: move by `dq` in one cycle, in answer to the state of `cycle`.
 
-    `lease` is the token that the lease reply gave. Over TCP the connection itself is the holder, and
-    the field is not sent.
+    `lease` is never sent, and not read if it is: the server fills in whose increment it is. Over zenoh a proof shows it
+    (`deltaq_protocol.proof`, with the token of the lease reply as the secret), over TCP the connection is the holder.
     """
 
     type: Literal["increment"] = "increment"
@@ -148,8 +148,9 @@ class LeaseAction(StrEnum):
 class LeaseRequest(Message):
     """Ask for the right to write to a robot: one writer a robot, any number of readers.
 
-    `token` is the operator's token, which `take` needs where the HLI has been given one; over TCP it is
-    in the hello.
+    `take` needs the operator where the HLI has been given the operator's token. `token` and `lease` are never sent, and
+    not read if they are: over zenoh proofs stand for them (`deltaq_protocol.proof`), over TCP the hello and the
+    connection.
     """
 
     type: Literal["lease"] = "lease"
@@ -161,7 +162,10 @@ class LeaseRequest(Message):
 
 
 class LeaseReply(Message):
-    """Whether the lease was granted, who holds it now, and the token to put into increments."""
+    """Whether the lease was granted, who holds it now, and the token: the secret that its holder proves to have.
+
+    The token comes once, to whoever it was granted to, and never over TCP.
+    """
 
     type: Literal["lease"] = "lease"
     robot: Name
@@ -180,7 +184,10 @@ class StopRequest(Message):
 
 
 class ResetRequest(Message):
-    """Leave `held`; refused while the cause persists, and without the operator's token where one is set."""
+    """Leave `held`; refused while the cause persists, and to others than the operator where the HLI knows one.
+
+    `token` is never sent, as in `LeaseRequest`.
+    """
 
     type: Literal["reset"] = "reset"
     robot: Name
@@ -205,13 +212,29 @@ class DryRunReply(Message):
 
 
 class ContactRequest(Message):
-    """Let bodies touch that a contact of the cell names, or forbid it again; an operator's privilege."""
+    """Let bodies touch that a contact of the cell names, or forbid it again; an operator's privilege.
+
+    `token` is never sent, as in `LeaseRequest`.
+    """
 
     type: Literal["contact"] = "contact"
     contact: Name
     allowed: bool
     client: str | None = Field(default=None, max_length=64)
     token: str | None = None
+
+
+class ChallengeRequest(Message):
+    """Ask for a challenge, which the operator's next request over zenoh answers."""
+
+    type: Literal["challenge"] = "challenge"
+
+
+class Challenge(Message):
+    """A challenge: nonce of the proof beside one request of the operator, in hexadecimal digits; good once."""
+
+    type: Literal["challenge"] = "challenge"
+    challenge: Annotated[str, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$")]
 
 
 class Done(Message):
@@ -228,7 +251,8 @@ class Done(Message):
 class IoRequest(Message):
     """Set digital outputs by name; the reply has all outputs and inputs.
 
-    While a robot is leased only the holder of `lease` sets its outputs; anybody may read.
+    While a robot is leased only the holder sets its outputs; anybody may read. `lease` is never sent, as in
+    `Increment`.
     """
 
     type: Literal["io"] = "io"

@@ -34,6 +34,7 @@ class ReasonCode(StrEnum):
     NOT_READY = "not_ready"
     STOPPED = "stopped"
     NOT_PERMITTED = "not_permitted"
+    TOO_MANY = "too_many"
     PROTOCOL_VERSION = "protocol_version"
     UNREACHABLE = "unreachable"
     CELL_MISMATCH = "cell_mismatch"
@@ -76,6 +77,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.NOT_READY: "the robot is offline",
     ReasonCode.STOPPED: "the robot is held until a reset",
     ReasonCode.NOT_PERMITTED: "the sender is not entitled to this",
+    ReasonCode.TOO_MANY: "there are more than can be served",
     ReasonCode.PROTOCOL_VERSION: "client and server speak different protocol versions",
     ReasonCode.UNREACHABLE: "a service that is needed for this did not answer",
     ReasonCode.CELL_MISMATCH: "two services have read different descriptions of the cell",

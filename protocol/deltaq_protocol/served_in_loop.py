@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import zenoh
 
-from deltaq_protocol.inbox import ClientInbox
+from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox
 
 T = TypeVar("T")
 
@@ -27,9 +27,9 @@ class ServedInLoop:
         self._declared: list[Any] = []
         self._inboxes: list[ClientInbox[Any]] = []
 
-    def inbox(self, take: Callable[[T], None], capacity: int) -> ClientInbox[T]:
+    def inbox(self, take: Callable[[T], None], capacity: int, a_turn: int = ITEMS_A_TURN) -> ClientInbox[T]:
         """An inbox whose contents `take` is called with in the loop; of what waits the newest `capacity` are kept."""
-        inbox = ClientInbox[T](self._loop, take, capacity)
+        inbox = ClientInbox[T](self._loop, take, capacity, a_turn)
         self._inboxes.append(inbox)
         return inbox
 

@@ -56,6 +56,10 @@ DRY_RUN = Topic(
     "dry-run", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/dry-run", messages.DryRunRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.DryRunReply, recorded=False,
 )  # fmt: skip
+CHALLENGE = Topic(
+    "challenge", Realm.OPEN, Kind.QUERY, _OPEN + "challenge", messages.ChallengeRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.Challenge, recorded=False,
+)  # fmt: skip
 CONTACT = Topic(
     "contact", Realm.OPEN, Kind.QUERY, _OPEN + "contact", messages.ContactRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Done, recorded=False,
@@ -118,7 +122,7 @@ GATE_MEMORY = Topic(
 )  # fmt: skip
 
 TOPICS: tuple[Topic, ...] = (
-    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, CONTACT, DESCRIPTION,
+    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, CHALLENGE, CONTACT, DESCRIPTION,
     STATUS,
     SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH, GREETING,
     GATE_LOG, GATE_MEMORY,

@@ -17,6 +17,9 @@ from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
 
+Prove = Callable[[str, bytes], bytes]
+"""Makes a proof from a zenoh key and a message as it is sent."""
+
 QUERY_DEADLINE_S = 1.0
 """Longer than the server waits for the gate, so that the server's own answer arrives first."""
 
@@ -35,15 +38,23 @@ class Wire:
         self._served = ServedInLoop(session, loop)
 
     async def ask(
-        self, topic: Topic, cell: str, request: Message, robot: str = "", deadline_s: float = QUERY_DEADLINE_S
+        self,
+        topic: Topic,
+        cell: str,
+        request: Message,
+        robot: str = "",
+        deadline_s: float = QUERY_DEADLINE_S,
+        prove: Prove | None = None,
     ) -> bytes:
         """Send a query and return the payload of its answer; `robot` where the topic's key has one.
+
+        `prove` makes the proof that goes beside it.
 
         Raises:
             RefusedError: the server refused the request.
             ServiceUnreachableError: nobody answered within the deadline.
         """
-        key = topic.key(cell, robot=robot)
+        key, payload = topic.key(cell, robot=robot), pack(request)
         future: asyncio.Future[zenoh.Reply | None] = self._loop.create_future()
 
         def settle(reply: zenoh.Reply | None) -> None:
@@ -58,7 +69,8 @@ class Wire:
             self._session.get(
                 key,
                 zenoh.handlers.Callback(post, drop=lambda: post(None), indirect=False),
-                payload=pack(request),
+                payload=payload,
+                attachment=None if prove is None else prove(key, payload),
                 timeout=deadline_s,
                 **sending(topic.priority),
             )
@@ -77,12 +89,16 @@ class Wire:
             f"no answer to {key} within {deadline_s:g} s; is the cell up (`deltaq up`, `deltaq status`)?"
         )
 
-    def ask_now(self, topic: Topic, cell: str, request: Message, robot: str) -> None:
+    def ask_now(self, topic: Topic, cell: str, request: Message, robot: str, prove: Prove) -> None:
         """Send a query from where no loop runs any more, and wait until it was answered or will not be."""
-        key = topic.key(cell, robot=robot)
+        key, payload = topic.key(cell, robot=robot), pack(request)
         with contextlib.suppress(zenoh.ZError):
             for _ in self._session.get(
-                key, payload=pack(request), timeout=QUERY_DEADLINE_S, **sending(topic.priority)
+                key,
+                payload=payload,
+                attachment=prove(key, payload),
+                timeout=QUERY_DEADLINE_S,
+                **sending(topic.priority),
             ):
                 pass
 

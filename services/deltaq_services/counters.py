@@ -33,6 +33,12 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "states", "cycles of robots that were heard"),
     Counted(HLI, "states_ignored", "states of a robot, or with joints, that the cell does not have"),
     Counted(HLI, "increments", "increments received, valid or not"),
+    Counted(HLI, "increments_unproven", "increments over zenoh that show no lease; they were not read"),
+    Counted(
+        HLI,
+        "increments_too_many",
+        "increments of a holder beyond those that are judged in a cycle; they were not read",
+    ),
     Counted(HLI, "requests", "increments handed on to the gate: at most one a robot and cycle"),
     Counted(HLI, "refused", "increments that never reached the gate"),
     Counted(HLI, "refused_{code}", "those refused for this reason"),
@@ -67,11 +73,27 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "dry_runs", "dry runs that were requested"),
     Counted(HLI, "contacts_switched", "requests to allow or forbid a contact"),
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
+    Counted(HLI, "commands_too_many", "commands refused because clients asked for too many in a second"),
     Counted(HLI, "stops_sent_again", "stops sent once more because the gate had not answered them"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
-    Counted(HLI, "tcp_connections_refused", "TCP connections refused because too many were open"),
+    Counted(
+        HLI,
+        "tcp_connections_refused",
+        "TCP connections for which there was no place; a stop was heard on them",
+    ),
+    Counted(
+        HLI, "tokens_wrong", "wrong tokens in the hello of TCP clients; the log has each with its address"
+    ),
+    Counted(
+        HLI, "tokens_not_compared", "tokens refused unseen because wrong ones came from the same address"
+    ),
+    Counted(
+        HLI,
+        "tcp_lines_slowed",
+        "times that lines of TCP clients had to wait because more came than are served",
+    ),
     Counted(HLI, "tcp_given_up", "TCP connections ended for a missing hello, long lines or malformed ones"),
     Counted(HLI, "tcp_not_reading", "TCP connections ended because their client did not read its answers"),
     Counted(

@@ -48,6 +48,10 @@ UNSOUND = [
     ([("tcp/127.0.0.1:7452", "tcp/127.0.0.1:7451")], "robots.gr.server", "7451", 7451, None, None,
      "that of robots.fr.server"),
     ([("tcp_port: 5210", "tcp_port: 7447")], "tcp_port", "tcp_port", 7447, None, None, "that of hli"),
+    ([("hli: tcp/127.0.0.1:7447", "hli: tcp/0.0.0.0:7447")], "hli", "7447", "tcp/0.0.0.0:7447", None, None,
+     "would need no token to move the robots"),
+    ([("tcp_address: 127.0.0.1", "tcp_address: 192.0.2.1")], "tcp_address", "192.0.2.1", "192.0.2.1", None, None,
+     "would need no token to move the robots"),
     ([("control_port: 49253", "control_port: 49152")], "robots.gr.driver.control_port", "49152", 49152, None, None,
      "that of robots.fr.driver.port"),
     ([("sim: tcp/127.0.0.1:7450", "sim: tcp/127.0.0.1:70000")], "sim", "70000", 70000, 65535, None, "does not exist"),
@@ -204,3 +208,15 @@ def test_contexts_and_programs_beside_the_krc_file_are_judged_with_it(tmp_path: 
         message for message in messages if message.startswith("fr.src: RSI_ON: corrections are relative")
     ]
     assert any(message.startswith("fr.src") for message in messages)
+
+
+@pytest.mark.parametrize(
+    ("field", "severities"),
+    [("clients_need_tokens", []), ("anyone_who_connects_may_move_the_robots", ["warning"])],
+)
+def test_off_the_loopback_a_cell_says_who_may_move_its_robots(
+    tmp_path: Path, field: str, severities: list[str]
+) -> None:
+    open_address = ("tcp_address: 127.0.0.1", f"tcp_address: 0.0.0.0\n{field}: true")
+    path, _ = checked(tmp_path, open_address)
+    assert [problem.severity for problem in check_cell(path).problems] == severities

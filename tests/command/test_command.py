@@ -97,6 +97,15 @@ def test_wrong_usage_is_exit_status_2_and_says_what_is_allowed(arguments: tuple[
     assert "Traceback" not in done.stderr
 
 
+def test_a_cell_that_other_machines_could_drive_is_not_started(tmp_path: Path) -> None:
+    file = tmp_path / "exposed.yaml"
+    file.write_text("extends: lab\ntcp_address: 0.0.0.0\n", encoding="utf-8")
+    done = deltaq("up", "--only", "hli", "--cell", str(file))
+    assert done.returncode == 2
+    assert "lets other machines move its robots" in done.stderr
+    assert "anyone_who_connects_may_move_the_robots" in done.stderr
+
+
 def test_a_good_cell_passes_its_check() -> None:
     done = deltaq("check", "lab", "--json")
     assert done.returncode == 0, done.stdout

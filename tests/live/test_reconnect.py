@@ -13,6 +13,7 @@ from deltaq_protocol.blocking import connect
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseReply, LeaseRequest, RobotState, Verdict
+from deltaq_protocol.proof import Prover
 from deltaq_protocol.session import open_session, subscribe_newest
 from deltaq_verification.faults.relay_placement import RelayPlacement, placed
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
@@ -185,8 +186,9 @@ def test_increments_that_were_published_into_a_dead_wire_never_move_the_robot(st
         def ask(cycle):
             nonlocal seq
             seq += 1
-            increment = Increment(robot="fr", seq=seq, cycle=cycle, dq=STEP, lease=lease)
-            session.put(key[topics.INCREMENT], pack(increment))
+            increment = pack(Increment(robot="fr", seq=seq, cycle=cycle, dq=STEP))
+            proof = Prover(lease).prove(key[topics.INCREMENT], increment)
+            session.put(key[topics.INCREMENT], increment, attachment=proof)
 
         for _ in range(20):
             last = unpack(RobotState, states.recv().payload.to_bytes()).cycle

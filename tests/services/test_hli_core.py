@@ -35,7 +35,10 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.commands import MOST_AWAIT_A_STOP
 from deltaq_services.hli.core import HliCore
+from deltaq_services.hli.state import MOST_COMMANDS_S
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic, published
 
 CYCLE_S = 0.012
@@ -54,7 +57,9 @@ class Bench:
     def __init__(self, operator_token: str | None = None) -> None:
         cell = small_cell()
         tokens = (f"token-{k}" for k in itertools.count())
-        self.core = HliCore(cell, told(cell), tool_pose, lambda: next(tokens), 1000, operator_token)
+        self.core = HliCore(
+            cell, told(cell), tool_pose, lambda: next(tokens), 1000, ClientRoles(operator_token)
+        )
         self.now = 50.0
         self.client = Client()
         self.token: str | None = None
@@ -382,9 +387,40 @@ def test_a_gate_that_does_not_answer_a_stop_within_half_a_second_is_reported_unr
 
 def test_of_stops_that_the_gate_does_not_answer_the_newest_of_each_robot_is_sent_again() -> None:
     bench = Bench()
+    stop = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+    for _ in range(MOST_AWAIT_A_STOP - 1):
+        assert bench.core.requests.on_stop(bench.client, bench.now) == []  # they join the one under way
     for _ in range(1000):
-        stop = only(Command, bench.core.requests.on_stop(bench.client, bench.now))
+        stops = sent(Command, bench.core.requests.on_stop(bench.client, bench.now))
+        stop = stops[0] if stops else stop
     assert sent(Command, bench.core.on_tick(bench.now + 0.1)) == [stop]
+
+
+def test_everybody_who_stops_is_told_though_the_gate_gets_one_stop() -> None:
+    bench = Bench()
+    clients = [Client() for _ in range(MOST_AWAIT_A_STOP)]
+    (stop,) = (c for who in clients for c in sent(Command, bench.core.requests.on_stop(who, bench.now)))
+    told = bench.core.on_command_reply(CommandReply(id=stop.id, accepted=True))
+    assert [output.sender for output in told if isinstance(output.message, Done)] == clients
+
+
+def test_a_stop_after_a_reset_joins_none_from_before_it() -> None:
+    bench = Bench()
+    bench.core.requests.on_stop(bench.client, bench.now)
+    bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now)
+    assert only(Command, bench.core.requests.on_stop(bench.client, bench.now)).kind == "stop"
+
+
+def test_a_flood_of_commands_reaches_the_gate_at_a_rate_and_no_stop_waits_for_it() -> None:
+    bench = Bench()
+    asked = [
+        bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now) for _ in range(500)
+    ]
+    assert len([c for outputs in asked for c in sent(Command, outputs)]) == MOST_COMMANDS_S
+    assert only(Error, asked[-1]).code is ReasonCode.TOO_MANY
+    assert only(Command, bench.core.requests.on_stop(bench.client, bench.now)).kind == "stop"
+    later = bench.core.requests.on_reset(ResetRequest(robot="fr"), bench.client, bench.now + 0.02)
+    assert only(Command, later).kind == "reset"
 
 
 def test_a_reply_that_comes_after_the_deadline_answers_nobody_twice() -> None:

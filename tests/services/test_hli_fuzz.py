@@ -15,6 +15,7 @@ from served import Server
 
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import connect
+from deltaq_protocol.proof import Prover
 from deltaq_protocol.session import open_session
 
 # everything of a module shares one server: it must survive all of it
@@ -119,6 +120,11 @@ def test_no_payload_on_any_key_of_the_open_realm_harms_the_service(
 ) -> None:
     for robot in ("fr", "ghost"):
         session.put(topics.INCREMENT.key("small", robot=robot), payload)
+        session.put(topics.INCREMENT.key("small", robot=robot), payload, attachment=payload[:80])
+    lease = server.hli.core.leases.of("fr")
+    assert lease is not None
+    key = topics.INCREMENT.key("small", robot="fr")
+    session.put(key, payload, attachment=Prover(lease.token).prove(key, payload))  # read, as a holder's
     for topic in (topics.LEASE, topics.IO, topics.RESET, topics.STATUS):
         replies = list(session.get(topic.key("small", robot="fr"), payload=payload, timeout=5))
         assert len(replies) == 1, topic.name

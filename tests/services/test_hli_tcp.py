@@ -15,6 +15,7 @@ from small_cell import small_cell, told, tool_pose
 
 from deltaq_protocol import topics
 from deltaq_protocol.guarded import Health
+from deltaq_protocol.messages import PROTOCOL_VERSION
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli import tcp_connection
 from deltaq_services.hli.shell import Hli
@@ -197,10 +198,10 @@ async def test_a_client_of_another_version_is_told_both_versions_and_disconnecte
     running: Running, extra: dict[str, Any]
 ) -> None:
     async with json_client(running.port, name=None) as client:
-        client.send(type="hello", protocol=3, client="future", **extra)
+        client.send(type="hello", protocol=PROTOCOL_VERSION + 1, client="future", **extra)
         error = await client.receive("error", "welcome")
         assert error["code"] == "protocol_version"
-        assert error["message"] == "client speaks protocol 3, this server 1 and 2"
+        assert error["message"] == "client speaks protocol 4, this server 1, 2, 3"
         await client.ended()
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from guarded_peer import GuardedPeer, guarded_peer
 from small_cell import small_cell, told, tool_pose
 
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
 
@@ -51,7 +52,7 @@ class Server:
         description = self.description
         async with (
             guarded_peer(description) as self.peer,
-            Hli(description, told(description), tool_pose, self._operator_token) as self.hli,
+            Hli(description, told(description), tool_pose, ClientRoles(self._operator_token)) as self.hli,
         ):
             await self.peer.turn()
             cycles = asyncio.create_task(self.peer.run())

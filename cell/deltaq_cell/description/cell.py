@@ -100,6 +100,10 @@ class CellDescription(DescriptionModel):
     tcp_address: str = "127.0.0.1"
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210
     """Where the HLI serves JSON lines."""
+    clients_need_tokens: bool = False
+    """Whether the HLI starts only with an operator's and a controller's token, and lets nobody else move a robot."""
+    anyone_who_connects_may_move_the_robots: bool = False
+    """Whether the HLI may listen on other addresses than this machine's loopback though clients need no tokens."""
     console_address: str = "127.0.0.1"
     console_port: Annotated[int, Field(ge=1, le=65535)] = 7480
     """Where the console serves browsers."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from deltaq_services.console.clock_offset import ClockOffset
 from deltaq_services.console.commands import MOST_MESSAGES_S
 from deltaq_services.console.messages import Ack
-from deltaq_services.console.rate_limit import RateLimit
+from deltaq_services.rate_limit import RateLimit
 
 _ANSWERS_KEPT = 256
 """Newest answers that are given again to a command that comes twice."""

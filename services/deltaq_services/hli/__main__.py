@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
+import resource
 import signal
+import ssl
 import sys
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.messages import Description, ToolPose
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.client_tokens import client_roles
+from deltaq_services.hli.flood_wait import give_each_session_a_thread
+from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
 from deltaq_services.process import arguments, ask_for_real_time, run
 
-OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
-"""Environment variable: where set, `take` and `reset` need this token."""
-
+_MOST_OPEN = 16_384
+"""Files and sockets of this process."""
 _REAL_TIME_PRIORITY = 9
 """Below the gate's: clients that keep the HLI busy must not keep the gate from deciding."""
 
 
-async def _run(model: CellModel, description: Description) -> None:
+async def _run(
+    model: CellModel, description: Description, roles: ClientRoles, encryption: ssl.SSLContext | None
+) -> None:
     cell = model.description
 
     def tool_pose(robot: str, q: tuple[float, ...]) -> ToolPose:
@@ -30,23 +36,33 @@ async def _run(model: CellModel, description: Description) -> None:
     stopped = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
-    async with Hli(cell, description, tool_pose, os.environ.get(OPERATOR_TOKEN) or None):
+    async with Hli(cell, description, tool_pose, roles, encryption):
         print(
             f"ready: hli of {cell.cell} on {cell.hli} and tcp {cell.tcp_address}:{cell.tcp_port}", flush=True
         )
         await stopped.wait()
 
 
+def _allow_many_connections() -> None:
+    """A flood of connections shall not use up what the system lets a process open."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = _MOST_OPEN if hard == resource.RLIM_INFINITY else min(hard, _MOST_OPEN)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
+
+
 def main() -> None:
     """Serve the clients of a cell."""
     options = arguments("High-level interface: between controllers and the gate")
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+    give_each_session_a_thread()
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
     cell = CellModel.load(options.cell)
+    roles, encryption = client_roles(cell.description), line_encryption(cell.description)
     description = cell.description_message()
+    _allow_many_connections()
     ask_for_real_time(_REAL_TIME_PRIORITY)
-    asyncio.run(_run(cell, description))
+    asyncio.run(_run(cell, description, roles, encryption))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,9 @@ from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
 
+MOST_AWAIT_A_STOP = 64
+"""Those who are told of one stop; whoever comes then sends one of their own."""
+
 STOP_PERIOD_S = 0.1
 """A stop that the gate has not answered is sent again after this: a session that broke carries nothing, and does not
 say so. The gate takes a stop as often as it comes."""
@@ -53,9 +56,13 @@ class _Stop:
 @dataclass(frozen=True, slots=True)
 class _Awaited:
     command: Command
-    sender: Sender | None
+    senders: tuple[Sender, ...]
     done: Message | None
     deadline_s: float
+
+
+def _told(awaited: _Awaited, message: Message) -> list[Output]:
+    return [ToSender(sender, message) for sender in awaited.senders]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,9 +115,24 @@ class Commands:
 
     def sent(self, command: Command, sender: Sender | None, done: Message | None, time_s: float) -> None:
         """Await the answer to a command; `done`, if any, goes to the sender when it was carried out."""
-        self._awaited[command.id] = _Awaited(command, sender, done, time_s + REPLY_DEADLINE_S)
+        senders = () if sender is None else (sender,)
+        self._awaited[command.id] = _Awaited(command, senders, done, time_s + REPLY_DEADLINE_S)
         if command.kind == "stop":
             self._stops[command.robot] = _Stop(command, time_s + STOP_PERIOD_S)
+
+    def join_stop(self, sender: Sender) -> bool:
+        """Let one more await the stop of all robots that is under way, if there is one and not too many do.
+
+        However fast stops come, no more of them go to the gate than it answers. One that was asked for after a reset
+        joins none from before it.
+        """
+        for id, awaited in self._awaited.items():
+            if id == self._id and awaited.command.kind == "stop" and not awaited.command.robot:
+                if len(awaited.senders) >= MOST_AWAIT_A_STOP:
+                    return False
+                self._awaited[id] = replace(awaited, senders=(*awaited.senders, sender))
+                return True
+        return False
 
     def stops_again(self, time_s: float) -> list[Output]:
         """The stops that the gate still has not answered, whatever their senders have been told since."""
@@ -132,12 +154,12 @@ class Commands:
             if not unknowing and reply.code is ReasonCode.REPLAYED_SEQUENCE:
                 return []  # a duplicate; the answer to the first is still to come
         awaited = self._awaited.pop(reply.id, None)
-        if awaited is None or awaited.sender is None:
+        if awaited is None or not awaited.senders:
             return []
         if reply.verdict is not None:
-            return [ToSender(awaited.sender, DryRunReply(robot=reply.verdict.robot, verdict=reply.verdict))]
+            return _told(awaited, DryRunReply(robot=reply.verdict.robot, verdict=reply.verdict))
         if reply.accepted and awaited.done is not None:
-            return [ToSender(awaited.sender, awaited.done)]
+            return _told(awaited, awaited.done)
         code = reply.code or ReasonCode.NOT_PERMITTED
         asked_for = awaited.command.robot
         robot = f" of {asked_for}" if asked_for else ""
@@ -146,7 +168,7 @@ class Commands:
         error = Error(
             code=code, message=text, hint=hint, request=awaited.command.kind, robot=asked_for or None
         )
-        return [ToSender(awaited.sender, error)]
+        return _told(awaited, error)
 
     def suppose(self, epoch: int) -> None:
         """A Robot Server follows the gate of this epoch (0: none yet); what the gate itself says counts more."""
@@ -163,14 +185,16 @@ class Commands:
         self._awaited[command.id] = replace(awaited, command=command)
         return [ToTopic(topics.COMMAND, "", command)]
 
-    def overdue(self, time_s: float) -> tuple[int, list[ToSender]]:
+    def overdue(self, time_s: float) -> tuple[int, list[Output]]:
         """How many commands the gate has just left unanswered, and the errors for their senders."""
         late = [awaited for awaited in self._awaited.values() if time_s >= awaited.deadline_s]
         for awaited in late:
             del self._awaited[awaited.command.id]
         answers = [
-            ToSender(
-                awaited.sender,
+            told
+            for awaited in late
+            for told in _told(
+                awaited,
                 Error(
                     code=ReasonCode.UNREACHABLE,
                     message=_unconfirmed(awaited.command),
@@ -179,7 +203,5 @@ class Commands:
                     robot=awaited.command.robot or None,
                 ),
             )
-            for awaited in late
-            if awaited.sender is not None
         ]
         return len(late), answers

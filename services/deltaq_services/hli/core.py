@@ -38,7 +38,9 @@ from deltaq_protocol.messages import (
     Welcome,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.increments import Increments
+from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.snapshot import HliMemory
@@ -57,7 +59,7 @@ class HliCore:
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
-        operator_token: where given, `take` and `reset` need it.
+        roles: of clients; None: everybody is an operator.
 
     Attributes:
         increments: takes the controllers' increments.
@@ -72,7 +74,7 @@ class HliCore:
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         new_token: Callable[[], str],
         first_epoch: int,
-        operator_token: str | None = None,
+        roles: ClientRoles | None = None,
     ) -> None:
         self._state = HliState(cell, CellIdentity.parse(description.identity), new_token, first_epoch)
         self._tool_pose = tool_pose
@@ -86,7 +88,7 @@ class HliCore:
         self.description = description
         self.counters = self._state.counters
         self.increments = Increments(self._state)
-        self.requests = Requests(self._state, operator_token)
+        self.requests = Requests(self._state, roles or ClientRoles())
 
     def take(
         self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None
@@ -146,6 +148,7 @@ class HliCore:
             gate=(self._gate, self._gate_heard_s),
             heard_s=tuple(stream.snapshot() for stream in self._streams()),
             proximity_s=self._proximity.snapshot(),
+            command_rate=state.command_rate.snapshot(),
         )
 
     def restore(self, memory: HliMemory) -> None:
@@ -160,6 +163,7 @@ class HliCore:
         for stream, times_s in zip(self._streams(), memory.heard_s, strict=True):
             stream.restore(times_s)
         self._proximity.restore(memory.proximity_s)
+        state.command_rate.restore(memory.command_rate)
 
     def on_server_state(self, state: ServerState, time_s: float) -> list[Output]:
         """A cycle of a robot: ask the gate for what has waited, and tell the controllers.
@@ -233,7 +237,7 @@ class HliCore:
         """Welcome a client, or tell it that it speaks another version."""
         if hello.protocol not in LINE_VERSIONS:
             self.counters["version_mismatches"] += 1
-            ours = " and ".join(map(str, LINE_VERSIONS))
+            ours = ", ".join(map(str, LINE_VERSIONS))
             text = f"client speaks protocol {hello.protocol}, this server {ours}"
             hint = "install the deltaq version that the server runs"
             error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
@@ -270,6 +274,11 @@ class HliCore:
             identity=self.description.identity,
             mismatches=self.mismatches,
         )
+
+    @property
+    def leases(self) -> Leases:
+        """The leases of all robots."""
+        return self._state.leases
 
     @property
     def mismatches(self) -> tuple[str, ...]:

@@ -33,7 +33,8 @@ class Increments:
         if reason is None and link is not None:
             reason = self._state.mismatch() or link.fault(increment, time_s)
         if reason is not None or lease is None or link is None:
-            return outputs + self._state.refuse(robot, cycle, seq, reason or unknown_robot(robot), sender)
+            why = reason or unknown_robot(robot)
+            return outputs + self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
         lease.used = True
         assert link.state is not None  # without one it would have been refused
         send, replaced = link.offer(Asked(increment, lease.epoch, sender, came=link.state.cycle))
@@ -63,7 +64,8 @@ class Increments:
         reason = self._sequence_fault(verdict.robot, lease, verdict.seq, time_s)
         if reason is None:
             reason = at_fault(data.get("dq"), self._state.cell.robots[verdict.robot], error.code)
-        return outputs + self._state.refuse(verdict.robot, verdict.cycle, verdict.seq, reason, sender)
+        asked = verdict.robot, verdict.cycle, verdict.seq
+        return outputs + self._state.refuse(*asked, reason, sender, lease is not None)
 
     def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
         """A malformed message: counted and answered, nothing else."""

@@ -34,10 +34,11 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class LeasesMemory:
-    """Snapshot of the leases: the newest epoch, and each robot's lease."""
+    """Snapshot of the leases: the newest epoch, each robot's lease, and the tokens of those before."""
 
     epoch: int
     leases: tuple[tuple[str, Lease | None], ...]
+    ended: tuple[tuple[str, str], ...]
 
 
 class Leases:
@@ -54,17 +55,19 @@ class Leases:
         self, robots: Iterable[str], lease_s: float, new_token: Callable[[], str], first_epoch: int
     ) -> None:
         self._leases: dict[str, Lease | None] = dict.fromkeys(robots)
+        self._ended: dict[str, str] = {}
         self._lease_s = lease_s
         self._new_token = new_token
         self._epoch = first_epoch
 
     def snapshot(self) -> LeasesMemory:
         """Snapshot of the leases, for `restore`."""
-        return LeasesMemory(self._epoch, tuple(_copied(self._leases.items())))
+        return LeasesMemory(self._epoch, tuple(_copied(self._leases.items())), tuple(self._ended.items()))
 
     def restore(self, memory: LeasesMemory) -> None:
         """Go on from where others were."""
         self._epoch, self._leases = memory.epoch, dict(_copied(memory.leases))
+        self._ended = dict(memory.ended)
 
     def of(self, robot: str) -> Lease | None:
         """The lease of a robot, whoever holds it."""
@@ -74,6 +77,15 @@ class Leases:
         """The lease of a robot, if `token` is its token."""
         lease = self._leases.get(robot)
         return lease if lease is not None and lease.token == token else None
+
+    def tokens(self) -> list[str]:
+        """Tokens of all leases; any thread may ask."""
+        return [lease.token for lease in tuple(self._leases.values()) if lease is not None]
+
+    def newest_tokens(self, robot: str) -> tuple[str | None, str | None]:
+        """Tokens of a robot's lease and of the one that ended last, where there are such; any thread may ask."""
+        lease = self._leases.get(robot)
+        return lease.token if lease else None, self._ended.get(robot)
 
     def grant(self, robot: str, client: str, connection: Sender | None, time_s: float) -> Lease:
         """A new lease, in place of the one before."""
@@ -97,6 +109,7 @@ class Leases:
         """Take a lease away, unless another has taken its place already."""
         if self._leases[lease.robot] is lease:
             self._leases[lease.robot] = None
+            self._ended[lease.robot] = lease.token
 
     def expired(self, time_s: float) -> list[Lease]:
         """The leases that have run out."""

@@ -13,6 +13,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.messages import (
+    Challenge,
     ContactRequest,
     DryRunRequest,
     Error,
@@ -27,6 +28,7 @@ from deltaq_protocol.session import open_session
 from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.hli.port import Port
+from deltaq_services.hli.sieve import Sieve, Sifted
 from deltaq_services.hli.zenoh_session import LoopSession
 from deltaq_services.outputs import Output, Sender
 
@@ -64,20 +66,23 @@ class OpenFront:
         self._cell = cell.cell
         self._increment_keys = {robot: topics.INCREMENT.key(cell.cell, robot=robot) for robot in cell.robots}
         self._port = port
+        self._description = pack(port.core.description)
         self._stamps = stamps_if_asked("hli", list(cell.robots))
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
         opened = open_session(listen=[cell.hli], access=rules)
         session = self._session = LoopSession(opened, cell.cell, port.loop)
-        session.subscribe(topics.INCREMENT, self._on_increment)
-        session.answer(topics.LEASE, self._on_lease)
-        session.answer(topics.IO, self._on_io)
-        session.answer(topics.RESET, self._on_reset)
+        self._sieve = Sieve(self._increment_keys, cell.cycle_s, port.authentication, port.now)
+        session.subscribe_sifted(topics.INCREMENT, self._sieve.sift, self._on_increment)
+        session.answer(topics.LEASE, self._on_lease, self._is_proven)
+        session.answer(topics.IO, self._on_io, self._is_proven)
+        session.answer(topics.RESET, self._on_reset, self._is_proven)
         session.answer(topics.STOP, self._on_stop)
-        session.answer(topics.DRY_RUN, self._on_dry_run)
-        session.answer(topics.CONTACT, self._on_contact)
-        session.answer(topics.STATUS, self._on_status)
+        session.answer(topics.DRY_RUN, self._on_dry_run, _is_nobody_s)
+        session.answer_at_once(topics.CHALLENGE, self._on_challenge)
+        session.answer(topics.CONTACT, self._on_contact, self._is_proven)
+        session.answer(topics.STATUS, self._on_status, _is_nobody_s)
         # clients ask for the description first: when it is there, so is everything above
-        session.answer(topics.DESCRIPTION, self._on_description)
+        session.answer_at_once(topics.DESCRIPTION, self._on_description)
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the open realm."""
@@ -88,19 +93,21 @@ class OpenFront:
 
     def counters(self) -> Counter[str]:
         """What the session counted."""
-        return self._session.counters()
+        return self._session.counters() + self._sieve.counters()
 
     def close(self) -> None:
         """Close the realm to clients."""
         self._session.close()
 
-    def _on_increment(self, sample: zenoh.Sample) -> None:
+    def _on_increment(self, sifted: Sifted) -> None:
         port = self._port
         try:
-            increment = unpack(Increment, sample.payload.to_bytes())
-            if self._increment_key(increment.robot) != str(sample.key_expr):
-                raise _wrong_key(increment.robot, str(sample.key_expr))
+            increment = unpack(Increment, sifted.payload)
+            if increment.robot != sifted.robot:
+                raise _wrong_key(increment.robot, self._increment_keys[sifted.robot])
+            increment = increment.model_copy(update={"lease": sifted.token})
         except InvalidMessageError as error:
+            error.data["lease"] = sifted.token
             outputs = port.core.increments.on_bad_increment(error, None, port.now())
         else:
             if self._stamps is not None:
@@ -109,9 +116,6 @@ class OpenFront:
                 )
             outputs = port.core.increments.on_increment(increment, None, port.now())
         port.carry_out(outputs)
-
-    def _increment_key(self, robot: str) -> str:
-        return self._increment_keys.get(robot) or topics.INCREMENT.key(self._cell, robot=robot)
 
     def _on_lease(self, query: zenoh.Query) -> None:
         requests = self._port.core.requests
@@ -130,11 +134,16 @@ class OpenFront:
         port = self._port
         sender = QuerySender(query, topics.CONTACT.key(self._cell))
         try:
-            request = unpack(ContactRequest, query.payload.to_bytes() if query.payload else b"")
+            request = unpack(ContactRequest, _payload(query))
+            request = request.model_copy(update={"token": self._role_token(query)})
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
             port.carry_out(port.core.requests.on_contact(request, sender, port.now()))
+
+    def _on_challenge(self, query: zenoh.Query) -> None:
+        challenge = self._port.authentication.challenge(self._port.now())
+        QuerySender(query, topics.CHALLENGE.key(self._cell)).deliver(Challenge(challenge=challenge.hex()))
 
     def _on_stop(self, query: zenoh.Query) -> None:
         # a stop is obeyed whatever the message says
@@ -145,7 +154,8 @@ class OpenFront:
         QuerySender(query, topics.STATUS.key(self._cell)).deliver(self._port.status())
 
     def _on_description(self, query: zenoh.Query) -> None:
-        QuerySender(query, topics.DESCRIPTION.key(self._cell)).deliver(self._port.core.description)
+        with query:
+            query.reply(topics.DESCRIPTION.key(self._cell), self._description)
 
     def _answer(
         self,
@@ -157,14 +167,49 @@ class OpenFront:
         port = self._port
         sender = QuerySender(query, topic.key(self._cell))
         try:
-            request = unpack(request_type, query.payload.to_bytes() if query.payload else b"")
+            request = unpack(request_type, _payload(query))
             sender.key = topic.key(self._cell, robot=request.robot)
             if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
                 raise _wrong_key(request.robot, str(query.key_expr))
+            request = self._proven(request, query)
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
             port.carry_out(decide(request, sender, port.now()))
+
+    def _proven(self, request: RobotRequest, query: zenoh.Query) -> RobotRequest:
+        """A request with what its proof stands for, whatever it says itself."""
+        fields: dict[str, str | None] = {}
+        if isinstance(request, LeaseRequest | IoRequest):
+            fields["lease"] = self._port.authentication.holder(
+                request.robot, str(query.key_expr), _payload(query), _proof(query)
+            )
+        if isinstance(request, LeaseRequest | ResetRequest):
+            fields["token"] = self._role_token(query)
+        return request.model_copy(update=fields)
+
+    def _is_proven(self, query: zenoh.Query) -> bool:
+        """Whether it is a holder's or the operator's, in zenoh's thread: a flood of others takes no place of theirs."""
+        proof = _proof(query)
+        return bool(proof) and self._port.authentication.is_known(str(query.key_expr), _payload(query), proof)
+
+    def _role_token(self, query: zenoh.Query) -> str | None:
+        return self._port.authentication.token(
+            str(query.key_expr), _payload(query), _proof(query), self._port.now()
+        )
+
+
+def _is_nobody_s(_query: zenoh.Query) -> bool:
+    """Anybody may ask; nobody goes first."""
+    return False
+
+
+def _payload(query: zenoh.Query) -> bytes:
+    return query.payload.to_bytes() if query.payload else b""
+
+
+def _proof(query: zenoh.Query) -> bytes:
+    return query.attachment.to_bytes() if query.attachment else b""
 
 
 def _wrong_key(robot: str, key: str) -> InvalidMessageError:

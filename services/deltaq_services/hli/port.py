@@ -6,14 +6,18 @@ import asyncio
 from typing import Protocol
 
 from deltaq_protocol.messages import Status
+from deltaq_services.hli.authentication import Authentication
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Output
 
 
 class Port(Protocol):
-    """Core, loop, clock, and a way to carry out what the core decides."""
+    """Core, who is who, loop, clock, and a way to carry out what the core decides."""
 
     core: HliCore
+    authentication: Authentication
+    roles: ClientRoles
     loop: asyncio.AbstractEventLoop
 
     def now(self) -> float:

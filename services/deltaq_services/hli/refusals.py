@@ -15,15 +15,18 @@ from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
 _LONGEST_NAME = 64
 
 
-def refusal(robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
-    """Send the verdict `refused` on an increment to the sender and to every watcher.
+def refusal(
+    robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None, is_holders: bool
+) -> list[Output]:
+    """Send the verdict `refused` on an increment to the sender; on the holder's, to every watcher too.
 
-    A sender over zenoh reads the open verdict: a zenoh sample does not say where it came from.
+    A sender over zenoh reads the open verdict: a zenoh sample does not say where it came from. It holds the lease, or
+    has just lost it.
     """
     verdict = Verdict(robot=robot, cycle=cycle, seq=seq, outcome=Outcome.REFUSED, reasons=(reason,))
-    outputs: list[Output] = [ToTopic(topics.VERDICT, robot, verdict)]
-    if sender is not None:
-        outputs.insert(0, ToSender(sender, verdict))
+    outputs: list[Output] = [] if sender is None else [ToSender(sender, verdict)]
+    if is_holders or sender is None:
+        outputs.append(ToTopic(topics.VERDICT, robot, verdict))
     return outputs
 
 
@@ -31,10 +34,15 @@ def answered_by_error(data: Mapping[str, object]) -> dict[str, Any]:
     """The fields of an `Error` that name what it answers, from a request whatever its fields hold."""
     kind, robot, seq = data.get("type"), data.get("robot"), data.get("seq")
     return {
-        "request": kind[:_LONGEST_NAME] if isinstance(kind, str) else None,
-        "robot": robot[:_LONGEST_NAME] if isinstance(robot, str) else None,
+        "request": _text(kind) if isinstance(kind, str) else None,
+        "robot": _text(robot) if isinstance(robot, str) else None,
         "seq": seq if isinstance(seq, int) and not isinstance(seq, bool) and abs(seq) < 2**63 else None,
     }
+
+
+def _text(name: str) -> str:
+    """A name as it can be sent: JSON can smuggle in half a surrogate pair, which is no text."""
+    return name[:_LONGEST_NAME].encode(errors="replace").decode()
 
 
 def unknown_robot(robot: str) -> Reason:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 from collections.abc import Iterable
 
 from deltaq_protocol.messages import (
@@ -19,6 +18,7 @@ from deltaq_protocol.messages import (
     ResetRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.client_roles import ClientRole, ClientRoles
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.state import HliState
 from deltaq_services.outputs import Output, Sender, ToSender
@@ -31,12 +31,12 @@ class Requests:
 
     Args:
         state: of the HLI.
-        operator_token: where given, `take` and `reset` need it.
+        roles: who may `take`, `reset` and switch contacts, and who may have a lease at all.
     """
 
-    def __init__(self, state: HliState, operator_token: str | None) -> None:
+    def __init__(self, state: HliState, roles: ClientRoles) -> None:
         self._state = state
-        self._operator_token = operator_token
+        self._roles = roles
 
     def on_lease(self, request: LeaseRequest, sender: Sender, time_s: float) -> list[Output]:
         """Acquire, renew, release or take the lease of a robot."""
@@ -57,6 +57,8 @@ class Requests:
             self._state.leases.renew(own, time_s)
         elif request.action is LeaseAction.RENEW:
             code = ReasonCode.LEASE_NOT_HELD
+        elif self._roles.of(request.token) < ClientRole.CONTROLLER:
+            code = ReasonCode.NOT_PERMITTED
         elif request.action is LeaseAction.ACQUIRE and current is not None:
             code = ReasonCode.LEASE_TAKEN
         elif request.action is LeaseAction.TAKE and not self._is_operator(request.token):
@@ -75,6 +77,8 @@ class Requests:
     def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
         """Bring every robot to rest; anyone may."""
         self._state.counters["stops"] += 1
+        if self._state.commands.join_stop(sender):
+            return []
         outputs = self._state.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
         command = self._state.new_command(kind="stop", reason=ReasonCode.OPERATOR_STOP)
         return outputs + self._state.command(command, sender, Done(what="stop"), time_s)
@@ -149,6 +153,11 @@ class Requests:
             return outputs + self._error(
                 sender, request, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first"
             )
+        elif request.outputs and self._roles.controller_token is not None:
+            text = f"outputs of {robot} are set by the holder of its lease, and nobody holds it"
+            return outputs + self._error(
+                sender, request, ReasonCode.LEASE_NOT_HELD, text, "acquire the lease first"
+            )
         state = self._state.links[robot].state
         before = state.outputs if state else {}
         reply = IoReply(robot=robot, outputs=before | request.outputs, inputs=state.inputs if state else {})
@@ -188,10 +197,7 @@ class Requests:
         )
 
     def _is_operator(self, token: str | None) -> bool:
-        wanted = self._operator_token
-        # JSON can smuggle in half a surrogate pair, which is no text
-        given = (token or "").encode(errors="replace")
-        return wanted is None or hmac.compare_digest(given, wanted.encode())
+        return self._roles.of(token) is ClientRole.OPERATOR
 
     def _robots_are(self, robot: str) -> tuple[str, str]:
         return f"the cell has no robot {robot}", "it has " + ", ".join(self._state.links)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import ssl
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -13,6 +14,8 @@ from deltaq_protocol import topics
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
 from deltaq_protocol.topic import Realm
+from deltaq_services.hli.authentication import Authentication
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
@@ -30,7 +33,8 @@ class Hli:
         cell: description of the cell.
         told: the cell's description for clients.
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
-        operator_token: where given, `take` and `reset` need it.
+        roles: of clients; None: everybody is an operator.
+        encryption: of the lines over TCP; None: they are in the clear.
 
     Raises:
         ServiceUnreachableError: on entering, if the open realm's endpoint cannot be listened on.
@@ -42,13 +46,17 @@ class Hli:
         cell: CellDescription,
         description: Description,
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
-        operator_token: str | None = None,
+        roles: ClientRoles | None = None,
+        encryption: ssl.SSLContext | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
+        self.roles = roles or ClientRoles()
+        self._encryption = encryption
         self.core = HliCore(
-            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, operator_token
+            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, self.roles
         )
+        self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32))
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
@@ -56,7 +64,7 @@ class Hli:
     async def __aenter__(self) -> Hli:
         self.loop = asyncio.get_running_loop()
         self._tcp = TcpFront(self)
-        await self._tcp.listen(self._cell.tcp_address, self._cell.tcp_port)
+        await self._tcp.listen(self._cell.tcp_address, self._cell.tcp_port, self._encryption)
         try:
             self._guarded = GuardedFront(self._cell, self)
             try:

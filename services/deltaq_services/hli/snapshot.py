@@ -21,6 +21,7 @@ class HliMemory:
         gate: its newest heartbeat, and when that was heard.
         heard_s: when each stream was heard.
         proximity_s: when the nearest pair is due.
+        command_rate: what clients may still ask of the gate.
     """
 
     leases: LeasesMemory
@@ -30,3 +31,4 @@ class HliMemory:
     gate: tuple[Health | None, float]
     heard_s: tuple[tuple[float, ...], ...]
     proximity_s: float
+    command_rate: tuple[float, float | None]

@@ -18,6 +18,10 @@ from deltaq_services.hli.leases import Lease, Leases
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
+from deltaq_services.rate_limit import RateLimit
+
+MOST_COMMANDS_S = 100.0
+"""Commands of clients that the gate gets in a second, and at once: each costs it time. Stops do not count."""
 
 
 class HliState:
@@ -44,6 +48,7 @@ class HliState:
         self.counters: Counter[str] = Counter()
         self.leases = Leases(cell.robots, cell.lease_s, new_token, first_epoch)
         self.commands = Commands(first_epoch)
+        self.command_rate = RateLimit(MOST_COMMANDS_S)
         self.links = {
             name: RobotLink(
                 len(robot.joints),
@@ -91,11 +96,19 @@ class HliState:
                     outputs += self.end_lease(lease)
         return outputs
 
-    def refuse(self, robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None) -> list[Output]:
-        """Refuse an increment: count it, and send the verdict to the sender and to every watcher."""
+    def refuse(
+        self,
+        robot: str,
+        cycle: int,
+        seq: int,
+        reason: Reason,
+        sender: Sender | None,
+        is_holders: bool = True,
+    ) -> list[Output]:
+        """Refuse an increment: count it, and send the verdict to the sender; the holder's to every watcher too."""
         self.counters["refused"] += 1
         self.counters[f"refused_{reason.code}"] += 1
-        return refusal(robot, cycle, seq, reason, sender)
+        return refusal(robot, cycle, seq, reason, sender, is_holders)
 
     def refuse_asked(self, asked: Asked, reason: Reason) -> list[Output]:
         """Refuse an increment that had been accepted before."""
@@ -153,6 +166,16 @@ class HliState:
                 code=ReasonCode.CELL_MISMATCH,
                 message=f"{command.kind} refused: {said}",
                 hint="start every service of the cell from the same description",
+                request=command.kind,
+                robot=command.robot,
+            )
+            return [] if sender is None else [ToSender(sender, error)]
+        if command.kind != "stop" and not self.command_rate.take(time_s):
+            self.counters["commands_too_many"] += 1
+            error = Error(
+                code=ReasonCode.TOO_MANY,
+                message=f"{command.kind} refused: clients ask for more than {MOST_COMMANDS_S:g} commands a second",
+                hint="ask less often",
                 request=command.kind,
                 robot=command.robot,
             )

@@ -36,8 +36,10 @@ MAX_UNREAD_BYTES = 1024 * 1024
 HELLO_DEADLINE_S = 10.0
 CLOSE_DEADLINE_S = 2.0
 """Time for a dismissed client to read the reason."""
-_LINES_A_TURN = 16
-"""Lines served before the loop turns to others, so that one flood does not starve the rest."""
+STOP_DEADLINE_S = 1.0
+"""Time for a stop on a connection that has no place for anything else."""
+_STOPS_LOOKED_FOR = 4
+"""Lines that may be stops and are looked at before their turn, each time that bytes come."""
 _SEND_BUFFER_BYTES = 64 * 1024
 """The kernel buffers no more than about this: buffered states can no longer be replaced by newer ones."""
 
@@ -59,11 +61,21 @@ class Front(Protocol):
 
     counters: Counter[str]
 
-    def admit(self, connection: TcpConnection) -> bool:
-        """Take up a connection, unless there are too many."""
+    @property
+    def description_line(self) -> bytes:
+        """The answer to `describe`."""
+
+    def admit(self, connection: TcpConnection, address: str) -> bool:
+        """Take up a connection; False: for a stop alone, since there are too many."""
+
+    def token_may_be_used(self, hello: Hello, address: str) -> bool:
+        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
 
     def leave(self, connection: TcpConnection) -> None:
         """Forget a connection that broke."""
+
+    def wants_turn(self, connection: TcpConnection) -> None:
+        """A connection has a line waiting."""
 
 
 class TcpConnection(asyncio.Protocol, Sender):
@@ -87,6 +99,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._searched = 0
         self._malformed_in_a_row = 0
         self._is_slow = False
+        self._for_stop_alone = False
+        self._address = ""
         self._newest_states: dict[str, bytes] = {}
         self._hello_deadline: asyncio.TimerHandle | None = None
         self.leases: dict[str, str] = {}
@@ -100,15 +114,23 @@ class TcpConnection(asyncio.Protocol, Sender):
         transport.set_write_buffer_limits(high=_SEND_BUFFER_BYTES)
         sock: socket.socket = transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        if not self._front.admit(self):
-            self.close()
+        peer = transport.get_extra_info("peername")
+        self._address = peer[0] if peer else ""
+        if not self._front.admit(self, self._address):
+            self._for_stop_alone = True
+            self._port.loop.call_later(STOP_DEADLINE_S, self.close)
             return
         self._hello_deadline = self._port.loop.call_later(HELLO_DEADLINE_S, self._hello_is_overdue)
 
     def data_received(self, data: bytes) -> None:
         """Bytes have come."""
+        begin = len(self._received)
         self._received += data
-        self._serve_lines()
+        self._obey_stops(begin)
+        if self._for_stop_alone:
+            self._forget_lines()
+        elif self._has_line():
+            self._front.wants_turn(self)
 
     def pause_writing(self) -> None:
         """The client reads more slowly than it is written to."""
@@ -136,7 +158,8 @@ class TcpConnection(asyncio.Protocol, Sender):
             message = message.model_copy(update={"lease": None})
         if self._transport.is_closing():
             return
-        self._transport.write(to_line(message))
+        is_description = message is self._port.core.description
+        self._transport.write(self._front.description_line if is_description else to_line(message))
         if self._transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
             self._front.counters["tcp_not_reading"] += 1
             self._transport.abort()
@@ -159,26 +182,57 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     # --- in -----------------------------------------------------------------------------------------
 
-    def _serve_lines(self) -> None:
-        for _ in range(_LINES_A_TURN):
-            if self._transport.is_closing():
-                return
-            end = self._received.find(b"\n", self._searched)
-            length = end if end >= 0 else len(self._received)
-            if length > MAX_LINE_BYTES:
-                text = f"a line of {length} bytes or more; at most {MAX_LINE_BYTES} are allowed"
-                self._give_up(text, "end every message with a newline")
-                return
-            if end < 0:
-                self._searched = length
-                self._transport.resume_reading()
-                return
+    def serve_line(self) -> bool:
+        """Serve the line that waits; whether another one does."""
+        if self._transport.is_closing():
+            return False
+        end = self._received.find(b"\n", self._searched)
+        if end >= 0:
             line = bytes(self._received[:end])
             del self._received[: end + 1]
             self._searched = 0
             self._serve(line)
-        self._transport.pause_reading()
-        self._port.loop.call_soon(self._serve_lines)
+        return self._has_line()
+
+    def _has_line(self) -> bool:
+        """Whether a whole line waits; a line without an end that is too long ends the connection."""
+        if self._transport.is_closing():
+            return False
+        end = self._received.find(b"\n", self._searched)
+        length = end if end >= 0 else len(self._received)
+        if length > MAX_LINE_BYTES:
+            text = f"a line of {length} bytes or more; at most {MAX_LINE_BYTES} are allowed"
+            self._give_up(text, "end every message with a newline")
+            return False
+        self._searched = length
+        # what waits in the system's buffers keeps its sender waiting, and nobody else
+        if end >= 0 and len(self._received) > MAX_LINE_BYTES:
+            self._transport.pause_reading()
+        else:
+            self._transport.resume_reading()
+        return end >= 0
+
+    def _obey_stops(self, begin: int) -> None:
+        """Obey a stop that has come whole, whatever came before it and waits; `begin`: what was looked at before."""
+        start = self._received.rfind(b"\n", 0, begin) + 1
+        for _ in range(_STOPS_LOOKED_FOR):
+            found = self._received.find(b'"stop"', start)
+            end = self._received.find(b"\n", found) if found >= 0 else -1
+            if end < 0:
+                return
+            start = self._received.rfind(b"\n", 0, found) + 1
+            if end - start <= MAX_LINE_BYTES and _is_stop(bytes(self._received[start:end])):
+                del self._received[start : end + 1]
+                self._searched = 0
+                self._port.carry_out(self._port.core.take(StopRequest(), self._port.now(), self))
+                return
+            start = end + 1
+
+    def _forget_lines(self) -> None:
+        """Keep only the line that has not ended yet, of a length that a stop can have."""
+        del self._received[: self._received.rfind(b"\n") + 1]
+        if len(self._received) > MAX_LINE_BYTES:
+            self.close()
 
     def _serve(self, line: bytes) -> None:
         increments, now = self._port.core.increments, self._port.now()
@@ -232,6 +286,12 @@ class TcpConnection(asyncio.Protocol, Sender):
         return core.take(request.model_copy(update=fields), now, self)
 
     def _greet(self, hello: Hello) -> list[Output]:
+        if hello.token is not None and not self._front.token_may_be_used(hello, self._address):
+            text = "wrong token, or too many wrong ones came from this address; the connection ends"
+            hint = "give the right one a second later, or none: then you may look on, and stop"
+            self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=hello.type))
+            self.close()
+            return []
         outputs = self._port.core.take(hello, self._port.now(), self)
         self._port.carry_out(outputs)
         if hello.protocol not in LINE_VERSIONS:
@@ -269,6 +329,13 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     def _hello_is_overdue(self) -> None:
         self._give_up(f"no hello within {HELLO_DEADLINE_S:g} s", "the first line of a client is its hello")
+
+
+def _is_stop(line: bytes) -> bool:
+    try:
+        return line_to_map(line).get("type") == "stop"
+    except InvalidMessageError:
+        return False
 
 
 def _hello(data: dict[str, Any]) -> Hello:

@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+import functools
+import logging
+import socket
+import ssl
 from collections import Counter
 
 from deltaq_protocol.codec import to_line
-from deltaq_protocol.messages import Error, RobotState
+from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.client_roles import Tries
+from deltaq_services.hli.line_turns import LineTurns
+from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection
 
-MAX_CONNECTIONS = 64
+_log = logging.getLogger(__name__)
+
+_LINES_A_TURN = 16
+"""Lines served before the loop turns to others: robots' states, and who else is there."""
+_WAIT_S = 0.005
+"""Where lines wait for their rates, they are looked at again after this."""
+_ACCEPTED_A_TURN = 8
+"""Connections taken up before the loop turns to others."""
+_HANDSHAKE_S = 5.0
+"""Connections that do not agree on their encryption until then end."""
+_WAITING_CONNECTIONS = 1024
+"""Connections that the system keeps until they are taken up; beyond, a newcomer waits for a second."""
 
 
 class TcpFront:
@@ -20,52 +38,120 @@ class TcpFront:
     def __init__(self, port: Port) -> None:
         self._port = port
         self._server: asyncio.Server | None = None
-        self.connections: set[TcpConnection] = set()
+        self._places: Places[TcpConnection] = Places()
+        self._turns: LineTurns[TcpConnection] = LineTurns()
+        self._tries = Tries()
+        self._is_scheduled = False
         self.counters: Counter[str] = Counter()
 
-    async def listen(self, address: str, tcp_port: int) -> None:
-        """Start to serve.
+    @property
+    def connections(self) -> tuple[TcpConnection, ...]:
+        """Clients that have a place."""
+        return tuple(self._places.clients)
+
+    @functools.cached_property
+    def description_line(self) -> bytes:
+        """The longest answer, made once."""
+        return to_line(self._port.core.description)
+
+    async def listen(self, address: str, tcp_port: int, encryption: ssl.SSLContext | None) -> None:
+        """Start to serve; `encryption`: None where lines are in the clear.
 
         Raises:
             OSError: if the address cannot be listened on.
         """
         self._server = await self._port.loop.create_server(
-            lambda: TcpConnection(self._port, self), address, tcp_port
+            lambda: TcpConnection(self._port, self),
+            address,
+            tcp_port,
+            backlog=_ACCEPTED_A_TURN,
+            ssl=encryption,
+            ssl_handshake_timeout=None if encryption is None else _HANDSHAKE_S,
         )
+        for listener in self._server.sockets:
+            # asyncio takes the length of the system's queue for the number that it accepts at once
+            with socket.socket(fileno=listener.dup().detach()) as same:
+                same.listen(_WAITING_CONNECTIONS)
 
-    def admit(self, connection: TcpConnection) -> bool:
-        """Take up a connection, unless there are too many."""
+    def admit(self, connection: TcpConnection, address: str) -> bool:
+        """Take up a connection: as a client's, or, where there is no place, for a stop alone."""
         self.counters["tcp_connections"] += 1
-        if len(self.connections) >= MAX_CONNECTIONS:
-            self.counters["tcp_connections_refused"] += 1
-            text = f"{MAX_CONNECTIONS} connections are open, no more are allowed"
-            hint = "close one that is not needed"
-            connection.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint))
+        place, gives_way = self._places.take(connection, address)
+        if gives_way is not None:
+            gives_way.close()
+        if place is Place.CLIENT:
+            return True
+        self.counters["tcp_connections_refused"] += 1
+        text = (
+            f"{MAX_CONNECTIONS} connections are open, or {MAX_OF_A_PEER} from {address}: no more are allowed"
+        )
+        hint = "close one that is not needed; a stop is obeyed here all the same, if it comes now"
+        connection.deliver(Error(code=ReasonCode.TOO_MANY, message=text, hint=hint))
+        return False
+
+    def token_may_be_used(self, hello: Hello, address: str) -> bool:
+        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
+        now = self._port.now()
+        if not self._tries.may_try(address, now):
+            self.counters["tokens_not_compared"] += 1
             return False
-        self.connections.add(connection)
-        return True
+        if not self._port.roles.is_wrong(hello.token or ""):
+            return True
+        self._tries.failed(address, now)
+        self.counters["tokens_wrong"] += 1
+        _log.warning("a wrong token from %s, who says to be %r", address, hello.client)
+        return False
 
     def leave(self, connection: TcpConnection) -> None:
         """Forget a connection that broke, and tell the core what it held."""
-        if connection not in self.connections:
-            return
-        self.connections.discard(connection)
-        outputs = self._port.core.requests.on_connection_lost(connection.leases.items(), self._port.now())
-        self._port.carry_out(outputs)
+        self._turns.leave(connection)
+        if self._places.leave(connection):
+            outputs = self._port.core.requests.on_connection_lost(connection.leases.items(), self._port.now())
+            self._port.carry_out(outputs)
+
+    def wants_turn(self, connection: TcpConnection) -> None:
+        """A connection has a line waiting; it is served at once, or when its turn comes."""
+        self._turns.wait(connection, is_holder=bool(connection.leases))
+        if not self._is_scheduled:
+            self._serve()
 
     def publish_state(self, state: RobotState) -> None:
         """Send a state to everybody who has said hello."""
-        if self.connections:
+        if self._places.clients:
             line = to_line(state)
-            for connection in tuple(self.connections):
+            for connection in self.connections:
                 connection.deliver_state(state.robot, line)
 
     async def close(self) -> None:
         """Stop serving and close every connection."""
         if self._server is not None:
             self._server.close()
-            # cleared first: a connection that the server closes is no lost controller
-            connections, self.connections = self.connections, set()
+            # forgotten first: a connection that the server closes is no lost controller
+            connections, self._places = self.connections, Places()
             for connection in connections:
                 connection.close()
             await self._server.wait_closed()
+
+    def _serve(self) -> None:
+        self._is_scheduled = True
+        for _ in range(_LINES_A_TURN):
+            connection = self._turns.next(self._port.now())
+            if connection is None:
+                break
+            try:
+                has_more = connection.serve_line()
+            except Exception:  # no line may end the process, or keep others from their turns
+                self.counters["failed"] += 1
+                _log.exception("a line could not be served")
+                has_more = False
+                connection.close()
+            if has_more:
+                self._turns.wait(connection, is_holder=bool(connection.leases))
+        else:
+            self._port.loop.call_soon(self._serve)
+            return
+        self._is_scheduled = False
+        if self._turns:
+            self._is_scheduled = True
+            self.counters["tcp_lines_slowed"] += 1
+            self._port.loop.call_later(_WAIT_S, self._serve)

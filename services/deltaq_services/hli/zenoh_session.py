@@ -5,20 +5,27 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import zenoh
 
 from deltaq_protocol.codec import pack
-from deltaq_protocol.inbox import ClientInbox
+from deltaq_protocol.inbox import ITEMS_A_TURN, ClientInbox
 from deltaq_protocol.messages import Message
 from deltaq_protocol.seal import Seal
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
+from deltaq_services.hli.flood_wait import FloodWait
+
+T = TypeVar("T")
 
 _WAITING = 256
 """Samples or queries of one topic that may wait for the loop; at rest there is none."""
+_QUERIES_S = 200.0
+"""Of one topic, of all who prove nothing: whoever asks more has to wait, and nobody else."""
+_QUERIES_A_TURN = 4
+"""Of one topic, before the loop turns to others: robots' states do not wait for a flood of questions."""
 
 
 class LoopSession:
@@ -40,14 +47,60 @@ class LoopSession:
         self._publishers: dict[tuple[str, ...], Any] = {}
         self._served = ServedInLoop(session, loop)
         self._inboxes: dict[str, ClientInbox[Any]] = {}
+        self._first: list[ClientInbox[Any]] = []
 
     def subscribe(self, topic: Topic, take: Callable[[zenoh.Sample], None]) -> None:
         """Call `take` in the loop with every sample of a topic, of any robot and service."""
         self._served.subscribe(topic.key(self._cell), self._inbox(topic, take).put)
 
-    def answer(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
-        """Call `take` in the loop with every query of a topic, of any robot."""
-        self._served.answer(topic.key(self._cell), self._inbox(topic, take).put)
+    def subscribe_sifted(
+        self, topic: Topic, sift: Callable[[zenoh.Sample], T | None], take: Callable[[T], None]
+    ) -> None:
+        """The same, with what `sift` makes of a sample in zenoh's thread; None: the loop does not hear of it."""
+        inbox = self._inbox(topic, take)
+
+        def put(sample: zenoh.Sample) -> None:
+            sifted = sift(sample)
+            if sifted is not None:
+                inbox.put(sifted)
+
+        self._served.subscribe(topic.key(self._cell), put)
+
+    def answer_at_once(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
+        """Call `take` in zenoh's thread with every query of a topic; for answers that take no thought."""
+        flood = FloodWait(_QUERIES_S)
+
+        def answer(query: zenoh.Query) -> None:
+            take(query)
+            flood.one_more()
+
+        self._served.answer(topic.key(self._cell), answer)
+
+    def answer(
+        self,
+        topic: Topic,
+        take: Callable[[zenoh.Query], None],
+        goes_first: Callable[[zenoh.Query], bool] | None = None,
+    ) -> None:
+        """Call `take` in the loop with every query of a topic, of any robot.
+
+        Those that `goes_first` names, which zenoh's thread asks, wait apart from the others.
+        """
+        inbox = self._inbox(topic, take, _QUERIES_A_TURN)
+        if goes_first is None:
+            self._served.answer(topic.key(self._cell), inbox.put)
+            return
+        first, flood = self._served.inbox(take, _WAITING), FloodWait(_QUERIES_S)
+        self._first.append(first)
+
+        def put(query: zenoh.Query) -> None:
+            if goes_first(query):
+                first.put(query)
+            else:
+                inbox.put(query)
+                flood.one_more()
+
+        self._served.answer(topic.key(self._cell), put)
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
@@ -67,13 +120,15 @@ class LoopSession:
     def counters(self) -> Counter[str]:
         """Counts of messages that were dropped because they came too fast, and of those that could not be served."""
         counters = Counter({f"{name}_dropped": inbox.dropped for name, inbox in self._inboxes.items()})
-        counters["failed"] = sum(inbox.failed for inbox in self._inboxes.values())
+        counters["failed"] = sum(inbox.failed for inbox in (*self._inboxes.values(), *self._first))
         return counters
 
     def close(self) -> None:
         """Stop listening, and close the session."""
         self._served.close()
 
-    def _inbox(self, topic: Topic, take: Callable[[Any], None]) -> ClientInbox[Any]:
-        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING)
+    def _inbox(
+        self, topic: Topic, take: Callable[[Any], None], a_turn: int = ITEMS_A_TURN
+    ) -> ClientInbox[Any]:
+        inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING, a_turn)
         return inbox

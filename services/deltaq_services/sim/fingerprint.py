@@ -31,7 +31,15 @@ _CODE = (
 _LIBRARIES = ("coal", "pin", "numpy", "numba", "llvmlite")
 """Libraries whose arithmetic verdicts depend on, and those that compile it."""
 
-_ELSEWHERE = {"hli", "sim", "tcp_address", "tcp_port", "lease_s"}
+_ELSEWHERE = {
+    "hli",
+    "sim",
+    "tcp_address",
+    "tcp_port",
+    "lease_s",
+    "clients_need_tokens",
+    "anyone_who_connects_may_move_the_robots",
+}
 _ELSEWHERE_OF_ROBOT = {"server", "driver", "servo_lag", "camera", "model"}
 
 

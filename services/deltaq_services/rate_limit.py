@@ -1,4 +1,4 @@
-"""How many messages a browser may send: so many a second, and as many at once."""
+"""How many messages one sender may send: so many a second, and as many at once."""
 
 from __future__ import annotations
 
@@ -17,6 +17,19 @@ class RateLimit:
         self.most_s = most_s
         self._left = most_s
         self._at_s: float | None = None
+
+    def snapshot(self) -> tuple[float, float | None]:
+        """What is left, and since when, for `restore`."""
+        return self._left, self._at_s
+
+    def restore(self, memory: tuple[float, float | None]) -> None:
+        """Go on from where another was."""
+        self._left, self._at_s = memory
+
+    def has_left(self, now_s: float) -> bool:
+        """Whether one more would be allowed now."""
+        since_s = 0.0 if self._at_s is None else now_s - self._at_s
+        return self._left + since_s * self.most_s >= 1.0
 
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed now."""

@@ -1,0 +1,86 @@
+"""Who a zenoh message is from, as far as it proves it: the holder of a lease, or who has the token of a role.
+
+Plain decisions; the shell passes the time in. What is not proven is not decoded.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from deltaq_protocol.codec import MAX_MESSAGE_BYTES
+from deltaq_protocol.proof import key_of, proven_nonce
+from deltaq_services.hli.challenges import Challenges
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.leases import Leases
+
+
+class Proven(NamedTuple):
+    """The token of a lease, and whether it is the present one."""
+
+    token: str
+    is_present: bool
+
+
+class Authentication:
+    """Checks proofs.
+
+    Args:
+        leases: whose secrets may have proven something.
+        roles: whose tokens may have proven something.
+        secret: that challenges are made with, different each time.
+    """
+
+    def __init__(self, leases: Leases, roles: ClientRoles, secret: str) -> None:
+        self._leases = leases
+        self._roles = roles
+        self._challenges = Challenges(secret)
+        self._counts: dict[str, tuple[str, int]] = {}
+
+    def holder_of_increment(self, robot: str, key: str, message: bytes, proof: bytes) -> Proven | None:
+        """Under which lease an increment was sent: the present one, or the one before it; any thread may ask.
+
+        One of the lease before comes from a holder that has not heard of its loss yet, and is to be told.
+        """
+        if len(message) > MAX_MESSAGE_BYTES:
+            return None
+        present, ended = self._leases.newest_tokens(robot)
+        for token in (present, ended):
+            if token is not None and proven_nonce(key_of(token), key, message, proof) == b"":
+                return Proven(token, token == present)
+        return None
+
+    def holder(self, robot: str, key: str, message: bytes, proof: bytes) -> str | None:
+        """Token of the lease whose holder made a request, if it is a new one."""
+        lease = self._leases.of(robot)
+        if lease is None or len(message) > MAX_MESSAGE_BYTES:
+            return None
+        nonce = proven_nonce(key_of(lease.token), key, message, proof)
+        if not nonce:
+            return None
+        token, count = self._counts.get(robot, ("", 0))
+        newest = count if token == lease.token else 0
+        if (asked := int.from_bytes(nonce, "big")) <= newest:
+            return None
+        self._counts[robot] = lease.token, asked
+        return lease.token
+
+    def is_known(self, key: str, message: bytes, proof: bytes) -> bool:
+        """Whether any holder, or who has a token, made a request, new or not; any thread may ask."""
+        if len(message) > MAX_MESSAGE_BYTES:
+            return False
+        tokens = (*self._leases.tokens(), *self._roles.tokens)
+        return any(proven_nonce(key_of(token), key, message, proof) is not None for token in tokens)
+
+    def challenge(self, time_s: float) -> bytes:
+        """A challenge for the next request with a token; any thread may ask."""
+        return self._challenges.new(time_s)
+
+    def token(self, key: str, message: bytes, proof: bytes, time_s: float) -> str | None:
+        """The token of a role that a request proves, in answer to a challenge that is not used yet."""
+        if len(message) > MAX_MESSAGE_BYTES:
+            return None
+        for token in self._roles.tokens:
+            nonce = proven_nonce(key_of(token), key, message, proof)
+            if nonce and self._challenges.accept(nonce, time_s):
+                return token
+        return None

@@ -1,0 +1,51 @@
+"""Challenges that a request of the operator answers, each good once and not for long.
+
+None is kept: the server knows its own by their MAC, so that whoever asks for a million takes nobody's away. Those
+that were used are remembered as long as they would be good, and only who knows the operator's token can use one.
+"""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from hashlib import blake2b
+from hmac import compare_digest
+
+GOOD_FOR_S = 5.0
+"""Between the challenge and the request lies one round trip."""
+
+_MADE = struct.Struct(">dQ")
+_MAC_BYTES = 32
+
+
+class Challenges:
+    """Makes challenges, and knows its own again.
+
+    Args:
+        secret: different in each process.
+    """
+
+    def __init__(self, secret: str) -> None:
+        self._key = blake2b(secret.encode(), digest_size=_MAC_BYTES).digest()
+        self._counts = itertools.count(1)
+        self._used: dict[bytes, float] = {}
+
+    def new(self, time_s: float) -> bytes:
+        """A challenge that was never made before; any thread may ask."""
+        made = _MADE.pack(time_s, next(self._counts))
+        return made + self._mac(made)
+
+    def accept(self, challenge: bytes, time_s: float) -> bool:
+        """Whether a challenge is one of this process's, fresh, and was never accepted before."""
+        self._used = {used: until_s for used, until_s in self._used.items() if time_s <= until_s}
+        made = challenge[: _MADE.size]
+        if len(made) < _MADE.size or not compare_digest(self._mac(made), challenge[_MADE.size :]):
+            return False
+        until_s = _MADE.unpack(made)[0] + GOOD_FOR_S
+        if time_s > until_s or challenge in self._used:
+            return False
+        self._used[challenge] = until_s
+        return True
+
+    def _mac(self, made: bytes) -> bytes:
+        return blake2b(made, digest_size=_MAC_BYTES, key=self._key).digest()

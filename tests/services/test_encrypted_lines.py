@@ -1,0 +1,70 @@
+"""JSON lines over TLS, with a certificate as the page tells to make one, and the client that it prints."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import ssl
+import subprocess
+
+import pytest
+from guarded_peer import guarded_peer
+from json_client import JsonClient
+from small_cell import small_cell, told, tool_pose
+
+from deltaq_services.hli import tcp_front
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.line_encryption import line_encryption
+from deltaq_services.hli.shell import Hli
+
+TOKEN = "an operator's token"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """As docs/how-to/talk-over-a-socket.md tells to make them."""
+    folder = tmp_path_factory.mktemp("certificate")
+    names = "subjectAltName=IP:127.0.0.1"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
+         "-subj", "/CN=deltaq", "-addext", names, "-keyout", folder / "lines.key", "-out", folder / "lines.pem"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    return {
+        "DELTAQ_LINES_CERTIFICATE_FILE": str(folder / "lines.pem"),
+        "DELTAQ_LINES_KEY_FILE": str(folder / "lines.key"),
+    }
+
+
+async def test_over_tls_a_client_is_served_as_in_the_clear_and_in_the_clear_it_is_not(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tcp_front, "_HANDSHAKE_S", 0.2)
+    cell = small_cell(clients_need_tokens=True)
+    encryption = line_encryption(cell, files)
+    trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
+    async with (
+        guarded_peer(cell) as peer,
+        Hli(cell, told(cell), tool_pose, ClientRoles(TOKEN), encryption) as hli,
+    ):
+        cycle = await peer.turn()
+        with pytest.raises(ssl.SSLCertVerificationError):
+            await asyncio.open_connection("127.0.0.1", cell.tcp_port, ssl=ssl.create_default_context())
+        reader, writer = await asyncio.open_connection("127.0.0.1", cell.tcp_port, ssl=trusted, limit=2**22)
+        client = JsonClient(reader, writer)
+        await client.ask("welcome", type="hello", protocol=1, client="tls", token=TOKEN)
+        assert (await client.ask("lease", type="lease", robot="fr", action="take"))["granted"]
+        client.send(type="increment", robot="fr", seq=1, cycle=cycle, dq=[0.0] * 6)
+        assert (await client.receive("verdict"))["outcome"] == "admitted"
+        clear = await asyncio.open_connection("127.0.0.1", cell.tcp_port)
+        silent = socket.create_connection(("127.0.0.1", cell.tcp_port))
+        clear[1].write(b'{"type":"stop"}\n')
+        await JsonClient(*clear).ended()
+        assert "stops" not in hli.status().hli
+        assert len(hli._tcp.connections) == 1
+        silent.close()
+        for end in (writer, clear[1]):
+            end.close()
+            with contextlib.suppress(OSError):
+                await end.wait_closed()
