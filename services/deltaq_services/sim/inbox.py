@@ -139,8 +139,8 @@ class Inbox:
     def goes_after(self, state: ServerState) -> int:
         """The cycle after which the setpoint is sent that is decided next on this state.
 
-        It follows the one that was decided last. Where that has been sent, a robot that brakes goes on at once; one that
-        rests can wait, so that as much is in flight as may be.
+        It follows the one that was decided last. Where that has been sent, a robot that brakes goes on at once; one
+        that rests can wait, so that as much is in flight as may be.
         """
         if self.decided_cycle >= state.cycle - 1:
             return self.decided_cycle + 1
