@@ -30,7 +30,7 @@ EXPIRY_S = {
     "output": _MOTION_S,
     "dry_run": _OTHER_S,
     "advise": _OTHER_S,
-    "reach": _MOTION_S,
+    "reach": _OTHER_S,
     "record": _OTHER_S,
     "replay": _OTHER_S,
 }

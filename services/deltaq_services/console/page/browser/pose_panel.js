@@ -75,6 +75,7 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
     const position_m = [T[12], T[13], T[14]];
     const heard = (ack) => {
       if (ack.outcome === "asked") return;
+      if (ack.outcome === "expired") asked.isWanted = true; // the pose is wanted still, and nothing moves by it
       refusal = ack.outcome === "done" ? "" : ack.text;
       setTimeout(() => {
         asked.isBusy = false;
@@ -120,7 +121,7 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
     const { search } = told;
     const cannot = live.cannotDrive(driven.name);
     const isThere = !!search?.arrived;
-    if (isThere && !wish.isActive && asked.isDragged && !asked.isBusy && !gizmo.isHeld) reset();
+    if (isThere && !refusal && !wish.isActive && asked.isDragged && !asked.isBusy && !gizmo.isHeld) reset();
     picture.show(driven.name, refusal || !asked.isDragged ? null : (way ?? null), false);
     say(words, refusal || (way ? `Forecast: ${way.text}.` : asked.isDragged ? "Looking for a way …" : ""));
     words.dataset.clear = String(!refusal && (way?.clear ?? 1) === 1);
