@@ -103,8 +103,8 @@ class Inbox:
             The request that has waited for too long, and waits no longer.
         """
         oldest = cycle - _IN_HAND_CYCLES
-        if missed:  # nothing that was decided for a later cycle will be sent
-            self.decided_cycle = min(self.decided_cycle, cycle - 1)
+        if missed:  # nothing that was decided for a later cycle will be sent, and what comes needs more time
+            self.decided_cycle = cycle + self._lookahead_cycles - 2
         decided, self.decided = self.decided, None
         if self.waiting is not None:
             return self.take() if self.waiting.cycle < oldest else None
