@@ -70,7 +70,7 @@ def test_a_state_that_was_overtaken_changes_nothing(tracker, time_s):
 def test_a_robot_server_that_began_anew_is_followed_from_there(tracker):
     for cycle in range(50, 50 + LAG):
         tracker.observe(state(cycle, 0.2, time_s=5.0 + cycle))
-    tracker.in_flight = (admission(9),)
+    tracker.admitted(admission(9))
     assert tracker.observe(state(1, 0.5, process=2))
     np.testing.assert_array_equal(first_joint(tracker.standing()), [0.5])
     assert (tracker.in_flight, tracker.missed) == ((), 0)
@@ -138,7 +138,7 @@ def test_in_cycles_that_were_not_heard_a_setpoint_cannot_have_gone_further(track
 def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tracker):
     tracker.observe(state(1))
     for cycle, (sent, followed) in enumerate([(2, 1), (3, 1), (4, 4)], start=2):
-        tracker.in_flight = (admission(sent),)
+        tracker.admitted(admission(sent))
         tracker.observe(state(cycle, sequence=followed))
         assert not tracker.in_flight
     assert tracker.missed == 2
@@ -146,7 +146,7 @@ def test_admissions_that_the_next_state_does_not_follow_are_counted_as_missed(tr
 
 def test_an_admission_of_another_epoch_is_not_the_one_that_was_sent(tracker):
     tracker.observe(state(1))
-    tracker.in_flight = (admission(2),)
+    tracker.admitted(admission(2))
     tracker.observe(state(2, sequence=2, epoch=8))
     assert tracker.missed == 1
 
@@ -160,7 +160,7 @@ def test_the_brake_is_the_next_step_that_the_robot_server_will_send(tracker):
 def test_until_a_state_confirms_it_an_admission_is_a_second_course(tracker):
     tracker.observe(state(1, plan=Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)))
     assert [list(first_joint(tube)) for tube in tracker.tubes()] == [pytest.approx([0.1, 0.102, 0.103])]
-    tracker.in_flight = (admission(2, dq=0.01, brake_cycles=2),)
+    tracker.admitted(admission(2, dq=0.01, brake_cycles=2))
     braking, admitted = tracker.tubes()
     np.testing.assert_allclose(first_joint(braking), [0.1, 0.102, 0.103])
     np.testing.assert_allclose(first_joint(admitted), [0.1, 0.11, 0.115])
@@ -169,7 +169,7 @@ def test_until_a_state_confirms_it_an_admission_is_a_second_course(tracker):
 def test_the_tubes_of_setpoints_hold_every_course_and_not_where_the_robot_is_measured(tracker):
     for cycle in range(1, LAG + 1):
         tracker.observe(state(cycle, 0.1, 0.7, plan=Plan(dq=(0.004,) * 6, brake_cycles=4, step=1)))
-    tracker.in_flight = (admission(2, dq=0.01, brake_cycles=2),)
+    tracker.admitted(admission(2, dq=0.01, brake_cycles=2))
     assert [list(first_joint(tube)) for tube in tracker.tubes_of_setpoints()] == [
         pytest.approx([0.1] * LAG + [0.102, 0.103]),
         pytest.approx([0.1] * LAG + [0.11, 0.115]),
@@ -181,7 +181,7 @@ def test_a_robot_stands_still_while_it_is_at_rest_and_nothing_is_on_its_way_to_i
     for cycle in range(1, LAG + 1):
         tracker.observe(state(cycle, 0.1))
         assert tracker.stands_still() is (cycle == LAG)
-    tracker.in_flight = (admission(2),)
+    tracker.admitted(admission(2))
     assert tracker.at_rest()
     assert not tracker.stands_still()
 
@@ -291,9 +291,9 @@ def test_the_joint_off_its_path_is_the_one_furthest_beyond_its_own_tolerance():
 def test_a_tracker_goes_on_from_what_another_remembers(tracker):
     tracker.observe(state(1, process=0))
     for cycle in range(1, LAG + 1):
-        tracker.in_flight = (admission(7),)
+        tracker.admitted(admission(7))
         tracker.observe(state(cycle, cycle / 10))
-    tracker.in_flight = (admission(8),)
+    tracker.admitted(admission(8))
     memory = tracker.snapshot()
     assert (memory.missed, memory.ended_processes) == (LAG - 1, (0,))
     assert memory.history == tuple((cycle / 10,) * 6 for cycle in range(1, LAG + 1))

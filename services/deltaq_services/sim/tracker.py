@@ -53,6 +53,7 @@ class Tracker:
         self.state: ServerState | None = None
         self.in_flight: tuple[Admission, ...] = ()
         self._ahead: Motion | None = None
+        self._known_courses: list[Branch] | None = None
         self._decided_after: int | None = None
         self._lookahead_cycles = lookahead_cycles
         self.missed = 0
@@ -79,12 +80,13 @@ class Tracker:
         elif self.state is not None:
             if state.cycle == self.state.cycle and state.time_s >= self.state.time_s:
                 # the KRC is silent, but phase, reason and plan may have changed
-                self.state, self._ahead, self._decided_after = state, None, None
+                self.state = state
+                self._fly(self.in_flight)
             if state.cycle <= self.state.cycle:
                 return False
             self.displaced = self._is_displaced(self.state, state)
         self.state = state
-        still = still_due(state, self.in_flight)
+        still = still_due(state, self.in_flight) if self.in_flight else ()
         self.missed += _missed(state, self.in_flight) - len(still)
         self._fly(still)
         # in a new session the drives are held where the KRC says, and a reset continues from there
@@ -130,7 +132,7 @@ class Tracker:
 
     def _fly(self, admissions: tuple[Admission, ...]) -> None:
         self.in_flight = admissions
-        self._decided_after = self._ahead = None
+        self._decided_after = self._ahead = self._known_courses = None
 
     def decide_after(self, cycle: int | None) -> None:
         """Decide next the setpoint that is sent after `cycle`; None: that which answers to the newest state go into."""
@@ -191,8 +193,10 @@ class Tracker:
         return [self.tube_of_setpoints(branch) for branch in self._courses()]
 
     def _courses(self) -> list[Branch]:
-        assert self.state is not None  # asked only of robots that have been heard
-        return list(courses(self._now(), self.state.cycle, self.in_flight).values())
+        if self._known_courses is None:
+            assert self.state is not None  # asked only of robots that have been heard
+            self._known_courses = list(courses(self._now(), self.state.cycle, self.in_flight).values())
+        return self._known_courses
 
     def standing(self) -> Windows:
         """The tube of a robot that is sent nothing more: where the drives may be now."""
