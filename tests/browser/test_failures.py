@@ -141,9 +141,10 @@ def test_a_page_that_the_browser_lets_sleep_in_motion_rests_and_is_grey_until_it
     page.evaluate("clearInterval(window.pressing); deltaq.wish.releaseAll()")
     page.wait_for_function("!deltaq.live.isStale()")
     told = page.evaluate("window.told")
-    gaps = [after[0] - before[0] for before, after in pairwise(told)]
-    woke = told[gaps.index(max(gaps)) + 1]
-    assert woke[1] is True, "the first picture after the sleep is of the time before it"
+    asleep_ms = 1000 * ASLEEP_CYCLES * served_cell.model.description.cycle_s
+    # a busy machine may keep pictures back at another time, too
+    woke = [after[1] for before, after in pairwise(told) if after[0] - before[0] > 0.8 * asleep_ms]
+    assert any(woke), "the first picture after the sleep is of the time before it"
     page.wait_for_function(AT_REST)
     page.wait_for_function("document.documentElement.dataset.stale === 'false'")
     release(page)

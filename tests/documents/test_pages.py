@@ -33,7 +33,12 @@ NOT_RUN = {
         "tests/documents/test_commission.py runs it beside an emulated controller",
         "tests/documents/test_commission.py runs it beside an emulated controller",
     ],
-    "talk-over-a-socket.md": ["tests/services/test_printed_conversation.py holds it with a running HLI"],
+    "talk-over-a-socket.md": [
+        "tests/services/test_printed_conversation.py holds it with a running HLI",
+        "tests/services/test_encrypted_lines.py makes one the same way",
+        "needs the certificate; tests/services/test_encrypted_lines.py connects the same way",
+        "needs two machines",
+    ],
     "README.md": [
         "makes an environment of its own; the next block runs the same demonstration",
         "installs from a package index",
@@ -61,6 +66,7 @@ NOT_RUN = {
         "tests/launch/test_running_cell.py kills a service and starts it again this way",
         "needs real robots",
         "each line keeps its terminal; tests/services/test_robot_server_start.py starts a service this way",
+        "keeps its terminal; tests/services/test_roles.py reads tokens this way",
     ],
 }
 """All that no test does as it is printed, and why: whoever adds to the pages' marks adds it here."""

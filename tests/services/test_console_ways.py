@@ -51,7 +51,7 @@ def test_who_does_not_hold_the_robot_plans_nothing_and_asks_nothing(bench, anna)
 
 
 def test_a_pose_that_comes_late_is_not_planned(bench, anna):
-    assert anna.send("reach", **POSE, late_s=0.6).outcome is AckOutcome.EXPIRED
+    assert anna.send("reach", **POSE, late_s=2.1).outcome is AckOutcome.EXPIRED
 
 
 def test_a_pose_reaches_the_driver_and_why_there_is_no_way_is_told(bench, anna):

@@ -14,7 +14,7 @@ from deltaq_cell.identity import content_identity
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.guarded import Admission, Plan, Supervision
 from deltaq_protocol.messages import Outcome, Phase, Verdict
-from deltaq_protocol.motion import Motion
+from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.hli.admitted_ahead import AdmittedAhead
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.core import RobotServer
@@ -33,7 +33,7 @@ BRAKING = Plan(dq=DQ, brake_cycles=4, step=1)
 
 
 def following(
-    motion: Motion, cycle: int, sequence: int, dq: tuple[float, ...] = DQ, **changes: Any
+    motion: SetpointMotion, cycle: int, sequence: int, dq: tuple[float, ...] = DQ, **changes: Any
 ) -> Admission:
     """An admission that is taken after `cycle`, and follows a motion."""
     fields: dict[str, Any] = {
@@ -52,7 +52,7 @@ def following(
 
 def chain_of(state: Any, *cycles: int) -> tuple[Admission, ...]:
     """Admissions for the cycles after these, each following the one before it and the brake between them."""
-    motion, at, chain = Motion.of(state), state.cycle, []
+    motion, at, chain = SetpointMotion.of(state), state.cycle, []
     for sequence, cycle in enumerate(cycles, start=state.sequence + 1):
         while at < cycle:
             motion, at = motion.braked(), at + 1
@@ -65,7 +65,7 @@ def chain_of(state: Any, *cycles: int) -> tuple[Admission, ...]:
 
 
 def at(cycle: int, sequence: int = 2) -> Admission:
-    return following(Motion.at_rest(np.zeros(6)), cycle, sequence)
+    return following(SetpointMotion.at_rest(np.zeros(6)), cycle, sequence)
 
 
 @pytest.mark.parametrize(("ahead", "kept"), [(-1, False), (0, True), (1, True), (2, True), (3, False)])
@@ -98,7 +98,7 @@ def test_of_two_admissions_for_one_cycle_the_newer_counts() -> None:
 def test_there_is_a_course_for_every_place_where_the_chain_may_break() -> None:
     state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     chain = chain_of(state, 20, 22)  # nothing is admitted for the cycle after 21
-    found = courses(Motion.of(state), 20, chain)
+    found = courses(SetpointMotion.of(state), 20, chain)
     assert list(found) == [5, 6, 7]
     sent = [branch.setpoints(np.zeros(6))[:, 0] for branch in found.values()]
     np.testing.assert_allclose(sent[0], STEP * np.cumsum([0.5, 0.25]))
@@ -108,7 +108,7 @@ def test_there_is_a_course_for_every_place_where_the_chain_may_break() -> None:
 
 def test_the_gate_counts_on_the_whole_chain() -> None:
     state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
-    found = motions(Motion.of(state), 20, chain_of(state, 20, 22), cycles=3)
+    found = motions(SetpointMotion.of(state), 20, chain_of(state, 20, 22), cycles=3)
     assert [motion.sequence for motion in found] == [5, 6, 6, 7]
     np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 1])
 
@@ -116,7 +116,7 @@ def test_the_gate_counts_on_the_whole_chain() -> None:
 def test_behind_an_admission_that_was_not_taken_nothing_is_due() -> None:
     before = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS)
     chain = chain_of(before, 20, 21, 22)
-    taken = Motion.of(before).admitted(chain[0])
+    taken = SetpointMotion.of(before).admitted(chain[0])
     now = server_state(
         "fr", 21, sequence=6, q_cmd=tuple(taken.q_cmd.tolist()), q=ZEROS, dq=DQ, plan=taken.plan
     )
@@ -215,7 +215,9 @@ def test_nothing_that_came_before_a_hold_is_taken_after_it() -> None:
 
 def test_what_was_decided_before_a_reset_does_not_follow_it() -> None:
     server = Server(2)
-    late = following(Motion.of(server.state), server.state.cycle, 1, follows_resets=server.state.resets + 1)
+    late = following(
+        SetpointMotion.of(server.state), server.state.cycle, 1, follows_resets=server.state.resets + 1
+    )
     server.give(late)
     server.cycle()
     assert server.core.counters["admission_unchained"] == 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Verdict
-from deltaq_protocol.motion import Motion
+from deltaq_protocol.setpoint_motion import SetpointMotion
 
 
 class AdmittedAhead:
@@ -53,7 +53,7 @@ class AdmittedAhead:
 
     def q_ahead(self, state: ServerState) -> tuple[float, ...]:
         """(n,) setpoint of the last cycle before that [rad or m]."""
-        motion = Motion.of(state)
+        motion = SetpointMotion.of(state)
         for cycle in range(state.cycle + 1, self.setpoint_cycle(state)):
             verdict = self._verdicts.get(cycle)
             if verdict is None or verdict.time_to_stop_s is None:

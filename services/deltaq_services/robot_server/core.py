@@ -20,8 +20,8 @@ from deltaq_cell.identity import content_identity
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
-from deltaq_protocol.motion import Motion
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
@@ -63,7 +63,7 @@ class RobotServer:
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
         self._cycles_missed = 0
-        self._motion = Motion.at_rest(np.zeros(0))
+        self._motion = SetpointMotion.at_rest(np.zeros(0))
         self._q_reset: Array | None = None
         self._epoch = 0
         self._resets = 0
@@ -276,7 +276,7 @@ class RobotServer:
             self._end_motion()
 
     def _rest(self) -> None:
-        self._motion = Motion.at_rest(self._motion.q_cmd, self._motion.sequence)
+        self._motion = SetpointMotion.at_rest(self._motion.q_cmd, self._motion.sequence)
 
     def _supervise(self, supervision: Supervision | None, q: Array) -> None:
         if supervision is None:

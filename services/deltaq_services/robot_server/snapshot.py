@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Phase
-from deltaq_protocol.motion import Motion
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ProbeMemory
 
@@ -32,7 +32,7 @@ class ServerMemory:
     cycle: int
     phase: Phase
     reason: ReasonCode | None
-    motion: Motion
+    motion: SetpointMotion
     q_reset: JointValues | None
     epoch: int
     resets: int

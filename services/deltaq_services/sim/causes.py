@@ -13,7 +13,7 @@ import numpy as np
 
 from deltaq_protocol.guarded import Admission, ServerState
 from deltaq_protocol.messages import Phase
-from deltaq_protocol.motion import Motion
+from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.sim.courses import courses
 
@@ -71,7 +71,7 @@ def _off_course(state: ServerState, before: ServerState, in_flight: Sequence[Adm
     """
     if state.q_cmd == before.q_cmd:
         return None
-    known = courses(Motion.of(before), before.cycle, in_flight)
+    known = courses(SetpointMotion.of(before), before.cycle, in_flight)
     branch = known.get(state.sequence, known[before.sequence])
     start = np.array(before.q_cmd)
     course = np.vstack([start, branch.setpoints(start)[: state.cycle - before.cycle]])

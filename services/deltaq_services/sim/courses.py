@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from deltaq_protocol.guarded import Admission, ServerState
-from deltaq_protocol.motion import Motion
+from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.sim.tube import Branch
 
 
-def motions(now: Motion, cycle: int, chain: Sequence[Admission], cycles: int) -> list[Motion]:
+def motions(now: SetpointMotion, cycle: int, chain: Sequence[Admission], cycles: int) -> list[SetpointMotion]:
     """What a robot is sent in the next cycles if it takes all of a chain.
 
     Args:
@@ -37,7 +37,7 @@ def motions(now: Motion, cycle: int, chain: Sequence[Admission], cycles: int) ->
     return found
 
 
-def courses(now: Motion, cycle: int, chain: Sequence[Admission]) -> dict[int, Branch]:
+def courses(now: SetpointMotion, cycle: int, chain: Sequence[Admission]) -> dict[int, Branch]:
     """Every course, by the number of the admission that it ends with; the first is that of the present plan."""
     found = {now.sequence: Branch(now.plan_dq, now.brake_cycles, now.step)}
     if not chain:
@@ -54,7 +54,7 @@ def still_due(state: ServerState, chain: Sequence[Admission]) -> tuple[Admission
 
     Its Robot Server compares each with what it has sent by then, exactly. What follows anything else is void.
     """
-    motion, cycle = Motion.of(state), state.cycle
+    motion, cycle = SetpointMotion.of(state), state.cycle
     due: list[Admission] = []
     for admission in chain:
         if admission.cycle < cycle:

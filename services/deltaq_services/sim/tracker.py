@@ -15,7 +15,7 @@ import numpy as np
 from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.guarded import Admission, ServerState, TrackerMemory
-from deltaq_protocol.motion import Motion
+from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.sim.courses import courses, motions, still_due
 from deltaq_services.sim.tube import Branch, Windows, tube
 
@@ -52,7 +52,7 @@ class Tracker:
         self.name = name
         self.state: ServerState | None = None
         self.in_flight: tuple[Admission, ...] = ()
-        self._ahead: Motion | None = None
+        self._ahead: SetpointMotion | None = None
         self._known_courses: list[Branch] | None = None
         self._decided_after: int | None = None
         self._lookahead_cycles = lookahead_cycles
@@ -146,7 +146,7 @@ class Tracker:
         return answer if self._decided_after is None else self._decided_after
 
     @property
-    def ahead(self) -> Motion:
+    def ahead(self) -> SetpointMotion:
         """What the robot will have been sent by then, if it takes all that is in flight."""
         if self._ahead is None:
             self._ahead = self._motions()[-1]
@@ -160,13 +160,13 @@ class Tracker:
         """The course on which `dq` (n,) and its brake follow all that is in flight."""
         return Branch(dq, brake_cycles, -1, tuple(motion.q_cmd for motion in self._motions()[1:]))
 
-    def _motions(self) -> list[Motion]:
+    def _motions(self) -> list[SetpointMotion]:
         assert self.state is not None  # asked only of robots that have been heard
         return motions(self._now(), self.state.cycle, self.in_flight, self.decided_after - self.state.cycle)
 
-    def _now(self) -> Motion:
+    def _now(self) -> SetpointMotion:
         assert self.state is not None  # asked only of robots that have been heard
-        return replace(Motion.of(self.state), q_cmd=self.q_cmd)
+        return replace(SetpointMotion.of(self.state), q_cmd=self.q_cmd)
 
     def _planned(self) -> Branch:
         assert self.state is not None  # asked only of robots that have been heard

@@ -17,7 +17,7 @@ from deltaq_protocol.guarded import Admission, Plan, ServerState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class SetpointMotion:
     """What a robot was sent in a cycle, and the brake that follows where nothing is admitted.
 
     Attributes:
@@ -37,7 +37,7 @@ class Motion:
     sequence: int
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Motion) and self._values() == other._values()
+        return isinstance(other, SetpointMotion) and self._values() == other._values()
 
     def __hash__(self) -> int:
         return hash(self._values())
