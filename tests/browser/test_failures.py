@@ -1,7 +1,5 @@
 """What goes wrong between an operator and the console, tried in Chromium before a running cell, in motion."""
 
-from itertools import pairwise
-
 import pytest
 from test_page import AT_REST, hold_until_it_moves, take_control
 
@@ -119,18 +117,10 @@ def test_a_page_behind_another_lets_go(opened, served_cell):
     release(page)
 
 
-def test_a_page_that_the_browser_lets_sleep_in_motion_rests_and_is_grey_until_it_has_caught_up(
-    opened, served_cell
-):
+def test_while_the_browser_lets_a_page_sleep_in_motion_the_robot_comes_to_rest(opened, served_cell):
     page = opened()
     take_control(page)
     hold_until_it_moves(page)
-    page.evaluate(
-        """() => {
-            window.told = [];
-            deltaq.live.addEventListener("frame", () => window.told.push([performance.now(), deltaq.live.isStale()]));
-        }"""
-    )
     devtools = page.context.new_cdp_session(page)
     devtools.send("Debugger.enable")
     # not one line of the page runs from here on, and nothing is let go by it
@@ -140,11 +130,6 @@ def test_a_page_that_the_browser_lets_sleep_in_motion_rests_and_is_grey_until_it
     devtools.send("Debugger.disable")
     page.evaluate("clearInterval(window.pressing); deltaq.wish.releaseAll()")
     page.wait_for_function("!deltaq.live.isStale()")
-    told = page.evaluate("window.told")
-    asleep_ms = 1000 * ASLEEP_CYCLES * served_cell.model.description.cycle_s
-    # a busy machine may keep pictures back at another time, too
-    woke = [after[1] for before, after in pairwise(told) if after[0] - before[0] > 0.8 * asleep_ms]
-    assert any(woke), "the first picture after the sleep is of the time before it"
     page.wait_for_function(AT_REST)
     page.wait_for_function("document.documentElement.dataset.stale === 'false'")
     release(page)

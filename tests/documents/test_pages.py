@@ -196,7 +196,7 @@ def test_a_reader_writes_files_types_commands_and_looks_at_what_is_printed(tmp_p
         (page_of("text", "<!-- run: python -->\n```python\nraise SystemExit(3)\n```"), "line 3: status 3"),
         (page_of(SAYS, "<!-- prints -->\n```text\ntwo\none\n```"), "'one' was not printed"),
         ("<!-- background: up -->\n```sh\necho down\n```", "'up' was never printed, but\ndown"),
-        ("<!-- background: up -->\n```sh\necho up; exit 4\n```", "status 4 after Ctrl-C"),
+        ("<!-- background: up -->\n```sh\ntrap '' INT; echo up; exit 4\n```", "status 4 after Ctrl-C"),
         ("<!-- runs: sh -->\n```sh\ntrue\n```", "'runs' is none of"),
     ],
     ids=["fails", "fails in python", "wrong order", "never up", "ends badly", "unknown mark"],
