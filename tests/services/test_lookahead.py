@@ -13,9 +13,10 @@ from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_emulator.faults import LinkFaults
 from deltaq_protocol.guarded import Admission, Plan, Supervision
-from deltaq_protocol.messages import Outcome, Phase, Verdict
+from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.hli.admitted_ahead import AdmittedAhead
+from deltaq_services.hli.robot_link import Asked, RobotLink
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guards import Refusal
@@ -316,3 +317,19 @@ def test_where_an_admission_was_not_taken_those_behind_it_are_told_no_more() -> 
         ahead.cycle_passed(server_state("fr", 21, q_cmd=ZEROS, q=ZEROS, dq=dq))
         state = server_state("fr", 21, q_cmd=ZEROS, q=ZEROS)
         assert ahead.q_ahead(state)[0] == pytest.approx(told)
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_with_a_lookahead_the_answer_to_each_state_is_passed_on_though_two_come_in_one_cycle(
+    ahead: bool,
+) -> None:
+    link = RobotLink(6, 10, 1.0, AdmittedAhead(2, 0.012) if ahead else None)
+    for cycle in (20, 21):
+        link.take_state(server_state("fr", cycle, q_cmd=ZEROS, q=ZEROS), 0.0)
+    late, next_one, again = (
+        Asked(Increment(robot="fr", seq=seq, cycle=cycle, dq=ZEROS), 1, None, came=21)
+        for seq, cycle in enumerate((20, 21, 21))
+    )
+    assert link.offer(late) == (late, None)
+    assert link.offer(next_one)[0] is (next_one if ahead else None)
+    assert link.offer(again)[0] is None  # to one state there is one answer

@@ -168,11 +168,6 @@ class Tracker:
         assert self.state is not None  # asked only of robots that have been heard
         return replace(SetpointMotion.of(self.state), q_cmd=self.q_cmd)
 
-    def _planned(self) -> Branch:
-        assert self.state is not None  # asked only of robots that have been heard
-        plan = self.state.plan
-        return Branch(np.array(plan.dq), plan.brake_cycles, plan.step)
-
     def tube(self, branch: Branch) -> Windows:
         """The tube of one course from the present setpoint."""
         assert self.state is not None  # asked only of robots that have been heard
@@ -205,7 +200,8 @@ class Tracker:
     def at_rest(self) -> bool:
         """Whether nothing is left to send and the drives have caught up."""
         settled = all((setpoint == self.q_cmd).all() for setpoint in self._history)
-        return settled and len(self._history) == self._lag and not self._planned().setpoints(self.q_cmd).size
+        brake, *_ = self._courses()
+        return settled and len(self._history) == self._lag and not brake.setpoints(self.q_cmd).size
 
     def stands_still(self) -> bool:
         """Whether it is at rest, and nothing is in flight that could set it in motion."""
