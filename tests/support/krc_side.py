@@ -51,6 +51,7 @@ class KrcSide:
 
     def __init__(self, step=12, cell=CELL, xml=XML):
         self.cell = cell
+        self._identity = str(content_identity(cell))
         self.server = RobotServer(cell, "fr", process=1)
         self.counters: Counter[str] = self.server.counters
         self.driver = RsiDriver(sensor_codec(cell, "fr", xml), cell, "fr", self.counters)
@@ -91,7 +92,7 @@ class KrcSide:
             cycle=0,
             stop=self.order,
             resets=self.resets,
-            cell=str(content_identity(self.cell)),
+            cell=self._identity,
         )
         measured = self.driver.read(datagram, self.time_s)
         if measured is None:
