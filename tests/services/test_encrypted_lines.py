@@ -7,9 +7,10 @@ import contextlib
 import socket
 import ssl
 import subprocess
+from collections.abc import AsyncIterator
 
 import pytest
-from guarded_peer import guarded_peer
+from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
@@ -37,34 +38,49 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }
 
 
-async def test_over_tls_a_client_is_served_as_in_the_clear_and_in_the_clear_it_is_not(
-    files: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tcp_front, "_HANDSHAKE_S", 0.2)
+@contextlib.asynccontextmanager
+async def encrypted(files: dict[str, str]) -> AsyncIterator[tuple[Hli, GuardedPeer]]:
+    """An HLI whose lines are encrypted."""
     cell = small_cell(clients_need_tokens=True)
     encryption = line_encryption(cell, files)
-    trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
     async with (
         guarded_peer(cell) as peer,
         Hli(cell, told(cell), tool_pose, ClientRoles(TOKEN), encryption) as hli,
     ):
-        cycle = await peer.turn()
+        await peer.turn()
+        yield hli, peer
+
+
+async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]) -> None:
+    trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
+    async with encrypted(files) as (_, peer):
+        port = peer.cell.tcp_port
         with pytest.raises(ssl.SSLCertVerificationError):
-            await asyncio.open_connection("127.0.0.1", cell.tcp_port, ssl=ssl.create_default_context())
-        reader, writer = await asyncio.open_connection("127.0.0.1", cell.tcp_port, ssl=trusted, limit=2**22)
+            await asyncio.open_connection("127.0.0.1", port, ssl=ssl.create_default_context())
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted, limit=2**22)
         client = JsonClient(reader, writer)
         await client.ask("welcome", type="hello", protocol=1, client="tls", token=TOKEN)
         assert (await client.ask("lease", type="lease", robot="fr", action="take"))["granted"]
+        cycle = await peer.turn()
         client.send(type="increment", robot="fr", seq=1, cycle=cycle, dq=[0.0] * 6)
         assert (await client.receive("verdict"))["outcome"] == "admitted"
-        clear = await asyncio.open_connection("127.0.0.1", cell.tcp_port)
-        silent = socket.create_connection(("127.0.0.1", cell.tcp_port))
-        clear[1].write(b'{"type":"stop"}\n')
-        await JsonClient(*clear).ended()
-        assert "stops" not in hli.status().hli
-        assert len(hli._tcp.connections) == 1
-        silent.close()
-        for end in (writer, clear[1]):
-            end.close()
-            with contextlib.suppress(OSError):
-                await end.wait_closed()
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
+
+
+async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nobody(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tcp_front, "_HANDSHAKE_S", 0.2)
+    async with encrypted(files) as (hli, peer):
+        port = peer.cell.tcp_port
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        with socket.create_connection(("127.0.0.1", port)):
+            writer.write(b'{"type":"stop"}\n')
+            await JsonClient(reader, writer).ended()
+            assert "stops" not in hli.status().hli
+            assert not hli._tcp.connections
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
