@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import coal
@@ -53,23 +53,36 @@ class Group:
         self, bodies: Sequence[Any], against: Sequence[Any], never: Names, stop_distance_m: float
     ) -> None:
         self.stop_distance_m = stop_distance_m
-        self.geometry = pin.GeometryModel()
-        self.pairs: list[tuple[Any, Any]] = []
-        index = {item.name: self.geometry.addGeometryObject(item) for item in (*bodies, *against)}
-        for first in bodies:
-            for second in against:
-                if frozenset((first.name, second.name)) not in never:
-                    self.pairs.append((first, second))
-                    self.geometry.addCollisionPair(pin.CollisionPair(index[first.name], index[second.name]))
+        self.pairs: list[tuple[Any, Any]] = [
+            (first, second)
+            for first in bodies
+            for second in against
+            if frozenset((first.name, second.name)) not in never
+        ]
         self.active: Flags = np.ones(len(self.pairs), dtype=bool)
-        self.data = self.geometry.createData()
-        make_reproducible(self.data)
+
+    @cached_property
+    def _coal(self) -> tuple[Any, Any]:
+        """Geometry model and data for coal, made when first asked: where the kernel measures, nobody asks."""
+        geometry = pin.GeometryModel()
+        index: dict[str, int] = {}
+        for pair in self.pairs:
+            for body in pair:
+                if body.name not in index:
+                    index[body.name] = geometry.addGeometryObject(body)
+            geometry.addCollisionPair(pin.CollisionPair(*(index[body.name] for body in pair)))
+        data = geometry.createData()
+        make_reproducible(data)
+        for left_out in np.flatnonzero(~self.active).tolist():
+            data.deactivateCollisionPair(left_out)
+        return geometry, data
 
     def least(self, model: Any, data: Any) -> float:
         """Least swept distance [m] at the placement that `data` holds."""
-        pin.updateGeometryPlacements(model, data, self.geometry, self.data)
-        self._least = pin.computeDistances(self.geometry, self.data)
-        distance: float = self.data.distanceResults[self._least].min_distance
+        geometry, placed = self._coal
+        pin.updateGeometryPlacements(model, data, geometry, placed)
+        self._least = pin.computeDistances(geometry, placed)
+        distance: float = placed.distanceResults[self._least].min_distance
         return distance
 
     def nearest(self) -> Nearest:
@@ -84,12 +97,14 @@ class Group:
     def leave_out(self, index: int) -> None:
         """Measure a pair no longer."""
         self.active[index] = False
-        self.data.deactivateCollisionPair(index)
+        if "_coal" in self.__dict__:
+            self._coal[1].deactivateCollisionPair(index)
 
     def take_in(self, index: int) -> None:
         """Measure a pair again."""
         self.active[index] = True
-        self.data.activateCollisionPair(index)
+        if "_coal" in self.__dict__:
+            self._coal[1].activateCollisionPair(index)
 
     def measured(self) -> dict[int, Nearest]:
         """Every pair that is not left out, by index, as `least` measured it; for the rare case that asks for all."""
@@ -102,7 +117,7 @@ class Group:
             Their indices, their distances at the middle (k,) [m], and unit normals (k, 3) from first to second body.
         """
         indices, distances, normals = [], [], []
-        for index, result in enumerate(self.data.distanceResults):
+        for index, result in enumerate(self._coal[1].distanceResults):
             if result.min_distance < distance_m and self.active[index]:
                 first, second = self.pairs[index]
                 radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
@@ -113,7 +128,7 @@ class Group:
 
     def _measured(self, index: int) -> Nearest:
         first, second = self.pairs[index]
-        result = self.data.distanceResults[index]
+        result = self._coal[1].distanceResults[index]
         swept: float = result.min_distance
         radii = first.geometry.getSweptSphereRadius() + second.geometry.getSweptSphereRadius()
         points = (np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2()))

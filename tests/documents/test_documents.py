@@ -11,20 +11,20 @@ import typer
 from typer.testing import CliRunner
 
 from deltaq_command.app import app
-from deltaq_command.reference import FOLDER, pages
+from deltaq_command.reference import FOLDER, PAGES, page
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined] # it is a group
 
 
-@pytest.mark.parametrize("name", sorted(pages()))
+@pytest.mark.parametrize("name", sorted(PAGES))
 def test_a_reference_page_is_what_the_code_gives(name: str) -> None:
-    assert (FOLDER / name).read_text(encoding="utf-8") == pages()[name], "write it anew with `make docs`"
+    assert (FOLDER / name).read_text(encoding="utf-8") == page(name), "write it anew with `make docs`"
 
 
 def test_no_reference_page_is_left_over() -> None:
-    assert {file.name for file in FOLDER.iterdir()} == set(pages())
+    assert {file.name for file in FOLDER.iterdir()} == set(PAGES)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))

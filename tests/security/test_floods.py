@@ -171,21 +171,25 @@ async def test_lines_of_a_flood_wait_and_a_holder_s_line_does_not() -> None:
 
 
 async def test_a_refusal_goes_to_its_sender_alone() -> None:
-    async with serving() as (_, peer), json_client(peer.cell.tcp_port) as rude:
-        async with connect(peer.cell.hli) as cell, cell.lease("fr") as robot:
-            heard = aiter(cell.verdicts("fr"))
-            first = asyncio.create_task(anext(heard))
-            await asyncio.sleep(0)  # it listens from here on
-            cycle = await peer.turn()
-            for seq in range(50):
-                rude.send(type="increment", robot="fr", seq=seq, cycle=cycle, dq=[0.0] * 6)
-            for _ in range(50):
-                assert (await rude.receive("verdict"))["reasons"][0]["code"] == "lease_not_held"
-            moved = await robot.move(DQ)
-            assert moved.outcome is Outcome.ADMITTED
-            # what was told to all comes in order: any of the fifty would have come before
-            async with asyncio.timeout(10):
-                assert await first == moved
+    async with (
+        serving() as (_, peer),
+        json_client(peer.cell.tcp_port) as rude,
+        connect(peer.cell.hli) as cell,
+        cell.lease("fr") as robot,
+    ):
+        heard = aiter(cell.verdicts("fr"))
+        first = asyncio.create_task(anext(heard))
+        await asyncio.sleep(0)  # it listens from here on
+        cycle = await peer.turn()
+        for seq in range(50):
+            rude.send(type="increment", robot="fr", seq=seq, cycle=cycle, dq=[0.0] * 6)
+        for _ in range(50):
+            assert (await rude.receive("verdict"))["reasons"][0]["code"] == "lease_not_held"
+        moved = await robot.move(DQ)
+        assert moved.outcome is Outcome.ADMITTED
+        # what was told to all comes in order: any of the fifty would have come before
+        async with asyncio.timeout(10):
+            assert await first == moved
 
 
 async def test_where_idle_connections_have_every_place_a_stop_is_obeyed() -> None:

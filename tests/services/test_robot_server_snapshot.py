@@ -19,6 +19,8 @@ from deltaq_services.robot_server.peer import Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.shell import sensor_codec
 
+CODEC = sensor_codec(CELL, "fr", XML)
+
 
 def uncounted(memory):
     """Counters are left out of a snapshot, and so of the state that an heir publishes."""
@@ -56,7 +58,7 @@ class WatchedDriver(RsiDriver):
     """The same of a driver."""
 
     def read(self, datagram, time_s):
-        heir = RsiDriver(sensor_codec(CELL, "fr", XML), CELL, "fr", self._counters.copy())
+        heir = RsiDriver(CODEC, CELL, "fr", self._counters.copy())
         heir.restore(self.snapshot())
         try:
             measured = super().read(datagram, time_s)
@@ -73,7 +75,7 @@ class WatchedDriver(RsiDriver):
             assert np.array_equal(again.q_start, measured.q_start)
             q_cmd = measured.q if measured.q_start is None else measured.q_start
             heir.restore(self.snapshot())
-            other = RsiDriver(sensor_codec(CELL, "fr", XML), CELL, "fr", self._counters.copy())
+            other = RsiDriver(CODEC, CELL, "fr", self._counters.copy())
             other.restore(heir.snapshot())
             assert heir.reply(q_cmd, {}) == other.reply(q_cmd, {})
         return measured

@@ -13,7 +13,7 @@ from gate_rig import Rig
 from small_cell import endpoint, server_state, small_cell, told, tool_pose
 from table import change_row
 
-from deltaq_command.reference import pages
+from deltaq_command.reference import page
 from deltaq_command.streams import UnknownTopicError, open_stream
 from deltaq_protocol import topics
 from deltaq_protocol.access import access
@@ -304,8 +304,8 @@ def test_what_clients_may_not_read_they_cannot_watch(monkeypatch: pytest.MonkeyP
 
 
 def test_the_reference_is_written_from_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = pages()["topics.md"]
+    before = page("topics.md")
     change_row(monkeypatch, "PROXIMITY", rate=Hertz(7.0), recorded=False)
-    (changed,) = set(pages()["topics.md"].splitlines()) - set(before.splitlines())
+    (changed,) = set(page("topics.md").splitlines()) - set(before.splitlines())
     assert "`proximity`" in changed
     assert "| 7 Hz |" in changed

@@ -10,24 +10,27 @@ from pathlib import Path
 from deltaq_command.reference import installation, robots, rooms, sequences, wire
 
 FOLDER = Path(__file__).parents[3] / "docs" / "reference"
-WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
+_WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
 
 
-def pages() -> dict[str, str]:
-    """Every page by file name."""
-    texts = {
-        "topics.md": wire.topics(),
-        "messages.md": wire.messages(),
-        "reasons.md": wire.reasons(),
-        "counters.md": wire.counters(),
-        "phases.md": robots.phases(),
-        "krc.md": robots.krc(),
-        "rsi-sessions.md": robots.sessions(),
-        "criteria.md": robots.criteria(),
-        "cell.md": installation.cell(),
-        "services.md": installation.services(),
-        "cli.md": installation.cli(),
-        "rooms.md": rooms.rooms(),
-        "sequences.md": sequences.sequences(),
-    }
-    return {name: WRITTEN + text.rstrip() + "\n" for name, text in texts.items()}
+PAGES = {
+    "topics.md": wire.topics,
+    "messages.md": wire.messages,
+    "reasons.md": wire.reasons,
+    "counters.md": wire.counters,
+    "phases.md": robots.phases,
+    "krc.md": robots.krc,
+    "rsi-sessions.md": robots.sessions,
+    "criteria.md": robots.criteria,
+    "cell.md": installation.cell,
+    "services.md": installation.services,
+    "cli.md": installation.cli,
+    "rooms.md": rooms.rooms,
+    "sequences.md": sequences.sequences,
+}
+"""What writes each page, by file name."""
+
+
+def page(name: str) -> str:
+    """A page, as `docs/reference` has it."""
+    return _WRITTEN + PAGES[name]().rstrip() + "\n"

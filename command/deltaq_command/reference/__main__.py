@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from deltaq_command.reference import FOLDER, pages
+from deltaq_command.reference import FOLDER, PAGES, page
 
 
 def main() -> None:
     """Write all pages."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    for name, text in pages().items():
-        (FOLDER / name).write_text(text, encoding="utf-8")
+    for name in PAGES:
+        (FOLDER / name).write_text(page(name), encoding="utf-8")
 
 
 if __name__ == "__main__":
