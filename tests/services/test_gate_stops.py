@@ -72,8 +72,13 @@ class Attack:
         return request
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize(
+    ("joint", "sign"),
+    [
+        *((joint, (-1) ** joint) for joint in range(6)),
+        *(pytest.param(joint, -((-1) ** joint), marks=pytest.mark.nightly) for joint in range(6)),
+    ],
+)
 def test_full_speed_at_a_joint_limit_ends_inside_it_and_retreats(oracle, joint, sign):
     attack = Attack(oracle)
     request = np.zeros(6)
