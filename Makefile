@@ -77,10 +77,11 @@ nightly: $(INSTALLED) ## the long proofs
 mutation: $(INSTALLED) ## change gate and guards in small ways, and see each change fail a test; takes a while
 	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)
 
-docs: $(INSTALLED) ## write docs/reference, deploy/compose.yaml and deploy/foxglove anew from the code
+docs: $(INSTALLED) ## write docs/reference, and in deploy compose.yaml, foxglove and grafana, anew from the code
 	$(BIN)/python -m deltaq_command.reference
 	$(BIN)/python -m deltaq_launch.compose
 	$(BIN)/python -m deltaq_deploy.foxglove
+	$(BIN)/python -m deltaq_deploy.grafana
 
 figures: $(INSTALLED) ## run the paper's experiments and write docs/explanation/camera-figures.md anew; takes minutes
 	$(BIN)/python -m deltaq_experiments.claims

@@ -16,6 +16,7 @@ from deltaq_command import (
     fault,
     installation,
     krc,
+    metrics,
     operate,
     recordings,
     rsi,
@@ -46,6 +47,7 @@ app.command(rich_help_panel=WATCH)(streams.echo)
 app.command(rich_help_panel=WATCH)(streams.hz)
 app.command(rich_help_panel=WATCH)(watch.health)
 app.command(rich_help_panel=WATCH)(recordings.record)
+app.command(rich_help_panel=WATCH)(metrics.metrics)
 app.command(rich_help_panel=COMMAND)(drive.drive)
 app.command(rich_help_panel=COMMAND)(advise.advise)
 app.command(rich_help_panel=COMMAND)(operate.stop)

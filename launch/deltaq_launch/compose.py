@@ -20,6 +20,7 @@ from deltaq_launch.services import (
     cell_services,
     console_service,
     demo_controllers,
+    metrics_exporter,
 )
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
@@ -27,8 +28,8 @@ from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
 FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
 CELL = "lab"
 HEADER = """\
-# The lab cell in containers: the services of `deltaq up`, and with `--profile demo` the controllers of
-# `deltaq demo`. Written by `make docs` from deltaq_launch.services; do not edit.
+# The lab cell in containers: the services of `deltaq up`, with `--profile demo` the controllers of `deltaq demo`,
+# with `--profile metrics` what Prometheus reads. Written by `make docs` from deltaq_launch.services; do not edit.
 #
 #   make image                                              build the image
 #   docker compose -f deploy/compose.yaml up --wait         the emulated cell
@@ -57,6 +58,8 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
         # numba writes to the folder in which it finds machine code
         demo = {"profiles": ["demo"], "tmpfs": ["/tmp"]}
         document[controller.name] = _container(controller, cell_name) | demo
+    exporter = metrics_exporter(cell_name)
+    document[exporter.name] = _container(exporter, cell_name) | {"profiles": ["metrics"]}
     guarded = [document[service.name] for service in services if service.role in GUARDED_ROLES]
     if off_loopback(cell) is None:
         file = f"{_KEY_FOLDER}/guarded.key"

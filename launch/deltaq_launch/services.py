@@ -27,6 +27,7 @@ class Role(StrEnum):
     LEADER = "leader"
     FOLLOWER = "follower"
     RECORDER = "recorder"
+    METRICS = "metrics"
     CONSOLE = "console"
 
 
@@ -211,6 +212,13 @@ def recorder(cell_name: str, file: str) -> Service:
     """The recorder, for who wants a recording: it only listens, and nothing needs it."""
     arguments = ("-m", "deltaq_services.recorder", "--cell", cell_name, "--file", file)
     return Service("recorder", Role.RECORDER, arguments, needs=("hli",))
+
+
+def metrics_exporter(cell_name: str) -> Service:
+    """The exporter of metrics, for who has a Prometheus: a client that only looks, and nothing needs it."""
+    return Service(
+        "metrics", Role.METRICS, ("-m", "deltaq_services.metrics", "--cell", cell_name), needs=("hli",)
+    )
 
 
 def select(services: Sequence[Service], names: Sequence[str]) -> tuple[Service, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -216,3 +217,17 @@ def test_what_takes_long_is_left_to_the_night(tmp_path: Path) -> None:
     assert not (tmp_path / "done").exists()
     pages.Reader(tmp_path, patient=True).read(long)
     assert (tmp_path / "done").exists()
+
+
+def test_a_command_that_takes_too_long_is_ended_with_all_that_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pages, "RUNS_WITHIN_S", 1.0)
+    os.mkfifo(tmp_path / "held")
+    held = os.open(tmp_path / "held", os.O_RDONLY | os.O_NONBLOCK)
+    page = page_of("<!-- run: sh -->\n```sh\n(echo begun; exec sleep 600) >held\n```")
+    with pytest.raises(subprocess.TimeoutExpired):
+        pages.Reader(tmp_path).read(page)
+    os.set_blocking(held, True)
+    with open(held) as rest:
+        assert rest.read() == "begun\n"  # comes back when nobody holds the other end

@@ -64,7 +64,7 @@ def test_the_hli_can_be_started_without_any_emulator(containers: dict[str, Any])
 
 def test_controllers_start_on_demand_only(containers: dict[str, Any]) -> None:
     on_demand = {name for name, container in containers.items() if "profiles" in container}
-    assert on_demand == {"leader", "follower"}
+    assert on_demand == {"leader", "follower", "metrics"}
 
 
 def test_a_cell_off_the_loopback_gets_its_key_as_a_secret_of_those_who_need_it(tmp_path: Path) -> None:

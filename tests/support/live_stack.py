@@ -112,7 +112,9 @@ class Stack:
     def wait_for_reason(self, reason):
         deadline = time.monotonic() + TIMEOUT_S
         with connect(self.cell, "test") as running:
-            while (status := running.status().robots["fr"]).reason != reason or status.phase is not Phase.HELD:
+            while (
+                status := running.status().robots["fr"]
+            ).reason != reason or status.phase is not Phase.HELD:
                 assert time.monotonic() < deadline, (status.phase, status.reason)
                 self._pause()
 

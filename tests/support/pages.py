@@ -187,20 +187,23 @@ class Reader:
 
     def _run(self, step: Step) -> None:
         command = ["python", "-"] if step.argument == "python" else ["bash", "-euo", "pipefail"]
-        done = subprocess.run(
+        with subprocess.Popen(
             command,
-            input=step.text,
             cwd=self._folder,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
+            start_new_session=True,
             text=True,
-            timeout=RUNS_WITHIN_S,
-            check=False,
-        )
-        self._printed = done.stdout
-        print(f"line {step.line}: status {done.returncode}", flush=True)
-        if done.returncode:
-            raise PageError(f"line {step.line}: status {done.returncode}\n{step.text}{done.stdout}")
+        ) as running:
+            try:
+                self._printed, _ = running.communicate(step.text, RUNS_WITHIN_S)
+            except BaseException:
+                os.killpg(running.pid, signal.SIGKILL)  # with what it started
+                raise
+        print(f"line {step.line}: status {running.returncode}", flush=True)
+        if running.returncode:
+            raise PageError(f"line {step.line}: status {running.returncode}\n{step.text}{self._printed}")
 
     def _compare(self, step: Step) -> None:
         rest = self._printed

@@ -1,0 +1,147 @@
+"""A cell's status as families of metrics; plain, without clock or sockets.
+
+What an alarm or a plot asks for has a family of its own. Every counter of every service is in `deltaq_counter_total`
+as well, under the name that the reference explains. No label is ever text that a client chose: whoever may name itself
+could make series without end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+
+from deltaq_protocol.messages import Phase, RobotStatus, Status
+from deltaq_services.counters import HLI, ROBOT_SERVER, SIM
+
+_Labels = tuple[str, ...]
+_Sample = tuple[_Labels, float]
+
+
+def families(status: Status | None) -> Iterator[Metric]:
+    """Families of a status.
+
+    Args:
+        status: of the cell; None if nobody answered, which is told as well.
+    """
+    yield _gauge("deltaq_up", "1 if the HLI answered", (), [((), float(status is not None))])
+    if status is None:
+        return
+    yield _gauge("deltaq_cell_info", "The running cell", ("cell", "identity"), [(_cell(status), 1.0)])
+    yield from _of_robots(status.robots)
+    yield from _of_cell(status)
+    yield _counter("deltaq_counter", "Counts, see the reference", ("service", "robot", "name"), _all(status))
+
+
+def _of_robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
+    counters = {name: robot.counters for name, robot in robots.items()}
+    yield _counter(
+        "deltaq_cycles",
+        "Cycles of the robot's session",
+        ("robot",),
+        [((name,), robot.cycle) for name, robot in robots.items()],
+    )
+    for family, counter, help_ in (
+        ("deltaq_admissions", "admissions", "Cycles with a fresh admission"),
+        ("deltaq_braked_cycles", "braked_cycles", "Cycles of the brake, because no admission had come"),
+        ("deltaq_replies_missed", "reply_missed", "Cycles whose reply the KRC did not take"),
+    ):
+        yield _counter(
+            family,
+            help_,
+            ("robot",),
+            [((name,), counted.get(counter, 0)) for name, counted in counters.items()],
+        )
+    for family, prefix, label, help_ in (
+        ("deltaq_admissions_not_taken", "admission_", "reason", "Admissions that were not taken"),
+        ("deltaq_held", "held_", "reason", "Times that the robot was held"),
+    ):
+        yield _counter(
+            family,
+            help_,
+            ("robot", label),
+            [
+                ((name, end), count)
+                for name, counted in counters.items()
+                for end, count in _endings(counted, prefix)
+            ],
+        )
+    yield _gauge(
+        "deltaq_phase",
+        "1 for the phase that the robot is in",
+        ("robot", "phase"),
+        [
+            ((name, phase.value), float(robot.phase is phase))
+            for name, robot in robots.items()
+            for phase in Phase
+        ],
+    )
+    yield _gauge(
+        "deltaq_leased",
+        "1 if a client holds the robot's lease",
+        ("robot",),
+        [((name,), float(robot.lease.holder is not None)) for name, robot in robots.items()],
+    )
+    yield _gauge(
+        "deltaq_state_age_seconds",
+        "Age of the newest state at the HLI",
+        ("robot",),
+        [((name,), robot.state_age_s) for name, robot in robots.items() if robot.state_age_s is not None],
+    )
+
+
+def _of_cell(status: Status) -> Iterator[Metric]:
+    for family, counted, prefix, label, help_ in (
+        ("deltaq_verdicts", status.hli, "verdicts_", "outcome", "Verdicts of the gate"),
+        ("deltaq_refusals", status.hli, "refused_", "reason", "Increments that never reached the gate"),
+        ("deltaq_gate_reasons", status.gate, "reason_", "reason", "Verdicts by their first reason"),
+        ("deltaq_missed_admissions", status.gate, "missed_admissions_", "robot", "Admissions not taken"),
+    ):
+        yield _counter(family, help_, (label,), [((end,), n) for end, n in _endings(counted, prefix)])
+    connections = status.hli.get("tcp_connections_open", 0)
+    clearance_m = None if status.nearest is None else status.nearest.distance_m
+    for family, value, help_ in (
+        ("deltaq_gate_age_seconds", status.gate_age_s, "Age of the gate's newest heartbeat at the HLI"),
+        ("deltaq_clearance_metres", clearance_m, "Distance of the nearest pair"),
+        ("deltaq_contacts_allowed", len(status.contacts), "Contacts that are allowed now"),
+        (
+            "deltaq_lagging_streams",
+            len(status.lagging),
+            "Streams that are silent, or slower than they should be",
+        ),
+        ("deltaq_cell_mismatches", len(status.mismatches), "Services that have read another cell"),
+        ("deltaq_tcp_connections", connections, "TCP connections that are open now"),
+    ):
+        if value is not None:
+            yield _gauge(family, help_, (), [((), value)])
+
+
+def _all(status: Status) -> list[_Sample]:
+    services = [(HLI, "", status.hli), (SIM, "", status.gate)]
+    services += [(ROBOT_SERVER, name, robot.counters) for name, robot in status.robots.items()]
+    return [
+        ((service, robot, name), n) for service, robot, counted in services for name, n in counted.items()
+    ]
+
+
+def _cell(status: Status) -> _Labels:
+    return status.cell, status.identity
+
+
+def _endings(counters: Mapping[str, int], prefix: str) -> list[tuple[str, int]]:
+    """Counters whose name begins so, each by the rest of it."""
+    return [(name.removeprefix(prefix), n) for name, n in counters.items() if name.startswith(prefix)]
+
+
+def _gauge(name: str, help_: str, labels: _Labels, samples: Iterable[_Sample]) -> Metric:
+    return _filled(GaugeMetricFamily(name, help_, labels=labels), samples)
+
+
+def _counter(name: str, help_: str, labels: _Labels, samples: Iterable[_Sample]) -> Metric:
+    return _filled(CounterMetricFamily(name, help_, labels=labels), samples)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, samples: Iterable[_Sample]) -> Metric:
+    for labels, value in samples:
+        family.add_metric(labels, value)
+    return family

@@ -1,0 +1,177 @@
+"""The exporter beside a real HLI, read as Prometheus reads it."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import urllib.request
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+import pytest
+from guarded_peer import GuardedPeer, guarded_peer
+from json_client import json_client
+from prometheus_client.parser import text_string_to_metric_families
+from small_cell import small_cell, told, tool_pose
+
+from deltaq_deploy.grafana import FILE, dashboard, dashboard_text, queries
+from deltaq_protocol.client import connect
+from deltaq_services.hli.shell import Hli
+from deltaq_services.metrics.delays import Delays
+from deltaq_services.metrics.shell import Exporter
+
+Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
+
+
+class Reader:
+    """What Prometheus sees."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+
+    async def read(self) -> Samples:
+        text = await asyncio.to_thread(self._get)
+        return {
+            (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+            for family in text_string_to_metric_families(text)
+            for sample in family.samples
+        }
+
+    async def until(self, reached: Callable[[Samples], bool]) -> Samples:
+        async with asyncio.timeout(20):
+            while not reached(read := await self.read()):
+                await asyncio.sleep(0.02)
+        return read
+
+    def _get(self) -> str:
+        with urllib.request.urlopen(self._url, timeout=10) as answer:
+            text: str = answer.read().decode()
+        return text
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port: int = listening.getsockname()[1]
+    return port
+
+
+@asynccontextmanager
+async def exported(hli: str) -> AsyncIterator[Reader]:
+    port = free_port()
+    serving = asyncio.create_task(Exporter(hli).run("127.0.0.1", port))
+    await asyncio.sleep(0)  # it listens as soon as it runs
+    try:
+        yield Reader(f"http://127.0.0.1:{port}/metrics")
+    finally:
+        serving.cancel()
+        await asyncio.wait([serving])
+
+
+@asynccontextmanager
+async def running() -> AsyncIterator[tuple[GuardedPeer, Reader]]:
+    cell = small_cell()
+    async with (
+        guarded_peer(cell) as peer,
+        Hli(cell, told(cell), tool_pose),
+        exported(cell.hli) as reader,
+    ):
+        await peer.turn()
+        await reader.until(is_up)
+        yield peer, reader
+
+
+def is_up(read: Samples) -> bool:
+    return value(read, "deltaq_up") == 1.0
+
+
+def value(read: Samples, sample: str, /, **labels: str) -> float | None:
+    return read.get((sample, tuple(sorted(labels.items()))))
+
+
+async def test_what_is_read_is_the_status_and_how_long_verdicts_took() -> None:
+    async with running() as (peer, reader), connect(peer.cell.hli, "test") as cell, cell.lease("fr") as robot:
+        for _ in range(3):
+            await peer.turn()
+            await robot.move([0.0] * 6)
+        read = await reader.until(
+            lambda read: (value(read, "deltaq_verdict_delay_seconds_count", robot="fr") or 0) >= 1
+        )
+        assert value(read, "deltaq_verdicts_total", outcome="admitted") == 3
+        assert value(read, "deltaq_phase", robot="fr", phase="ready") == 1
+        assert value(read, "deltaq_phase", robot="fr", phase="held") == 0
+        assert value(read, "deltaq_leased", robot="fr") == 1
+        assert value(read, "deltaq_cycles_total", robot="fr") == peer.cycle
+        assert value(read, "deltaq_counter_total", service="hli", robot="", name="leases_granted") == 1
+        assert value(read, "deltaq_cell_info", cell=peer.cell.cell, identity=cell.description.identity) == 1
+
+
+async def test_refusals_are_told_by_their_reason() -> None:
+    async with running() as (peer, reader), json_client(peer.cell.tcp_port) as rude:
+        cycle = await peer.turn()
+        rude.send(type="increment", robot="fr", seq=1, cycle=cycle, dq=[0.0] * 6)
+        await rude.receive("verdict")
+        assert value(await reader.read(), "deltaq_refusals_total", reason="lease_not_held") == 1
+
+
+async def test_what_a_client_calls_itself_is_in_no_label() -> None:
+    name = 'stranger"}\ndeltaq_up 7\n'
+    async with running() as (peer, reader), json_client(peer.cell.tcp_port, name=name) as client:
+        assert (await client.ask("lease", type="lease", robot="fr", action="acquire"))["granted"]
+        read = await reader.read()
+        assert is_up(read)
+        assert value(read, "deltaq_leased", robot="fr") == 1
+        assert not any("stranger" in text for _, labels in read for _, text in labels)
+
+
+async def test_an_hli_that_is_gone_is_told_and_found_again() -> None:
+    cell = small_cell()
+    async with exported(cell.hli) as reader:
+        read = await reader.read()
+        assert value(read, "deltaq_up") == 0
+        assert value(read, "deltaq_cell_info") is None
+        for _ in range(2):
+            async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose):
+                await peer.turn()
+                await reader.until(is_up)
+            await reader.until(lambda read: not is_up(read))
+
+
+async def test_a_port_that_is_taken_is_an_error() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening, pytest.raises(OSError, match="in use"):
+        await Exporter("tcp/127.0.0.1:1").run("127.0.0.1", listening.getsockname()[1])
+
+
+def test_a_verdict_on_a_cycle_that_was_not_heard_has_no_delay() -> None:
+    delays = Delays()
+    assert delays.state(5, 1.0) is None
+    assert delays.verdict(4, 1.1) is None
+    assert delays.verdict(5, 1.25) == 0.25
+    assert delays.state(6, 1.5) == 0.5
+    for cycle in range(100, 200):
+        delays.state(cycle, 2.0)
+    assert delays.verdict(6, 2.0) is None
+
+
+async def test_the_dashboard_asks_for_what_there_is_and_is_the_one_that_is_shipped() -> None:
+    async with (
+        running() as (peer, reader),
+        json_client(peer.cell.tcp_port) as rude,
+        connect(peer.cell.hli, "test") as cell,
+        cell.lease("fr") as robot,
+    ):
+        await peer.turn()
+        await robot.move([0.0] * 6)
+        rude.send(type="increment", robot="fr", seq=1, cycle=1, dq=[0.0] * 6)
+        await rude.receive("verdict")
+        read = await reader.until(
+            lambda read: (value(read, "deltaq_verdict_delay_seconds_count", robot="fr") or 0) >= 1
+        )
+    # what this peer never does: it holds nobody, and its gate judges nothing and has no nearest pair
+    silent = {
+        "deltaq_held_total",
+        "deltaq_admissions_not_taken_total",
+        "deltaq_gate_reasons_total",
+        "deltaq_clearance_metres",
+    }
+    assert set(queries(dashboard())) - {name for name, _ in read} <= silent
+    assert FILE.read_text(encoding="utf-8") == dashboard_text(), "write it anew with `make docs`"
