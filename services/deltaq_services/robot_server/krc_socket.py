@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import select
 import socket
 from collections import Counter, deque
+from collections.abc import Iterator
+from itertools import chain
 from types import TracebackType
 from typing import Self
 
@@ -13,6 +16,7 @@ from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
+from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _DATAGRAM_BYTES = 65_536
@@ -32,6 +36,10 @@ class KrcSocket:
         rsi: reads telegrams.
         counters: where everything else is counted.
 
+    Attributes:
+        peer: who is answered.
+        newest: the datagram that was read last; empty if none was valid.
+
     Raises:
         ServiceUnreachableError: if the address cannot be had, or that of the KRC is not known.
     """
@@ -42,8 +50,12 @@ class KrcSocket:
         self.peer = Peer(_resolved(driver.krc_address), silence_s)
         self._rsi = rsi
         self._counters = counters
+        self.newest = b""
         self._sock = _bound(driver)
         self._sender: Address | None = None
+        self._taken: tuple[bytes, Address] | None = None
+        self._incoming = select.poll()
+        self._incoming.register(self._sock.fileno(), select.POLLIN)
 
     def __enter__(self) -> Self:
         return self
@@ -53,9 +65,9 @@ class KrcSocket:
     ) -> None:
         self._sock.close()
 
-    def fileno(self) -> int:
-        """Descriptor to be polled."""
-        return self._sock.fileno()
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for a datagram; whether there is one."""
+        return bool(select.select([self._sock], [], [], max(0.0, seconds))[0])
 
     @property
     def detail(self) -> str:
@@ -64,17 +76,38 @@ class KrcSocket:
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
         return "; ".join(filter(None, (self._rsi.detail, self.peer.stranger, ipoc)))
 
-    def read(self, now_s: float) -> Measurement | None:
+    def answer(self, prepared: PreparedReply) -> bool:
+        """Answer what waits if it is alone, of the believed KRC, and the telegram that a reply was prepared for.
+
+        What is taken from the socket is left to `read`, whether it was answered or not.
+        """
+        try:
+            datagram, sender = self._taken = self._sock.recvfrom(_DATAGRAM_BYTES)
+        except BlockingIOError:
+            return False
+        except OSError:  # an earlier reply found nobody there
+            self._counters["socket_errors"] += 1
+            return False
+        if sender != self.peer.address or self._incoming.poll(0) or not prepared.is_for(datagram):
+            return False
+        if not self._rsi.allows(prepared.correction):
+            return False
+        self._sender = sender
+        self.send(prepared.reply)
+        return True
+
+    def read(self, now_s: float, alone: bool = False) -> Measurement | None:
         """Read the newest telegram among all that waits.
 
         Args:
             now_s: on a monotonic clock.
+            alone: it was answered already; what has come since waits.
 
         Returns:
             What it measures; None if there is none to be answered with a setpoint, see `RsiDriver.read`.
         """
-        self._rsi.unmoved = None
-        waiting = self._drain(now_s)
+        self._rsi.unmoved, self.newest = None, b""
+        waiting = self._drain(now_s, alone)
         while waiting:
             datagram, sender = waiting.pop()
             try:
@@ -87,7 +120,7 @@ class KrcSocket:
             if self._rsi.implausible and self._counters["telegrams_implausible"] == 1:
                 print(f"first implausible telegram: {self._rsi.implausible}", flush=True)
             self._skipped(len(waiting))
-            self._sender = sender
+            self._sender, self.newest = sender, datagram
             self.peer.believed(sender, now_s)
             return measured
         return None
@@ -100,17 +133,10 @@ class KrcSocket:
         except OSError:  # no route, no buffer, nobody there: to the KRC it is a lost reply
             self._counters["replies_unsent"] += 1
 
-    def _drain(self, now_s: float) -> deque[tuple[bytes, Address]]:
+    def _drain(self, now_s: float, alone: bool) -> deque[tuple[bytes, Address]]:
         """The newest datagrams of the KRC, oldest first; older ones are past their time, others are not its own."""
         waiting: deque[tuple[bytes, Address]] = deque(maxlen=MOST_READ)
-        for _ in range(MOST_WAITING):
-            try:
-                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES)
-            except BlockingIOError:
-                break
-            except OSError:  # an earlier reply found nobody there
-                self._counters["socket_errors"] += 1
-                continue
+        for datagram, sender in self._received() if alone else chain(self._received(), self._arrived()):
             who = self.peer.judge(sender, now_s)
             if who is not DatagramSource.KRC:
                 self._counters[who] += 1
@@ -118,6 +144,24 @@ class KrcSocket:
             self._skipped(len(waiting) // MOST_READ)
             waiting.append((datagram, sender))
         return waiting
+
+    def _received(self) -> Iterator[tuple[bytes, Address]]:
+        """What `answer` took from the socket, once."""
+        taken, self._taken = self._taken, None
+        if taken is not None:
+            yield taken
+
+    def _arrived(self) -> Iterator[tuple[bytes, Address]]:
+        """What waits in the socket."""
+        for _ in range(MOST_WAITING):
+            try:
+                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:  # an earlier reply found nobody there
+                self._counters["socket_errors"] += 1
+                continue
+            yield datagram, sender
 
     def _skipped(self, count: int) -> None:
         if count:
