@@ -108,7 +108,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     server = RobotServer(CELL, "fr", process=1)
     assert set(vars(server)) == remembered | fixed
     probe = ModeProbe(FR, CELL.cycle_s, 6, FR.home)
-    fixed = {"_joints", "_size", "_window", "_course"}
+    fixed = {"_joints", "_size", "_window", "_course", "trial_cycles"}
     remembered = {f"_{name}" for name in ("q_start", "offset", "adrift_cycles", "ended", "ipoc", "ipoc_step")}
     assert set(vars(probe)) == remembered | {"mode", "unseen", "_cycle", "_samples", "_void"} | fixed
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import select
 import socket
+import struct
+import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain
 from types import TracebackType
 from typing import Self
@@ -14,12 +16,15 @@ from deltaq_cell.description import RsiDescription
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
+from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
-_DATAGRAM_BYTES = 65_536
+_DATAGRAM_BYTES = MAX_TELEGRAM_BYTES + 1
+"""Read of a datagram: enough to see that it is too long."""
+
 MOST_WAITING = 1024
 """Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
 
@@ -39,6 +44,7 @@ class KrcSocket:
     Attributes:
         peer: who is answered.
         newest: the datagram that was read last; empty if none was valid.
+        came_s: when `answer` had one, on the monotonic clock.
 
     Raises:
         ServiceUnreachableError: if the address cannot be had, or that of the KRC is not known.
@@ -50,7 +56,7 @@ class KrcSocket:
         self.peer = Peer(_resolved(driver.krc_address), silence_s)
         self._rsi = rsi
         self._counters = counters
-        self.newest = b""
+        self.newest, self.came_s = b"", 0.0
         self._sock = _bound(driver)
         self._sender: Address | None = None
         self._taken: tuple[bytes, Address] | None = None
@@ -76,11 +82,21 @@ class KrcSocket:
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
         return "; ".join(filter(None, (self._rsi.detail, self.peer.stranger, ipoc)))
 
-    def answer(self, prepared: PreparedReply) -> bool:
-        """Answer what waits if it is alone, of the believed KRC, and the telegram that a reply was prepared for.
+    def answer(self, prepared: PreparedReply, is_void: Callable[[], bool], seconds: float) -> bool:
+        """Wait for a datagram, and answer it if it is the telegram that a reply was prepared for.
 
-        What is taken from the socket is left to `read`, whether it was answered or not.
+        It has to be alone, and of the KRC that is believed. What is taken from the socket is left to `read`, whether it
+        was answered or not.
+
+        Args:
+            prepared: the reply.
+            is_void: asked when the datagram has come; whether the reply must not be sent any more.
+            seconds: to wait.
+
+        Returns:
+            Whether it was answered; False too if none came.
         """
+        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds))
         try:
             datagram, sender = self._taken = self._sock.recvfrom(_DATAGRAM_BYTES)
         except BlockingIOError:
@@ -88,13 +104,26 @@ class KrcSocket:
         except OSError:  # an earlier reply found nobody there
             self._counters["socket_errors"] += 1
             return False
-        if sender != self.peer.address or self._incoming.poll(0) or not prepared.is_for(datagram):
+        finally:
+            self.came_s = time.monotonic()
+        if (
+            sender != self.peer.address
+            or is_void()
+            or self._incoming.poll(0)
+            or not prepared.is_for(datagram)
+        ):
             return False
         if not self._rsi.allows(prepared.correction):
             return False
         self._sender = sender
         self.send(prepared.reply)
         return True
+
+    def rehearse(self, prepared: PreparedReply) -> None:
+        """Do what `answer` does, with the telegram read last and without an answer, so that it is at hand right after."""
+        self._incoming.poll(0)
+        prepared.is_for(self.newest)
+        self._rsi.allows(prepared.correction)
 
     def read(self, now_s: float, alone: bool = False) -> Measurement | None:
         """Read the newest telegram among all that waits.
@@ -155,7 +184,7 @@ class KrcSocket:
         """What waits in the socket."""
         for _ in range(MOST_WAITING):
             try:
-                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES)
+                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES, socket.MSG_DONTWAIT)
             except BlockingIOError:
                 return
             except OSError:  # an earlier reply found nobody there
@@ -181,7 +210,6 @@ def _resolved(address: str | None) -> str | None:
 
 def _bound(driver: RsiDescription) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setblocking(False)
     try:
         sock.bind((driver.address, driver.port))
     except OSError as error:
@@ -191,3 +219,8 @@ def _bound(driver: RsiDescription) -> socket.socket:
             "is another Robot Server running, or the address not this machine's?"
         ) from error
     return sock
+
+
+def _timeval(seconds: float) -> bytes:
+    """A time to wait as the kernel takes it; none at all would be for ever."""
+    return struct.pack("@ll", *divmod(max(1, round(seconds * 1e6)), 1_000_000))

@@ -19,7 +19,7 @@ from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.mode_probe import ADRIFT
+from deltaq_services.robot_server.mode_probe import ADRIFT, ModeProbe
 from deltaq_services.robot_server.plausibility import Plausibility
 from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.probe_trial import Mode, pulse_sums
@@ -62,6 +62,7 @@ class Preparation:
         self._reach = np.array(plausible.reach) + np.array(plausible.resolution)
         self._tolerance = robot.tracking_tolerance
         self._lag_cycles = math.ceil(cell.gate.servo_lag_s / cell.cycle_s)
+        self._trial_cycles = ModeProbe(robot, cell.cycle_s, self._lag_cycles, robot.home).trial_cycles
         self._adrift = ADRIFT * pulse_sums(robot)
 
     def after(self, datagram: bytes, stop: bool, time_s: float) -> PreparedReply | None:
@@ -84,14 +85,14 @@ class Preparation:
         memory = self._server.snapshot()
         if memory.supervision is not None and memory.supervision.resets > memory.resets:
             return None
+        if self._is_judged_next(memory) and _has_negative_zero(_held_at(memory)):
+            return None
         lower, upper = self._calm(memory, last.q)
         if not ((lower <= last.q) & (last.q <= upper)).all():
             return None
         ipoc = (last.ipoc + step) % IPOC_WRAP
         self._ahead.restore(memory)
         (setpoint,) = self._ahead.take(Measurement(ipoc, last.q, inputs=last.inputs), time_s)
-        if _judged(memory, self._ahead):
-            return None
         sent = self._rsi.ahead(ipoc, setpoint.q_cmd, setpoint.outputs, stop or setpoint.motion_stop)
         if sent is None:
             return None
@@ -115,14 +116,24 @@ class Preparation:
         yield self._possible
         yield q - self._reach, q + self._reach
         if memory.cycles_at_rest > self._lag_cycles:
-            held_at = memory.motion.q_cmd if memory.q_reset is None else np.array(memory.q_reset)
+            held_at = _held_at(memory)
             yield held_at - self._tolerance, held_at + self._tolerance
         if memory.mode is not None and memory.mode.mode is Mode.UNKNOWN:
             q_start = np.array(memory.mode.q_start)
             yield q_start - self._adrift, q_start + self._adrift
 
+    def _is_judged_next(self, memory: ServerMemory) -> bool:
+        """Whether the next telegram ends a trial of the KRC's mode.
 
-def _judged(before: ServerMemory, after: RobotServer) -> bool:
-    """Whether the cycle ended a trial of the KRC's mode, which tells by where the robot was."""
-    mode = after.snapshot().mode
-    return before.mode is not None and mode is not None and bool(before.mode.samples) and not mode.samples
+        A trial ends at rest, with zero added to the setpoint. Whatever it tells, the reply has the setpoint that the KRC
+        has, with that zero or without it, which makes a difference to a negative zero only.
+        """
+        return memory.mode is not None and memory.mode.cycle + 1 == self._trial_cycles
+
+
+def _held_at(memory: ServerMemory) -> Array:
+    return memory.motion.q_cmd if memory.q_reset is None else np.array(memory.q_reset)
+
+
+def _has_negative_zero(q: Array) -> bool:
+    return bool((np.signbit(q) & (q == 0.0)).any())

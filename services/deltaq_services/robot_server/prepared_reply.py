@@ -34,9 +34,9 @@ class PreparedReply:
     def is_for(self, datagram: bytes) -> bool:
         """Whether a datagram of the KRC is the telegram that was expected."""
         read = self.telegrams.read(datagram)
-        if read is None or read[1] != self.steady:
+        if read is None:
             return False
         for text, lower, upper in zip(read[0], self.lower, self.upper, strict=True):
             if not lower <= float(text) <= upper:
                 return False
-        return True
+        return read[1] == self.steady

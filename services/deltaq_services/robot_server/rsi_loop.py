@@ -12,8 +12,10 @@ The reply of 2 is compared with that of 3, byte by byte. If they ever differ, th
 
 from __future__ import annotations
 
+import math
 import time
 
+from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
@@ -23,8 +25,33 @@ from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
-LEAD_S = 0.001
-"""How long before a telegram is due its reply is prepared: longer than that takes."""
+_LOOK_S = 0.0002
+_MARGIN_S = 0.0003
+"""Time to fall asleep again before the telegram."""
+
+_FORGOTTEN = 0.999
+"""Share of the longest preparation that is left after a cycle."""
+
+
+class Lead:
+    """How long before a telegram is due its reply is prepared: somewhat longer than that has taken lately.
+
+    Args:
+        cycle_s: sample time.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        self._longest_s = 0.0
+        self._cycle_s = cycle_s
+
+    @property
+    def seconds(self) -> float:
+        """At most half a cycle: what comes from the gate within it makes a prepared reply void."""
+        return min(1.25 * self._longest_s + _MARGIN_S, 0.5 * self._cycle_s)
+
+    def took(self, seconds: float) -> None:
+        """A preparation has taken so long."""
+        self._longest_s = max(seconds, _FORGOTTEN * self._longest_s)
 
 
 class RsiLoop:
@@ -55,57 +82,68 @@ class RsiLoop:
         self._server, self._rsi, self._krc = server, rsi, krc
         self._link, self._ending, self._preparation = link, ending, preparation
         self._cycle_s, self._silence_s = cycle_s, silence_s
-        self._silent_s = 0.0
-        self._prepare_s = 0.0
+        self._lead = Lead(cycle_s)
+        self._silent_s = self._due_s = 0.0
+        self._look_s = math.inf
         self._prepared: PreparedReply | None = None
 
     def run(self) -> None:
         """Answer telegrams until the process may end."""
-        now_s = time.monotonic()
-        self._silent_s, self._prepare_s = now_s + self._silence_s, self._silent_s
+        self._silent_s = time.monotonic() + self._silence_s
         while not self._ending.over:
-            has_come = self._krc.wait(min(self._silent_s, self._prepare_s) - now_s)
-            now_s = time.monotonic()
-            if not has_come and self._prepare_s <= now_s < self._silent_s:
-                self._prepare(now_s)
+            if self._prepared is not None and self._look_s == math.inf:
+                self._answer(self._prepared)
+            elif not self._krc.wait(min(self._silent_s, self._look_s) - time.monotonic()):
+                self._time_passed(time.monotonic())
+            elif self._prepared is not None:
+                self._answer(self._prepared)
             else:
-                self._look(now_s)
-            now_s = time.monotonic()
+                self._read(time.monotonic())
+
+    def _time_passed(self, now_s: float) -> None:
+        if self._look_s <= now_s < self._silent_s:
+            self._prepare(now_s)
+        else:
+            self._read(now_s)
 
     def _prepare(self, now_s: float) -> None:
-        self._prepare_s = self._silent_s
-        self._hear(now_s)
-        self._prepared = self._preparation.after(self._krc.newest, self._ending.stop, now_s)
+        """Prepare the reply; look again whether something has come until the telegram is about to come."""
+        if self._hear(now_s) or self._prepared is None:
+            self._prepared = self._preparation.after(self._krc.newest, self._ending.stop, now_s)
+        if self._prepared is not None:
+            self._krc.rehearse(self._prepared)
+        done_s = time.monotonic()
+        self._lead.took(done_s - now_s)
+        next_s = done_s + _LOOK_S
+        self._look_s = next_s if next_s + _LOOK_S < self._due_s else math.inf
 
-    def _hear(self, now_s: float) -> None:
-        for admission in self._link.admissions():
-            self._server.take(admission, now_s)
-        supervision = self._link.supervision()
-        if supervision is not None:
-            self._server.take(supervision, now_s)
+    def _answer(self, prepared: PreparedReply) -> None:
+        """Wait for the telegram, if it is not there, and answer it with the prepared reply, if it is the one."""
+        left_s = self._silent_s - time.monotonic()
+        is_answered = self._krc.answer(prepared, self._link.has_come, left_s)
+        self._prepared = None
+        self._read(self._krc.came_s, prepared if is_answered else None)
 
-    def _look(self, now_s: float) -> None:
-        """A datagram has come, or the KRC is silent."""
-        prepared, self._prepared = self._prepared, None
-        if prepared is not None and (self._link.has_come() or not self._krc.answer(prepared)):
-            prepared = None
-        measured = self._krc.read(now_s, alone=prepared is not None)
+    def _read(self, now_s: float, sent: PreparedReply | None = None) -> None:
+        """A datagram has come, to which a prepared reply was sent or none; or the KRC is silent."""
+        self._prepared, self._look_s = None, math.inf
+        measured = self._krc.read(now_s, alone=sent is not None)
         if measured is not None:
             self._silent_s = now_s + self._silence_s
-            self._prepare_s = now_s + self._cycle_s - LEAD_S
-            self._decide(measured, now_s, prepared)
+            self._decide(measured, now_s, sent)
             self._link.publish(
                 self._server.state, now_s, lambda: _told(self._server.detail, self._krc.detail)
             )
             self._ending.cycle_passed()
+            self._due_s = now_s + self._cycle_s
+            self._look_s = self._due_s - self._lead.seconds
             return
-        self._prepare_s = self._silent_s
-        if prepared is not None:
-            self._disagree(prepared)
+        if sent is not None:
+            self._disagree(sent)
         elif self._rsi.unmoved is not None:
             self._krc.send(self._rsi.unmoved)
         if now_s >= self._silent_s:
-            self._prepare_s = self._silent_s = now_s + self._silence_s
+            self._silent_s = now_s + self._silence_s
             self._server.krc_silent(now_s)
             self._link.publish(
                 self._server.state, now_s, lambda: _told("KRC silent", self._server.detail, self._krc.detail)
@@ -113,6 +151,16 @@ class RsiLoop:
             self._ending.krc_silent()
         else:
             self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
+
+    def _hear(self, now_s: float) -> bool:
+        """Hand the core what has come from the gate; whether anything has."""
+        messages: list[Admission | Supervision] = [*self._link.admissions()]
+        supervision = self._link.supervision()
+        if supervision is not None:
+            messages.append(supervision)
+        for message in messages:
+            self._server.take(message, now_s)
+        return bool(messages)
 
     def _decide(self, measured: Measurement, now_s: float, prepared: PreparedReply | None) -> None:
         if prepared is None:
