@@ -6,21 +6,16 @@ What is read here is read by `SensorCodec.decode` too, with the same numbers; th
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from operator import itemgetter
 
 from deltaq_protocol.rsi.axes import AxisMap
 from deltaq_protocol.rsi.ethernet_xml import ElementType, EthernetConfig
 from deltaq_protocol.rsi.layout import Field, document, send_fields
-
-MAX_USUAL_BYTES = 4096
+from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 
 # as `layout.NUMBER`, but never tried in two ways: what may follow a digit is no digit
 _NUMBER = r"[-+]?[0-9]{1,16}+(?:\.[0-9]{0,16}+)?+(?:[eE][-+]?[0-9]{1,2}+)?+"
 _GAP = r"\s*+"
-
-
-Texts = tuple[bytes, ...]
+_IPOC, _IPOC_ENDS = b"<IPOC>", b"</IPOC>"
 
 
 class UsualTelegrams:
@@ -29,45 +24,48 @@ class UsualTelegrams:
     Args:
         config: the controller's `*_ethernet.xml`; it reports all joints.
         axes: the robot's joints.
+
+    Attributes:
+        order: (n,) which joint each of those is that `joints` returns.
     """
 
     def __init__(self, config: EthernetConfig, axes: AxisMap) -> None:
-        measured: dict[str, int] = {}
-        steady: list[int] = []
+        order: list[int] = []
+        steady: dict[str, None] = {}
 
         def value(field: Field) -> str:
             internal, axis = field.element.internal, field.attribute or ""
+            if internal in ("ASPos", "ESPos", "Delay"):
+                steady[field.group] = None
             if internal in ("AIPos", "EIPos") and axis in axes.axes:
-                measured[axis] = 1 + len(measured) + len(steady)
-            elif internal == "Delay" or (internal in ("ASPos", "ESPos") and axis in axes.axes):
-                steady.append(1 + len(measured) + len(steady))
-            else:
-                return '[^"<]*+' if field.element.type is ElementType.STRING else _NUMBER
-            return f"({_NUMBER})"
+                order.append(axes.axes.index(axis))
+                return f"({_NUMBER})"
+            return '[^"<]*+' if field.element.type is ElementType.STRING else _NUMBER
 
         pattern = document("Rob", '(?i:Type)="KUKA"', send_fields(config), value, _GAP)
-        pattern = f"{_GAP}{pattern.replace('%IPOC%', '([0-9]{1,10}+)')}{_GAP}"
-        self._match: Callable[[bytes], re.Match[bytes] | None] = re.compile(pattern.encode()).fullmatch
-        self._q = _getter([measured[axis] for axis in axes.axes])
-        self._steady = _getter([*steady, 1 + len(measured) + len(steady)])
+        pattern = f"{_GAP}{pattern.replace('%IPOC%', '[0-9]{1,10}+')}{_GAP}"
+        self._match = re.compile(pattern.encode()).fullmatch
+        self._steady = tuple(f"<{group} ".encode() for group in steady)
+        self.order = tuple(order)
 
-    def read(self, datagram: bytes) -> tuple[Texts, Texts] | None:
-        """What a datagram says, as it was written; None if it is none of these telegrams.
+    def joints(self, datagram: bytes) -> tuple[bytes, ...] | None:
+        """(n,) measured joints, in the order of the telegram, as they were written: decimal numbers in the controller's
+        units; None if it is none of these telegrams."""
+        match = self._match(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
+        return None if match is None else match.groups()
 
-        Returns:
-            (n,) measured joints, decimal numbers in the controller's units; and what stays as it is while a session
-            goes well, programmed joints and late packets, with the IPOC as the last.
-        """
-        match = self._match(datagram) if len(datagram) <= MAX_USUAL_BYTES else None
-        if match is None:
-            return None
-        values = match.groups()
-        return self._q(values), self._steady(values)
+    def steady(self, datagram: bytes) -> tuple[bytes, ...]:
+        """The elements of such a telegram that stay as they are while a session goes well: programmed joints, late
+        packets. There is no other place in any such telegram where one of them could stand."""
+        starts = [datagram.index(name) for name in self._steady]
+        return tuple(datagram[start : datagram.index(b">", start) + 1] for start in starts)
 
+    @staticmethod
+    def ipoc(datagram: bytes) -> int:
+        """Its IPOC."""
+        return int(datagram[datagram.rindex(_IPOC) + len(_IPOC) : datagram.rindex(_IPOC_ENDS)])
 
-def _getter(places: list[int]) -> Callable[[Texts], Texts]:
-    """Takes these groups of a match out of all."""
-    if len(places) > 1:
-        return itemgetter(*(place - 1 for place in places))
-    (place,) = places
-    return itemgetter(slice(place - 1, place))
+    @staticmethod
+    def end(datagram: bytes, ipoc: int) -> bytes:
+        """Its end, from its IPOC on, with another one."""
+        return b"%b%d%b" % (_IPOC, ipoc, datagram[datagram.rindex(_IPOC_ENDS) :])

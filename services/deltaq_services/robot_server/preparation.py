@@ -76,11 +76,11 @@ class Preparation:
         Returns:
             None if the reply may depend on where the robot is, or nothing is expected.
         """
-        session, read = self._rsi.session, self._telegrams.read(datagram)
+        session, telegrams = self._rsi.session, self._telegrams
         last, step = session.last, session.step
-        if read is None or last is None or last.q is None or step is None:
+        if telegrams.joints(datagram) is None or last is None or last.q is None or step is None:
             return None
-        if session.belief is not Belief.BELIEVED or int(read[1][-1]) != last.ipoc:
+        if session.belief is not Belief.BELIEVED or telegrams.ipoc(datagram) != last.ipoc:
             return None
         memory = self._server.snapshot()
         if memory.supervision is not None and memory.supervision.resets > memory.resets:
@@ -97,10 +97,12 @@ class Preparation:
         if sent is None:
             return None
         reply, correction = sent
-        least, most = lower * self._units, upper * self._units
+        order = list(telegrams.order)
+        least, most = (lower * self._units)[order], (upper * self._units)[order]
         return PreparedReply(
-            self._telegrams,
-            (*read[1][:-1], b"%d" % ipoc),
+            telegrams,
+            telegrams.steady(datagram),
+            telegrams.end(datagram, ipoc),
             tuple((least + _HAIR * (1.0 + np.abs(least))).tolist()),
             tuple((most - _HAIR * (1.0 + np.abs(most))).tolist()),
             correction,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deltaq_protocol.rsi.usual_telegram import Texts, UsualTelegrams
+from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,15 +17,17 @@ class PreparedReply:
 
     Attributes:
         telegrams: reads them.
-        steady: what the telegram has to say besides its joints, see `UsualTelegrams`.
-        lower, upper: (n,) where its joints have to be, in the controller's units; wherever in there they are, the reply
-            is this one.
+        steady: elements that the telegram has to repeat of the one before it, see `UsualTelegrams`.
+        end: how it has to end: with the expected IPOC.
+        lower, upper: (n,) where its joints have to be, in its own order and units; wherever in there they are, the
+            reply is this one.
         correction: (n,) of the reply [rad or m].
         reply: the bytes.
     """
 
     telegrams: UsualTelegrams
-    steady: Texts
+    steady: tuple[bytes, ...]
+    end: bytes
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     correction: tuple[float, ...]
@@ -33,10 +35,13 @@ class PreparedReply:
 
     def is_for(self, datagram: bytes) -> bool:
         """Whether a datagram of the KRC is the telegram that was expected."""
-        read = self.telegrams.read(datagram)
-        if read is None:
+        joints = self.telegrams.joints(datagram)
+        if joints is None:
             return False
-        for text, lower, upper in zip(read[0], self.lower, self.upper, strict=True):
+        for text, lower, upper in zip(joints, self.lower, self.upper, strict=True):
             if not lower <= float(text) <= upper:
                 return False
-        return read[1] == self.steady
+        for element in self.steady:
+            if element not in datagram:
+                return False
+        return datagram.endswith(self.end)

@@ -26,6 +26,7 @@ from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _LOOK_S = 0.0002
+_LAST_LOOK_S = 0.0003
 _MARGIN_S = 0.0003
 """Time to fall asleep again before the telegram."""
 
@@ -114,8 +115,8 @@ class RsiLoop:
             self._krc.rehearse(self._prepared)
         done_s = time.monotonic()
         self._lead.took(done_s - now_s)
-        next_s = done_s + _LOOK_S
-        self._look_s = next_s if next_s + _LOOK_S < self._due_s else math.inf
+        last_s = self._due_s - _LAST_LOOK_S
+        self._look_s = min(done_s + _LOOK_S, last_s) if done_s < last_s else math.inf
 
     def _answer(self, prepared: PreparedReply) -> None:
         """Wait for the telegram, if it is not there, and answer it with the prepared reply, if it is the one."""
