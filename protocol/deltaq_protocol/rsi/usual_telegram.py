@@ -49,14 +49,18 @@ class UsualTelegrams:
         self.order = tuple(order)
 
     def joints(self, datagram: bytes) -> tuple[bytes, ...] | None:
-        """(n,) measured joints, in the order of the telegram, as they were written: decimal numbers in the controller's
-        units; None if it is none of these telegrams."""
+        """The measured joints (n,), in the order of the telegram and as they were written; None if it is none of these.
+
+        They are decimal numbers in the controller's units.
+        """
         match = self._match(datagram) if len(datagram) <= MAX_TELEGRAM_BYTES else None
         return None if match is None else match.groups()
 
     def steady(self, datagram: bytes) -> tuple[bytes, ...]:
-        """The elements of such a telegram that stay as they are while a session goes well: programmed joints, late
-        packets. There is no other place in any such telegram where one of them could stand."""
+        """The elements of such a telegram that stay as they are while a session goes well: `ASPos`, `ESPos`, `Delay`.
+
+        There is no other place in any such telegram where one of them could stand.
+        """
         starts = [datagram.index(name) for name in self._steady]
         return tuple(datagram[start : datagram.index(b">", start) + 1] for start in starts)
 

@@ -127,8 +127,8 @@ class Preparation:
     def _is_judged_next(self, memory: ServerMemory) -> bool:
         """Whether the next telegram ends a trial of the KRC's mode.
 
-        A trial ends at rest, with zero added to the setpoint. Whatever it tells, the reply has the setpoint that the KRC
-        has, with that zero or without it, which makes a difference to a negative zero only.
+        A trial ends at rest, with zero added to the setpoint. Whatever it tells, the reply has the setpoint that the
+        KRC has, with that zero or without it, which makes a difference to a negative zero only.
         """
         return memory.mode is not None and memory.mode.cycle + 1 == self._trial_cycles
 

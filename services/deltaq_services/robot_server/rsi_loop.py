@@ -2,7 +2,7 @@
 
 One thread, and one cycle of it:
 
-1. A little before the telegram is due, take what has come from the gate and prepare the reply.
+1. A little before the telegram is due, take what has come from the gate and prepare the reply; look again a few times.
 2. When the telegram comes, send that reply if it is the telegram that was expected and nothing has come since.
 3. Decide on the telegram. This is the decision that counts; where nothing was sent in 2, send its reply now.
 4. Publish.
@@ -26,9 +26,10 @@ from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _LOOK_S = 0.0002
+"""Between two looks whether the gate has said something since the reply was prepared."""
+
 _LAST_LOOK_S = 0.0003
-_MARGIN_S = 0.0003
-"""Time to fall asleep again before the telegram."""
+"""Before a telegram is due the last look is over: one takes a third of that, and a telegram would wait for it."""
 
 _FORGOTTEN = 0.999
 """Share of the longest preparation that is left after a cycle."""
@@ -48,7 +49,7 @@ class Lead:
     @property
     def seconds(self) -> float:
         """At most half a cycle: what comes from the gate within it makes a prepared reply void."""
-        return min(1.25 * self._longest_s + _MARGIN_S, 0.5 * self._cycle_s)
+        return min(1.25 * self._longest_s + _LAST_LOOK_S, 0.5 * self._cycle_s)
 
     def took(self, seconds: float) -> None:
         """A preparation has taken so long."""
