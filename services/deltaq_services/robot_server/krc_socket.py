@@ -120,7 +120,7 @@ class KrcSocket:
         return True
 
     def rehearse(self, prepared: PreparedReply) -> None:
-        """Do what `answer` does, on the telegram read last and without an answer: so the caches are warm right after."""
+        """Do what `answer` does, on the telegram read last and without an answer: caches are warm right after."""
         self._incoming.poll(0)
         prepared.is_for(self.newest)
         self._rsi.allows(prepared.correction)
