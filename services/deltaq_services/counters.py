@@ -155,6 +155,12 @@ COUNTERS: tuple[Counted, ...] = (
         "motion_stops",
         "times that the KRC was ordered to end a motion that went on although its setpoint rested",
     ),
+    Counted(ROBOT_SERVER, "prepared_replies", "replies that were ready before their telegram came"),
+    Counted(
+        ROBOT_SERVER,
+        "prepared_replies_wrong",
+        "of those, replies that another decision was made on; the robot is held where it was sent",
+    ),
     Counted(ROBOT_SERVER, "replies_refused", "replies that the last check refused"),
     Counted(ROBOT_SERVER, "replies_unsent", "replies that the socket did not take"),
     Counted(ROBOT_SERVER, "socket_errors", "errors while reading the socket"),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_services.robot_server.reply_guard import ReplyFault, reply_fault
+from deltaq_services.robot_server.reply_guard import ReplyBounds, ReplyFault, reply_fault
 
 MOST = (0.1, 0.2)
 LOWER, UPPER = (-1.0, -2.0), (1.0, 2.0)
@@ -73,3 +73,15 @@ def test_what_is_let_pass_is_a_small_step_inside_the_limits(correction, last):
         for joint in (0, 1):
             assert abs(correction[joint] - last[joint]) <= MOST[joint] * (1 + 1e-6)
             assert LOWER[joint] - 1e-9 <= correction[joint] <= UPPER[joint] + 1e-9
+
+
+_GRID = st.integers(-160, 160).map(lambda steps: steps / 64)
+
+
+@given(st.tuples(_GRID, _GRID), st.tuples(*[st.integers(-20, 20)] * 2))
+def test_bounds_that_were_worked_out_before_say_the_same(last, steps):
+    correction = tuple(q + step / 64 for q, step in zip(last, steps, strict=True))
+    bounds = ReplyBounds.of(last, MOST, LOWER, UPPER)
+    assert bounds.allow(correction) == (fault(correction, last) is None)
+    for value in (math.nan, math.inf, -math.inf):
+        assert not bounds.allow((correction[0], value))

@@ -10,9 +10,11 @@ from krc_side import CELL, FR, XML, telegram
 from private_cell import free_ports
 
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.krc_socket import MOST_READ, MOST_WAITING, KrcSocket
+from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
-from deltaq_services.robot_server.shell import sensor_codec
+from deltaq_services.robot_server.shell import preparation, sensor_codec
 
 
 class Bench:
@@ -87,7 +89,7 @@ def test_a_flood_that_never_ends_is_left_after_a_bound(bench):
     reads = []
     sender = bench.krc.getsockname()
     real = bench.server._sock
-    bench.server._sock = SimpleNamespace(recvfrom=lambda _: reads.append(1) or (b"flood", sender))
+    bench.server._sock = SimpleNamespace(recvfrom=lambda *_: reads.append(1) or (b"flood", sender))
     assert bench.server.read(0.0) is None
     bench.server._sock = real
     assert len(reads) == MOST_WAITING
@@ -99,7 +101,7 @@ def test_an_error_of_the_socket_is_counted_and_the_next_telegram_read(bench):
     real = bench.server._sock
     told = iter([ConnectionRefusedError(), OSError(101, "unreachable"), (telegram(1000), ("127.0.0.1", 9))])
 
-    def recvfrom(_):
+    def recvfrom(*_):
         item = next(told, BlockingIOError())
         if isinstance(item, OSError):
             raise item
@@ -142,8 +144,98 @@ def test_a_socket_holds_fewer_telegrams_than_are_drained(bench):
     held = 0
     while True:
         try:
-            bench.server._sock.recv(1000)
+            bench.server._sock.recv(1000, socket.MSG_DONTWAIT)
         except BlockingIOError:
             break
         held += 1
     assert 0 < held < MOST_WAITING
+
+
+WAITS_S = 10.0
+"""More than a datagram on the loopback takes."""
+
+
+def expected(bench):
+    """A believed KRC with its answer to the telegram that is expected; IPOC 1048."""
+    bench.believe()
+    server = RobotServer(CELL, "fr", process=1)
+    server.take(Measurement(1036, FR.home, FR.home), 0.036)
+    prepared = preparation(CELL, server, bench.rsi, XML).after(bench.server.newest, False, 0.04)
+    assert b"<IPOC>1048</IPOC>" in prepared.reply
+    bench.krc.settimeout(WAITS_S)
+    return prepared
+
+
+def answer(bench, prepared, is_void=False):
+    return bench.server.answer(prepared, lambda: is_void, WAITS_S)
+
+
+def test_the_expected_telegram_is_answered_with_the_prepared_reply_and_read_after(bench):
+    prepared = expected(bench)
+    bench.krc.send(telegram(1048))
+    assert answer(bench, prepared)
+    assert bench.krc.recv(4096) == prepared.reply
+    bench.krc.send(telegram(1060))  # of the next cycle: it waits
+    assert bench.server.read(0.048, alone=True).ipoc == 1048
+    assert bench.server.read(0.06).ipoc == 1060
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        telegram(1060),
+        telegram(1048, delay=1),
+        telegram(1048, q=FR.home + 0.2),
+        telegram(1048, programmed=FR.home + 0.001),
+        telegram(1048)[:-1],
+        telegram(1048) + b" " * 4096,
+        b"",
+    ],
+)
+def test_any_other_datagram_gets_no_prepared_reply_and_is_left_to_be_read(bench, datagram):
+    prepared = expected(bench)
+    bench.krc.send(datagram)
+    assert not answer(bench, prepared)
+    bench.server.read(0.048)
+    assert bench.counters["telegrams_garbled"] == (0 if datagram.endswith(b">") else 1)
+
+
+def test_two_telegrams_at_once_get_no_prepared_reply_and_the_newest_is_read(bench):
+    prepared = expected(bench)
+    for ipoc in (1048, 1060):
+        bench.krc.send(telegram(ipoc))
+    assert not answer(bench, prepared)
+    assert bench.server.read(0.048).ipoc == 1060
+    assert bench.counters["telegrams_skipped"] == 1
+
+
+def test_a_strangers_copy_of_the_expected_telegram_is_not_answered(bench):
+    prepared = expected(bench)
+    bench.other.send(telegram(1048))
+    assert not answer(bench, prepared)
+    assert bench.server.read(0.048) is None
+    assert bench.counters["telegrams_second_krc"] == 1
+
+
+def test_what_the_gate_said_since_makes_a_prepared_reply_void(bench):
+    prepared = expected(bench)
+    bench.krc.send(telegram(1048))
+    assert not answer(bench, prepared, is_void=True)
+    assert bench.server.read(0.048).ipoc == 1048
+
+
+def test_a_reply_that_was_prepared_before_another_was_sent_is_refused_by_the_last_check(bench):
+    prepared = expected(bench)
+    assert bench.rsi.allows(prepared.correction)
+    assert not bench.rsi.allows((0.1,) * 6)
+    assert not bench.rsi.allows((float("nan"),) * 6)
+    bench.rsi.reply(FR.home, {})
+    bench.krc.send(telegram(1048))
+    assert not answer(bench, prepared)
+    assert bench.server.read(0.048).ipoc == 1048
+
+
+def test_no_telegram_is_waited_for_longer_than_asked(bench):
+    prepared = expected(bench)
+    assert not bench.server.answer(prepared, lambda: False, 0.0)
+    assert bench.server.read(0.048) is None

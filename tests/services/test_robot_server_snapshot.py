@@ -110,14 +110,14 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     server = RobotServer(CELL, "fr", process=1)
     assert set(vars(server)) == remembered | fixed
     probe = ModeProbe(FR, CELL.cycle_s, 6, FR.home)
-    fixed = {"_joints", "_size", "_window", "_course"}
+    fixed = {"_joints", "_size", "_window", "_course", "trial_cycles"}
     remembered = {f"_{name}" for name in ("q_start", "offset", "adrift_cycles", "ended", "ipoc", "ipoc_step")}
     assert set(vars(probe)) == remembered | {"mode", "unseen", "_cycle", "_samples", "_void"} | fixed
 
 
 def test_a_driver_and_its_peer_leave_out_nothing_either():
     krc = KrcSide()
-    of_one_call = {"unmoved", "implausible", "fault", "detail"}
+    of_one_call = {"unmoved", "implausible", "fault", "detail", "_bounds"}
     fixed = {"_codec", "_counters", "_plausible", "_near", "_most", "_widest", "_zero"}
     remembered = {"session", "_origin", "_lower", "_upper", "_sent", "_earlier", "_opened", "_outputs"}
     assert set(vars(krc.driver)) == remembered | fixed | of_one_call

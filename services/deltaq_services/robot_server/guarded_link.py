@@ -29,6 +29,25 @@ _WAITING = 32
 forged ones would keep it from being heard. All that wait are opened before the reply, so that there must be few."""
 
 
+class _Waiting:
+    """Samples of one key that wait to be read, in zenoh's own memory."""
+
+    def __init__(self, session: Any, key: str) -> None:
+        self._subscriber = subscribe_newest(session, key, _WAITING)
+        self._first: Any = None
+
+    def has_come(self) -> bool:
+        """Whether there is one."""
+        if self._first is None:
+            self._first = self._subscriber.try_recv()
+        return self._first is not None
+
+    def take(self) -> Any:
+        """The oldest; None if there is none."""
+        first, self._first = self._first, None
+        return self._subscriber.try_recv() if first is None else first
+
+
 class GuardedLink:
     """zenoh session of one Robot Server.
 
@@ -51,9 +70,9 @@ class GuardedLink:
         self._session: Any = open_session(listen=[cell.robots[robot].server], access=rules)
         admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
         supervision_key = topics.SUPERVISION.key(cell.cell, robot=robot)
-        self._admissions = subscribe_newest(self._session, admission_key, _WAITING)
-        self._supervisions = subscribe_newest(self._session, supervision_key, _WAITING)
-        self._greetings = subscribe_newest(self._session, topics.GREETING.key(cell.cell), _WAITING)
+        self._admissions = _Waiting(self._session, admission_key)
+        self._supervisions = _Waiting(self._session, supervision_key)
+        self._greetings = _Waiting(self._session, topics.GREETING.key(cell.cell))
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
         greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
@@ -73,6 +92,10 @@ class GuardedLink:
         """The newest heartbeat of the gate since the last call, if any."""
         received = self._received(self._supervisions, Supervision)
         return received[-1] if received else None
+
+    def has_come(self) -> bool:
+        """Whether `admissions` or `supervision` has something to read."""
+        return self._admissions.has_come() or self._supervisions.has_come()
 
     def publish(self, state: ServerState | None, time_s: float, detail: Callable[[], str] = str) -> None:
         """Publish the state, and at the pace of the table of topics a heartbeat, for which alone `detail` is asked."""
@@ -99,11 +122,11 @@ class GuardedLink:
     def _publisher(self, topic: Topic, cell: str, **fields: str) -> Any:
         return declare_publisher(self._session, topic.key(cell, **fields), self._seal, topic.priority)
 
-    def _received(self, subscriber: Any, message_type: type[M]) -> list[M]:
+    def _received(self, waiting: _Waiting, message_type: type[M]) -> list[M]:
         name = message_type.__name__.lower()
         received: list[M] = []
         for _ in range(_WAITING):  # no more: others may send faster than they are read
-            sample = subscriber.try_recv()
+            sample = waiting.take()
             if sample is None:
                 break
             try:
@@ -121,7 +144,7 @@ class GuardedLink:
     def _exchange_greetings(self, time_s: float) -> None:
         """Greet who does not know this process, and learn of those who greet: after the reply, since it can wait."""
         for _ in range(_WAITING):
-            sample = self._greetings.try_recv()
+            sample = self._greetings.take()
             if sample is None:
                 break
             try:

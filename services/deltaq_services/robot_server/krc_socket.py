@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import select
 import socket
+import struct
+import time
 from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from itertools import chain
 from types import TracebackType
 from typing import Self
 
@@ -11,11 +16,15 @@ from deltaq_cell.description import RsiDescription
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
+from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
+from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
-_DATAGRAM_BYTES = 65_536
+_DATAGRAM_BYTES = MAX_TELEGRAM_BYTES + 1
+"""Read of a datagram: enough to see that it is too long."""
+
 MOST_WAITING = 1024
 """Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
 
@@ -32,6 +41,11 @@ class KrcSocket:
         rsi: reads telegrams.
         counters: where everything else is counted.
 
+    Attributes:
+        peer: who is answered.
+        newest: the datagram that was read last; empty if none was valid.
+        came_s: when `answer` had one, on the monotonic clock.
+
     Raises:
         ServiceUnreachableError: if the address cannot be had, or that of the KRC is not known.
     """
@@ -42,8 +56,12 @@ class KrcSocket:
         self.peer = Peer(_resolved(driver.krc_address), silence_s)
         self._rsi = rsi
         self._counters = counters
+        self.newest, self.came_s = b"", 0.0
         self._sock = _bound(driver)
         self._sender: Address | None = None
+        self._taken: tuple[bytes, Address] | None = None
+        self._incoming = select.poll()
+        self._incoming.register(self._sock.fileno(), select.POLLIN)
 
     def __enter__(self) -> Self:
         return self
@@ -53,9 +71,9 @@ class KrcSocket:
     ) -> None:
         self._sock.close()
 
-    def fileno(self) -> int:
-        """Descriptor to be polled."""
-        return self._sock.fileno()
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for a datagram; whether there is one."""
+        return bool(select.select([self._sock], [], [], max(0.0, seconds))[0])
 
     @property
     def detail(self) -> str:
@@ -64,17 +82,61 @@ class KrcSocket:
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
         return "; ".join(filter(None, (self._rsi.detail, self.peer.stranger, ipoc)))
 
-    def read(self, now_s: float) -> Measurement | None:
+    def answer(self, prepared: PreparedReply, is_void: Callable[[], bool], seconds: float) -> bool:
+        """Wait for a datagram, and answer it if it is the telegram that a reply was prepared for.
+
+        It has to be alone, and of the KRC that is believed. What is taken from the socket is left to `read`, whether it
+        was answered or not.
+
+        Args:
+            prepared: the reply.
+            is_void: asked when the datagram has come; whether the reply must not be sent any more.
+            seconds: to wait.
+
+        Returns:
+            Whether it was answered; False too if none came.
+        """
+        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds))
+        try:
+            datagram, sender = self._taken = self._sock.recvfrom(_DATAGRAM_BYTES)
+        except BlockingIOError:
+            return False
+        except OSError:  # an earlier reply found nobody there
+            self._counters["socket_errors"] += 1
+            return False
+        finally:
+            self.came_s = time.monotonic()
+        if (
+            sender != self.peer.address
+            or is_void()
+            or self._incoming.poll(0)
+            or not prepared.is_for(datagram)
+        ):
+            return False
+        if not self._rsi.allows(prepared.correction):
+            return False
+        self._sender = sender
+        self.send(prepared.reply)
+        return True
+
+    def rehearse(self, prepared: PreparedReply) -> None:
+        """Do what `answer` does, on the telegram read last and without an answer: caches are warm right after."""
+        self._incoming.poll(0)
+        prepared.is_for(self.newest)
+        self._rsi.allows(prepared.correction)
+
+    def read(self, now_s: float, alone: bool = False) -> Measurement | None:
         """Read the newest telegram among all that waits.
 
         Args:
             now_s: on a monotonic clock.
+            alone: it was answered already; what has come since waits.
 
         Returns:
             What it measures; None if there is none to be answered with a setpoint, see `RsiDriver.read`.
         """
-        self._rsi.unmoved = None
-        waiting = self._drain(now_s)
+        self._rsi.unmoved, self.newest = None, b""
+        waiting = self._drain(now_s, alone)
         while waiting:
             datagram, sender = waiting.pop()
             try:
@@ -87,7 +149,7 @@ class KrcSocket:
             if self._rsi.implausible and self._counters["telegrams_implausible"] == 1:
                 print(f"first implausible telegram: {self._rsi.implausible}", flush=True)
             self._skipped(len(waiting))
-            self._sender = sender
+            self._sender, self.newest = sender, datagram
             self.peer.believed(sender, now_s)
             return measured
         return None
@@ -100,17 +162,10 @@ class KrcSocket:
         except OSError:  # no route, no buffer, nobody there: to the KRC it is a lost reply
             self._counters["replies_unsent"] += 1
 
-    def _drain(self, now_s: float) -> deque[tuple[bytes, Address]]:
+    def _drain(self, now_s: float, alone: bool) -> deque[tuple[bytes, Address]]:
         """The newest datagrams of the KRC, oldest first; older ones are past their time, others are not its own."""
         waiting: deque[tuple[bytes, Address]] = deque(maxlen=MOST_READ)
-        for _ in range(MOST_WAITING):
-            try:
-                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES)
-            except BlockingIOError:
-                break
-            except OSError:  # an earlier reply found nobody there
-                self._counters["socket_errors"] += 1
-                continue
+        for datagram, sender in self._received() if alone else chain(self._received(), self._arrived()):
             who = self.peer.judge(sender, now_s)
             if who is not DatagramSource.KRC:
                 self._counters[who] += 1
@@ -118,6 +173,24 @@ class KrcSocket:
             self._skipped(len(waiting) // MOST_READ)
             waiting.append((datagram, sender))
         return waiting
+
+    def _received(self) -> Iterator[tuple[bytes, Address]]:
+        """What `answer` took from the socket, once."""
+        taken, self._taken = self._taken, None
+        if taken is not None:
+            yield taken
+
+    def _arrived(self) -> Iterator[tuple[bytes, Address]]:
+        """What waits in the socket."""
+        for _ in range(MOST_WAITING):
+            try:
+                datagram, sender = self._sock.recvfrom(_DATAGRAM_BYTES, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                return
+            except OSError:  # an earlier reply found nobody there
+                self._counters["socket_errors"] += 1
+                continue
+            yield datagram, sender
 
     def _skipped(self, count: int) -> None:
         if count:
@@ -137,7 +210,6 @@ def _resolved(address: str | None) -> str | None:
 
 def _bound(driver: RsiDescription) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setblocking(False)
     try:
         sock.bind((driver.address, driver.port))
     except OSError as error:
@@ -147,3 +219,8 @@ def _bound(driver: RsiDescription) -> socket.socket:
             "is another Robot Server running, or the address not this machine's?"
         ) from error
     return sock
+
+
+def _timeval(seconds: float) -> bytes:
+    """A time to wait as the kernel takes it; none at all would be for ever."""
+    return struct.pack("@ll", *divmod(max(1, round(seconds * 1e6)), 1_000_000))

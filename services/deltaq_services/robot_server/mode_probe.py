@@ -87,6 +87,7 @@ class ModeProbe:
     Attributes:
         mode: what was found out; it stays what it is once it is not unknown.
         unseen: names of the joints that did not follow the last trial; empty before the first has ended.
+        trial_cycles: telegrams of a trial; with the last of them it is judged.
     """
 
     def __init__(self, robot: RobotDescription, cycle_s: float, lag_cycles: int, q: Array) -> None:
@@ -98,6 +99,7 @@ class ModeProbe:
         settling = np.zeros(lag_cycles + AT_REST)
         self._window = len(pulse) + len(settling)
         self._course = np.concatenate([np.zeros(AT_REST), pulse, settling, -pulse, settling, [0.0]])
+        self.trial_cycles = len(self._course)
         self._offset = np.zeros_like(q)
         self._q_start = q
         self._adrift_cycles = 0
@@ -105,7 +107,7 @@ class ModeProbe:
         self._ipoc: int | None = None
         self._ipoc_step = _IPOC_WRAP
         self._cycle = 0
-        self._samples: list[Array] = []
+        self._samples: list[tuple[float, ...]] = []
         self._void = False
 
     @property
@@ -163,10 +165,10 @@ class ModeProbe:
         if self._cycle >= 0:
             # what did not reach the KRC in time it replaced by the value before, or by none
             self._void |= lost and bool(self._course[max(self._cycle - 2, 0) : self._cycle].any())
-            self._samples.append(q)
+            self._samples.append(tuple(q.tolist()))
             self._offset = self._course[self._cycle] * self._size
         self._cycle += 1
-        if self._cycle == len(self._course):
+        if self._cycle == self.trial_cycles:
             self._judge()
 
     def added_to(self, setpoint: Array) -> Array:
@@ -189,7 +191,7 @@ class ModeProbe:
             ipoc=self._ipoc,
             ipoc_step=self._ipoc_step,
             cycle=self._cycle,
-            samples=tuple(tuple(sample.tolist()) for sample in self._samples),
+            samples=tuple(self._samples),
             void=self._void,
         )
 
@@ -199,7 +201,7 @@ class ModeProbe:
         self._q_start, self._offset = np.array(memory.q_start), np.array(memory.offset)
         self._adrift_cycles, self._ended = memory.adrift_cycles, memory.ended
         self._ipoc, self._ipoc_step, self._cycle = memory.ipoc, memory.ipoc_step, memory.cycle
-        self._samples, self._void = [np.array(sample) for sample in memory.samples], memory.void
+        self._samples, self._void = list(memory.samples), memory.void
 
     def _is_adrift(self, q: Array) -> bool:
         away = bool((np.abs(q - self._q_start) > ADRIFT * self._size).any())

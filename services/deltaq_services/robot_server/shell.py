@@ -1,25 +1,23 @@
-"""The loop of a Robot Server: the KRC's datagram is its only clock.
-
-One blocking loop in one Python thread: receive, answer at once, and publish after. Anything else costs cycles.
-"""
+"""A Robot Server's process: its core and what it is connected to, for a robot on RSI and for one without a KRC."""
 
 from __future__ import annotations
 
-import math
 import secrets
-import select
 import time
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
+from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+from deltaq_services.robot_server.rsi_loop import RsiLoop
 
 _REAL_TIME_PRIORITY = 20
 """Above the gate's, so that a telegram is answered while the gate decides."""
@@ -56,50 +54,31 @@ def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> Senso
     )
 
 
+def preparation(
+    cell: CellDescription, server: RobotServer, rsi: RsiDriver, ethernet_xml: Path
+) -> Preparation:
+    """What prepares the replies of a robot, from the file that its KRC has loaded."""
+    description = cell.robots[server.robot]
+    assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
+    axes = AxisMap.of(description.joint_names, description.units, description.driver.krc)
+    return Preparation(cell, server, rsi, UsualTelegrams(load_ethernet_xml(ethernet_xml), axes), axes)
+
+
 def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescription, xml: Path) -> None:
     rsi = RsiDriver(sensor_codec(cell, server.robot, xml), cell, server.robot, server.counters)
+    prepares = preparation(cell, server, rsi, xml)
     link = GuardedLink(cell, server.robot, server.counters)
-    ending = Ending(server)
     silence_s = cell.gate.krc_timeout_s
     try:
         with KrcSocket(driver, silence_s, rsi, server.counters) as krc:
-            incoming = select.poll()
-            incoming.register(krc.fileno(), select.POLLIN)
+            loop = RsiLoop(server, rsi, krc, link, Ending(server), prepares, cell.cycle_s, silence_s)
             print(
                 f"ready: robot-server-{server.robot} waits for its KRC on {driver.address}:{driver.port}",
                 flush=True,
             )
-            now_s = time.monotonic()
-            silent_s = now_s + silence_s
-            while not ending.over:
-                incoming.poll(max(0, math.ceil((silent_s - now_s) * 1000)))
-                now_s = time.monotonic()
-                measured = krc.read(now_s)
-                if rsi.unmoved is not None:
-                    krc.send(rsi.unmoved)
-                if measured is not None:
-                    silent_s = now_s + silence_s
-                    for admission in link.admissions():
-                        server.take(admission, now_s)
-                    q_cmd = server.cycle(measured, now_s, supervision=link.supervision())
-                    krc.send(rsi.reply(q_cmd, server.outputs, ending.stop or server.motion_stop))
-                    if rsi.fault is not None:
-                        server.reply_refused(rsi.q_sent)
-                    link.publish(server.state, now_s, lambda: _told(server.detail, krc.detail))
-                    ending.cycle_passed()
-                elif now_s >= silent_s:
-                    silent_s = now_s + silence_s
-                    server.krc_silent(now_s)
-                    link.publish(server.state, now_s, lambda: _told("KRC silent", server.detail, krc.detail))
-                    ending.krc_silent()
-                else:
-                    link.publish(None, now_s, lambda: _told("waiting for a position", krc.detail))
+            loop.run()
     finally:
         link.close()
-
-
-def _told(*details: str) -> str:
-    return "; ".join(filter(None, details))
 
 
 def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:

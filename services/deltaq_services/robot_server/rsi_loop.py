@@ -1,0 +1,191 @@
+"""The loop of a Robot Server that speaks RSI: the KRC's datagram is its only clock.
+
+One thread, and one cycle of it:
+
+1. A little before the telegram is due, take what has come from the gate and prepare the reply; look again a few times.
+2. When the telegram comes, send that reply if it is the telegram that was expected and nothing has come since.
+3. Decide on the telegram. This is the decision that counts; where nothing was sent in 2, send its reply now.
+4. Publish.
+
+The reply of 2 is compared with that of 3, byte by byte. If they ever differ, the robot is held where it was sent.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from deltaq_protocol.guarded import Admission, Supervision
+from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.ending import Ending
+from deltaq_services.robot_server.guarded_link import GuardedLink
+from deltaq_services.robot_server.krc_socket import KrcSocket
+from deltaq_services.robot_server.measurement import Measurement
+from deltaq_services.robot_server.preparation import Preparation
+from deltaq_services.robot_server.prepared_reply import PreparedReply
+from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+_LOOK_S = 0.0002
+"""Between two looks whether the gate has said something since the reply was prepared."""
+
+_LAST_LOOK_S = 0.0003
+"""Before a telegram is due the last look is over: one takes a third of that, and a telegram would wait for it."""
+
+_FORGOTTEN = 0.999
+"""Share of the longest preparation that is left after a cycle."""
+
+
+class Lead:
+    """How long before a telegram is due its reply is prepared: somewhat longer than that has taken lately.
+
+    Args:
+        cycle_s: sample time.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        self._longest_s = 0.0
+        self._cycle_s = cycle_s
+
+    @property
+    def seconds(self) -> float:
+        """At most half a cycle: what comes from the gate within it makes a prepared reply void."""
+        return min(1.25 * self._longest_s + _LAST_LOOK_S, 0.5 * self._cycle_s)
+
+    def took(self, seconds: float) -> None:
+        """A preparation has taken so long."""
+        self._longest_s = max(seconds, _FORGOTTEN * self._longest_s)
+
+
+class RsiLoop:
+    """Answers one KRC until the process may end.
+
+    Args:
+        server: the core.
+        rsi: the driver.
+        krc: the socket.
+        link: to the gate.
+        ending: of the process.
+        preparation: of replies.
+        cycle_s: sample time.
+        silence_s: after which a KRC counts as silent.
+    """
+
+    def __init__(
+        self,
+        server: RobotServer,
+        rsi: RsiDriver,
+        krc: KrcSocket,
+        link: GuardedLink,
+        ending: Ending,
+        preparation: Preparation,
+        cycle_s: float,
+        silence_s: float,
+    ) -> None:
+        self._server, self._rsi, self._krc = server, rsi, krc
+        self._link, self._ending, self._preparation = link, ending, preparation
+        self._cycle_s, self._silence_s = cycle_s, silence_s
+        self._lead = Lead(cycle_s)
+        self._silent_s = self._due_s = 0.0
+        self._look_s = math.inf
+        self._prepared: PreparedReply | None = None
+
+    def run(self) -> None:
+        """Answer telegrams until the process may end."""
+        self._silent_s = time.monotonic() + self._silence_s
+        while not self._ending.over:
+            if self._prepared is not None and self._look_s == math.inf:
+                self._answer(self._prepared)
+            elif not self._krc.wait(min(self._silent_s, self._look_s) - time.monotonic()):
+                self._time_passed(time.monotonic())
+            elif self._prepared is not None:
+                self._answer(self._prepared)
+            else:
+                self._read(time.monotonic())
+
+    def _time_passed(self, now_s: float) -> None:
+        if self._look_s <= now_s < self._silent_s:
+            self._prepare(now_s)
+        else:
+            self._read(now_s)
+
+    def _prepare(self, now_s: float) -> None:
+        """Prepare the reply; look again whether something has come until the telegram is about to come."""
+        if self._hear(now_s) or self._prepared is None:
+            self._prepared = self._preparation.after(self._krc.newest, self._ending.stop, now_s)
+        if self._prepared is not None:
+            self._krc.rehearse(self._prepared)
+        done_s = time.monotonic()
+        self._lead.took(done_s - now_s)
+        last_s = self._due_s - _LAST_LOOK_S
+        self._look_s = min(done_s + _LOOK_S, last_s) if done_s < last_s else math.inf
+
+    def _answer(self, prepared: PreparedReply) -> None:
+        """Wait for the telegram, if it is not there, and answer it with the prepared reply, if it is the one."""
+        left_s = self._silent_s - time.monotonic()
+        is_answered = self._krc.answer(prepared, self._link.has_come, left_s)
+        self._prepared = None
+        self._read(self._krc.came_s, prepared if is_answered else None)
+
+    def _read(self, now_s: float, sent: PreparedReply | None = None) -> None:
+        """A datagram has come, to which a prepared reply was sent or none; or the KRC is silent."""
+        self._prepared, self._look_s = None, math.inf
+        measured = self._krc.read(now_s, alone=sent is not None)
+        if measured is not None:
+            self._silent_s = now_s + self._silence_s
+            self._decide(measured, now_s, sent)
+            self._link.publish(
+                self._server.state, now_s, lambda: _told(self._server.detail, self._krc.detail)
+            )
+            self._ending.cycle_passed()
+            self._due_s = now_s + self._cycle_s
+            self._look_s = self._due_s - self._lead.seconds
+            return
+        if sent is not None:
+            self._disagree(sent)
+        elif self._rsi.unmoved is not None:
+            self._krc.send(self._rsi.unmoved)
+        if now_s >= self._silent_s:
+            self._silent_s = now_s + self._silence_s
+            self._server.krc_silent(now_s)
+            self._link.publish(
+                self._server.state, now_s, lambda: _told("KRC silent", self._server.detail, self._krc.detail)
+            )
+            self._ending.krc_silent()
+        else:
+            self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
+
+    def _hear(self, now_s: float) -> bool:
+        """Hand the core what has come from the gate; whether anything has."""
+        messages: list[Admission | Supervision] = [*self._link.admissions()]
+        supervision = self._link.supervision()
+        if supervision is not None:
+            messages.append(supervision)
+        for message in messages:
+            self._server.take(message, now_s)
+        return bool(messages)
+
+    def _decide(self, measured: Measurement, now_s: float, prepared: PreparedReply | None) -> None:
+        if prepared is None:
+            self._hear(now_s)
+        (setpoint,) = self._server.take(measured, now_s)
+        stop = self._ending.stop or setpoint.motion_stop
+        reply = self._rsi.reply(setpoint.q_cmd, setpoint.outputs, stop)
+        if prepared is None:
+            self._krc.send(reply)
+        elif reply == prepared.reply:
+            self._server.counters["prepared_replies"] += 1
+        else:
+            self._disagree(prepared)
+            return
+        if self._rsi.fault is not None:
+            self._server.reply_refused(self._rsi.q_sent)
+
+    def _disagree(self, prepared: PreparedReply) -> None:
+        """Something else was decided than what was sent: hold where the robot was sent."""
+        self._server.counters["prepared_replies_wrong"] += 1
+        self._rsi.sent_instead(prepared.correction)
+        self._server.reply_refused(self._rsi.q_sent)
+
+
+def _told(*details: str) -> str:
+    return "; ".join(filter(None, details))
