@@ -229,5 +229,5 @@ def test_a_command_that_takes_too_long_is_ended_with_all_that_it_started(
     with pytest.raises(subprocess.TimeoutExpired):
         pages.Reader(tmp_path).read(page)
     os.set_blocking(held, True)
-    with open(held) as rest:
+    with open(held) as rest:  # noqa: PTH123 # it is a descriptor
         assert rest.read() == "begun\n"  # comes back when nobody holds the other end
