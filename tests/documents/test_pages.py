@@ -48,6 +48,7 @@ NOT_RUN = {
     "ask-the-advisor.md": ["takes many minutes"],
     "console.md": ["needs Chromium"],
     "measure.md": ["needs Chromium"],
+    "observe.md": ["needs Prometheus", "needs Prometheus"],
     "containers.md": [
         "needs a container engine; tests/launch/test_containers.py",
         "needs a container engine; tests/launch/test_containers.py",
