@@ -107,6 +107,11 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI, "failed", "messages that could not be served because of a fault of the HLI; its log has each"
     ),
+    Counted(HLI, "audit_lines", "entries of the audit log that were handed to its file"),
+    Counted(
+        HLI, "audit_lines_lost", "entries of the audit log that its file did not take: a full or failing disk"
+    ),
+    Counted(HLI, "audit_entries_unpublished", "entries of the audit log that were too many for recorders"),
     Counted(SIM, "{outcome}", "increments with this outcome"),
     Counted(SIM, "reason_{code}", "verdicts whose first reason is this one"),
     Counted(SIM, "command_{kind}", "commands of this kind that were obeyed"),

@@ -9,18 +9,23 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import Any, Never, Self
 
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
 
-def arguments(description: str, *, of_robot: bool = False) -> argparse.Namespace:
-    """Parse a service's command line: `--cell`, and `--robot` where there is one process a robot."""
+def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = False) -> argparse.Namespace:
+    """Parse a service's command line: `--cell`, `--robot` where there is one process a robot, `--audit` for its log."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
     if of_robot:
         parser.add_argument("--robot", required=True, help="name of the robot in the cell")
+    if writes_audit:
+        parser.add_argument(
+            "--audit", type=Path, metavar="FILE", help="append who did what to this file of JSON lines"
+        )
     return parser.parse_args()
 
 

@@ -9,10 +9,12 @@ import socket
 import ssl
 from collections import Counter
 
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.client_roles import Tries
+from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
@@ -87,6 +89,10 @@ class TcpFront:
         )
         hint = "close one that is not needed; a stop is obeyed here all the same, if it comes now"
         connection.deliver(Error(code=ReasonCode.TOO_MANY, message=text, hint=hint))
+        refused = AuditOutcome.REFUSED
+        self._port.core.tell(
+            Deed(AuditKind.CONNECTED, refused, connection.origin, code=ReasonCode.TOO_MANY, text=text)
+        )
         return False
 
     def token_may_be_used(self, hello: Hello, address: str) -> bool:
@@ -106,6 +112,8 @@ class TcpFront:
         """Forget a connection that broke, and tell the core what it held."""
         self._turns.leave(connection)
         if self._places.leave(connection):
+            if connection.is_welcome:
+                self._port.core.tell(Deed(AuditKind.DISCONNECTED, AuditOutcome.DONE, connection.origin))
             outputs = self._port.core.requests.on_connection_lost(connection.leases.items(), self._port.now())
             self._port.carry_out(outputs)
 

@@ -1,0 +1,112 @@
+"""Equal deeds are one entry with a count, so that a flood of them fills no disk. Plain decisions.
+
+The first of a group is told at once, those that follow are counted: until a second is over, and, while they keep
+coming, until 2, 4, 8 and then 10 seconds are. Of one kind, outcome and role so many groups are told apart; whatever is
+beyond them goes into one. So nobody drives the entries of others out of the files by inventing names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from deltaq_protocol.audit import AuditKind, AuditOutcome
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.deeds import Deed
+from deltaq_services.outputs import Origin
+from deltaq_services.rate_limit import RateLimit
+
+QUIET_S = 1.0
+LONGEST_QUIET_S = 10.0
+NEW_GROUPS_S = 1.0
+"""Groups a second that are told apart, of one kind, outcome and role."""
+NEW_GROUPS_AT_ONCE = 20
+MANY = "more than can be told apart"
+"""The client of what is beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class CountedDeed:
+    """The newest of some equal deeds, when it was [s], and how many they are."""
+
+    deed: Deed
+    time_s: float
+    count: int
+
+
+class _Key(NamedTuple):
+    what: AuditKind
+    outcome: AuditOutcome
+    code: ReasonCode | None
+    robot: str | None
+    client: str
+    host: str
+    role: str
+
+
+@dataclass(slots=True)
+class _Group:
+    newest: Deed
+    newest_s: float
+    until_s: float
+    quiet_s: float = QUIET_S
+    count: int = 0
+
+    def counted(self) -> CountedDeed:
+        """What is to be told of it."""
+        return CountedDeed(self.newest, self.newest_s, self.count)
+
+
+class DeedGroups:
+    """Puts equal deeds together."""
+
+    def __init__(self) -> None:
+        self._groups: dict[_Key, _Group] = {}
+        self._new: dict[tuple[AuditKind, AuditOutcome, str], RateLimit] = {}
+
+    def add(self, deed: Deed, now_s: float, count: int = 1) -> list[CountedDeed]:
+        """Take a deed, or several equal ones; returns what is to be told at once."""
+        group = self._groups.get(_key(deed))
+        if group is None and not self._may_begin(deed, now_s):
+            deed = replace(deed, origin=Origin(client=MANY, role=deed.origin.role), robot=None, code=None)
+            group = self._groups.get(_key(deed))
+        if group is None:
+            self._groups[_key(deed)] = _Group(deed, now_s, now_s + QUIET_S)
+            return [CountedDeed(deed, now_s, count)]
+        group.newest, group.newest_s = deed, now_s
+        group.count += count
+        return []
+
+    def due(self, now_s: float) -> list[CountedDeed]:
+        """Those that were counted for long enough."""
+        told: list[CountedDeed] = []
+        for key, group in list(self._groups.items()):
+            if now_s < group.until_s:
+                continue
+            if not group.count:
+                del self._groups[key]
+                continue
+            told.append(group.counted())
+            group.count = 0
+            group.quiet_s = min(2.0 * group.quiet_s, LONGEST_QUIET_S)
+            group.until_s = now_s + group.quiet_s
+        return told
+
+    def rest(self) -> list[CountedDeed]:
+        """Those that are counted and were not told yet; nothing is kept."""
+        groups, self._groups = self._groups, {}
+        return [group.counted() for group in groups.values() if group.count]
+
+    def _may_begin(self, deed: Deed, now_s: float) -> bool:
+        kind = deed.what, deed.outcome, deed.origin.role
+        rate = self._new.get(kind)
+        if rate is None:
+            rate = self._new[kind] = RateLimit(NEW_GROUPS_S, NEW_GROUPS_AT_ONCE)
+        return rate.take(now_s)
+
+
+def _key(deed: Deed) -> _Key:
+    origin = deed.origin
+    # who connects again and again has another port each time
+    host = origin.address.rpartition(":")[0] or origin.address
+    return _Key(deed.what, deed.outcome, deed.code, deed.robot, origin.client, host, origin.role)
