@@ -90,6 +90,9 @@ COUNTERS: tuple[Counted, ...] = (
         HLI, "tokens_not_compared", "tokens refused unseen because wrong ones came from the same address"
     ),
     Counted(
+        HLI, "tcp_unencrypted", "TCP connections that ended because no encryption was agreed on with them"
+    ),
+    Counted(
         HLI,
         "tcp_lines_slowed",
         "times that lines of TCP clients had to wait because more came than are served",

@@ -14,7 +14,7 @@ from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_services.hli import tcp_front
+from deltaq_services.hli import handshake
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
@@ -72,7 +72,7 @@ async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]
 async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nobody(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tcp_front, "_HANDSHAKE_S", 0.2)
+    monkeypatch.setattr(handshake, "HANDSHAKE_S", 0.2)
     async with encrypted(files) as (hli, peer):
         port = peer.cell.tcp_port
         reader, writer = await asyncio.open_connection("127.0.0.1", port)

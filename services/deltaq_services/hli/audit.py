@@ -50,12 +50,14 @@ class Audit:
         self._groups = DeedGroups()
         self._pace = Pace(_LOOK_PERIOD_S)
         self._rate = RateLimit(MOST_PUBLISHED_S)
+        self._is_closed = False
         self.lines = 0
         self.unpublished = 0
 
     def tell(self, deed: Deed, count: int = 1) -> None:
-        """Take a deed, or several equal ones."""
-        self._say(self._groups.add(deed, self._now(), count))
+        """Take a deed, or several equal ones; after `close` nothing is told any more."""
+        if not self._is_closed:
+            self._say(self._groups.add(deed, self._now(), count))
 
     def tick(self) -> None:
         """Tell those that were counted for long enough; to be called often."""
@@ -66,6 +68,7 @@ class Audit:
     def close(self) -> None:
         """Tell what is counted, and complete the file."""
         self._say(self._groups.rest())
+        self._is_closed = True
         if self._file is not None:
             self._file.close()
 

@@ -1,8 +1,8 @@
 """The file of the audit log: whole lines, appended, bounded in size, written in a thread of its own.
 
 Each line is one `write` at the end of the file, so that a process that is killed leaves no half of an earlier line.
-What a full disk or a loss of power tore is ended when the next line comes. A killed process loses what its thread had not
-written yet; a machine that loses its power, what came since the last `fdatasync`, about a second.
+What a full disk or a loss of power tore is ended when the next line comes. A killed process loses what its thread
+had not written yet; a machine that loses its power, what came since the last `fdatasync`, about a second.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         peer = transport.get_extra_info("peername")
         self._address = peer[0] if peer else ""
-        self.origin = self._origin(None, f"{bracketed(self._address)}:{peer[1]}" if peer else "")
+        self.origin = self._origin(None, address_of(transport))
         if not self._front.admit(self, self._address):
             self._for_stop_alone = True
             self._port.loop.call_later(STOP_DEADLINE_S, self.close)
@@ -355,9 +355,13 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._give_up(f"no hello within {HELLO_DEADLINE_S:g} s", "the first line of a client is its hello")
 
 
-def bracketed(host: str) -> str:
-    """An address as it stands before a port."""
-    return f"[{host}]" if ":" in host else host
+def address_of(transport: asyncio.BaseTransport) -> str:
+    """HOST:PORT of whoever is at the other end."""
+    peer = transport.get_extra_info("peername")
+    if not peer:
+        return ""
+    host = f"[{peer[0]}]" if ":" in peer[0] else peer[0]
+    return f"{host}:{peer[1]}"
 
 
 def _is_stop(line: bytes) -> bool:
