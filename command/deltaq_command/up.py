@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -22,6 +23,17 @@ def up(
     recordings: Annotated[
         str, typer.Option(metavar="FOLDER", help="Let the console write and open recordings in this folder.")
     ] = "",
+    audit: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE",
+            envvar="DELTAQ_AUDIT_FILE",
+            help="Append who did what to this file; by default one in the user's state folder.",
+        ),
+    ] = "",
+    with_audit: Annotated[
+        bool, typer.Option("--write-audit/--no-audit", help="Write the audit log at all.")
+    ] = True,
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from contextlib import nullcontext
@@ -46,7 +58,8 @@ def up(
     from deltaq_services.hli.line_encryption import line_encryption
 
     description = load_cell(cell)
-    services = cell_services(description, cell, real)
+    audit_file, why_none = audit_file_of(audit, description.cell) if with_audit else (None, "")
+    services = cell_services(description, cell, real, str(audit_file or ""))
     if record:
         services = (*services, recorder(cell, record))
     if with_console and console_is_installed():
@@ -73,10 +86,26 @@ def up(
         if "hli" in launcher.ready:
             lines = f"{description.tcp_address}:{description.tcp_port}"
             log("deltaq", f"zenoh clients at {description.hli}, JSON lines at {lines}; Ctrl-C ends it")
+            if audit_file is not None:
+                log("deltaq", f"who does what is written to {audit_file}; `deltaq audit` shows it")
+            elif why_none:
+                log("deltaq", f"no audit log: {why_none}")
         tell_of_console(launcher, with_console)
         ended = watch(launcher, cell)
     if ended:
         raise typer.Exit(BAD)
+
+
+def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
+    """The file of the audit log, or why there is none: nobody shall be kept from a cell by a folder of logs."""
+    from deltaq_services.hli.audit_file import AuditFileError, default_audit_file
+
+    if wanted:
+        return Path(wanted).resolve(), ""
+    try:
+        return default_audit_file(cell), ""
+    except AuditFileError as error:
+        return None, str(error)
 
 
 def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:

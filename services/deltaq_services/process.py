@@ -15,6 +15,9 @@ from typing import Any, Never, Self
 
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
+AUDIT_FILE = "DELTAQ_AUDIT_FILE"
+"""Environment variable: file of the audit log, where no argument names one."""
+
 
 def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = False) -> argparse.Namespace:
     """Parse a service's command line: `--cell`, `--robot` where there is one process a robot, `--audit` for its log."""
@@ -24,7 +27,11 @@ def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = 
         parser.add_argument("--robot", required=True, help="name of the robot in the cell")
     if writes_audit:
         parser.add_argument(
-            "--audit", type=Path, metavar="FILE", help="append who did what to this file of JSON lines"
+            "--audit",
+            type=Path,
+            metavar="FILE",
+            default=os.environ.get(AUDIT_FILE) or None,
+            help=f"append who did what to this file of JSON lines (default: {AUDIT_FILE}, or none)",
         )
     return parser.parse_args()
 

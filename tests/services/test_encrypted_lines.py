@@ -6,10 +6,10 @@ import asyncio
 import contextlib
 import socket
 import ssl
-import subprocess
 from collections.abc import AsyncIterator
 
 import pytest
+from certificate import certificate
 from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
@@ -24,18 +24,7 @@ TOKEN = "an operator's token"
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """As docs/how-to/talk-over-a-socket.md tells to make them."""
-    folder = tmp_path_factory.mktemp("certificate")
-    names = "subjectAltName=IP:127.0.0.1"
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
-         "-subj", "/CN=deltaq", "-addext", names, "-keyout", folder / "lines.key", "-out", folder / "lines.pem"],
-        check=True, capture_output=True,
-    )  # fmt: skip
-    return {
-        "DELTAQ_LINES_CERTIFICATE_FILE": str(folder / "lines.pem"),
-        "DELTAQ_LINES_KEY_FILE": str(folder / "lines.key"),
-    }
+    return certificate(tmp_path_factory.mktemp("certificate"))
 
 
 @contextlib.asynccontextmanager

@@ -168,7 +168,7 @@ def default_audit_file(cell: str) -> Path:
     """Where `deltaq up` keeps the audit log of a cell: with the user's state, which outlives a restart of the machine.
 
     Raises:
-        AuditFileError: if the folder cannot be made.
+        AuditFileError: if the folder cannot be made, or the file is not this user's.
     """
     given = os.environ.get("XDG_STATE_HOME")
     folder = (Path(given) if given else Path.home() / ".local" / "state") / "deltaq"
@@ -176,7 +176,15 @@ def default_audit_file(cell: str) -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise AuditFileError(f"{folder} cannot be made: {error.strerror}") from error
-    return folder / f"audit-{cell}.jsonl"
+    file = folder / audit_file_name(cell)
+    if file.exists() and not os.access(file, os.R_OK | os.W_OK):
+        raise AuditFileError(f"{file} is there, and this user cannot write to it")
+    return file
+
+
+def audit_file_name(cell: str) -> str:
+    """What the file of a cell's audit log is called, where nobody names it."""
+    return f"audit-{cell}.jsonl"
 
 
 def _opened(path: Path) -> int:
