@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,9 +32,7 @@ def up(
             help="Append who did what to this file; by default one in the user's state folder.",
         ),
     ] = "",
-    with_audit: Annotated[
-        bool, typer.Option("--write-audit/--no-audit", help="Write the audit log at all.")
-    ] = True,
+    no_audit: Annotated[bool, typer.Option("--no-audit", help="Write no audit log.")] = False,
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from contextlib import nullcontext
@@ -56,9 +55,11 @@ def up(
     )
     from deltaq_services.hli.client_tokens import client_roles
     from deltaq_services.hli.line_encryption import line_encryption
+    from deltaq_services.process import AUDIT_FILE
 
     description = load_cell(cell)
-    audit_file, why_none = audit_file_of(audit, description.cell) if with_audit else (None, "")
+    audit_file, why_none = (None, "") if no_audit else audit_file_of(audit, description.cell)
+    os.environ.pop(AUDIT_FILE, None)  # the HLI is told by its arguments, or not at all
     services = cell_services(description, cell, real, str(audit_file or ""))
     if record:
         services = (*services, recorder(cell, record))
