@@ -12,7 +12,7 @@ from deltaq_protocol.topic import Realm, Topic
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class ClientOrigin:
     """Whom something comes from, for the audit log.
 
     Attributes:
@@ -26,7 +26,7 @@ class Origin:
     role: str = ""
 
 
-NOBODY = Origin()
+NOBODY = ClientOrigin()
 """The server itself, or who is not known."""
 
 

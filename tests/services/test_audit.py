@@ -28,7 +28,7 @@ from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
-from deltaq_services.outputs import Origin
+from deltaq_services.outputs import ClientOrigin
 
 OPERATOR, CONTROLLER = "the operator's token, 0123456789", "the controller's, 0123456789"
 WRONG = "a wrong token, 9876543210"
@@ -294,7 +294,7 @@ def test_texts_of_strangers_are_cut_and_every_entry_is_one_line(tmp_path: Path) 
     file = tmp_path / "audit.jsonl"
     published: list[AuditEntry] = []
     audit = Audit(file, published.append, lambda: ("s3cret",), lambda: 5.0)
-    origin = Origin("\n" * 10_000, "\ud800" * 10_000, "observer")
+    origin = ClientOrigin("\n" * 10_000, "\ud800" * 10_000, "observer")
     for text in ("ü\r\n" * 10_000, "s3cret" * 10_000, "\x00"):
         audit.tell(Deed(AuditKind.MESSAGE, AuditOutcome.REFUSED, origin, text, text=text))
     audit.close()
@@ -311,7 +311,7 @@ def test_recorders_are_sent_no_more_than_they_may_and_the_file_has_all(tmp_path:
     audit = Audit(tmp_path / "audit.jsonl", published.append, tuple, lambda: 5.0)
     for kind in AuditKind:
         for number in range(10):
-            audit.tell(Deed(kind, AuditOutcome.DONE, Origin(str(number))))
+            audit.tell(Deed(kind, AuditOutcome.DONE, ClientOrigin(str(number))))
     audit.close()
     assert (len(published), audit.unpublished, audit.lines) == (20, 10 * len(AuditKind) - 20, 150)
     assert len((tmp_path / "audit.jsonl").read_bytes().splitlines()) == 150

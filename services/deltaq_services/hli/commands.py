@@ -11,7 +11,7 @@ from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.deeds import Tell, deed_of, told_to_nobody
-from deltaq_services.outputs import NOBODY, Origin, Output, Sender, ToSender, ToTopic
+from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
 
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
@@ -63,7 +63,7 @@ class _Awaited:
     deadline_s: float
 
     @property
-    def origins(self) -> tuple[Origin, ...]:
+    def origins(self) -> tuple[ClientOrigin, ...]:
         """Whose it is; nobody's is the HLI's own."""
         return tuple(sender.origin for sender in self.senders) or (NOBODY,)
 

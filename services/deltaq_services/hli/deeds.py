@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Command
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.outputs import Origin
+from deltaq_services.outputs import ClientOrigin
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Deed:
 
     what: AuditKind
     outcome: AuditOutcome
-    origin: Origin
+    origin: ClientOrigin
     robot: str | None = None
     code: ReasonCode | None = None
     text: str = ""
@@ -50,7 +50,11 @@ def told_to_nobody(_deed: Deed) -> None:
 
 
 def deed_of(
-    command: Command, outcome: AuditOutcome, origin: Origin, text: str = "", code: ReasonCode | None = None
+    command: Command,
+    outcome: AuditOutcome,
+    origin: ClientOrigin,
+    text: str = "",
+    code: ReasonCode | None = None,
 ) -> Deed:
     """What became of a command to the gate; without a text, what it asks for."""
     kind = KIND_OF_REQUEST[command.kind]

@@ -15,7 +15,7 @@ from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import Asked, RobotLink
 from deltaq_services.hli.state import HliState
-from deltaq_services.outputs import Origin, Output, Sender, ToSender, ToTopic
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender, ToTopic
 
 
 class Increments:
@@ -72,7 +72,7 @@ class Increments:
     def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
         """A malformed message: counted and answered, nothing else."""
         self._state.counters["malformed"] += 1
-        origin = Origin(address="zenoh") if sender is None else sender.origin
+        origin = ClientOrigin(address="zenoh") if sender is None else sender.origin
         # what it holds may be a secret in the wrong place
         text = str(error).partition(", got ")[0]
         self._state.tell(Deed(AuditKind.MESSAGE, AuditOutcome.REFUSED, origin, code=error.code, text=text))

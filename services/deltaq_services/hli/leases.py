@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from deltaq_services.outputs import NOBODY, Origin, Sender
+from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Lease:
     connection: Sender | None = None
     last_seq: int = -1
     used: bool = False
-    origin: Origin = NOBODY
+    origin: ClientOrigin = NOBODY
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Leases:
         lease = self._leases.get(robot)
         return lease.token if lease else None, self._ended.get(robot)
 
-    def grant(self, robot: str, holder: Origin, connection: Sender | None, time_s: float) -> Lease:
+    def grant(self, robot: str, holder: ClientOrigin, connection: Sender | None, time_s: float) -> Lease:
         """A new lease, in place of the one before."""
         self._epoch += 1
         expires_s = time_s + self._lease_s

@@ -32,7 +32,7 @@ from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.sieve import Sieve, Sifted
 from deltaq_services.hli.zenoh_session import LoopSession
-from deltaq_services.outputs import Origin, Output, Sender
+from deltaq_services.outputs import ClientOrigin, Output, Sender
 
 RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest)
 
@@ -52,7 +52,7 @@ class QuerySender(Sender):
     def __init__(self, query: zenoh.Query, key: str) -> None:
         self._query = query
         self.key = key
-        self.origin = Origin(address=_ADDRESS)
+        self.origin = ClientOrigin(address=_ADDRESS)
 
     def deliver(self, message: Message) -> None:
         """Answer the query; a refusal is an error reply."""
@@ -205,7 +205,7 @@ class OpenFront:
             fields["token"] = self._role_token(query)
         return request.model_copy(update=fields)
 
-    def _origin_of(self, request: RobotRequest) -> Origin:
+    def _origin_of(self, request: RobotRequest) -> ClientOrigin:
         if isinstance(request, IoRequest):
             lease = self._port.core.leases.held_with(request.robot, request.lease)
             return self._origin(None, None) if lease is None else lease.origin
@@ -213,9 +213,9 @@ class OpenFront:
             return self._origin(request.client, request.token)
         return self._origin(None, None)
 
-    def _origin(self, client: str | None, token: str | None) -> Origin:
+    def _origin(self, client: str | None, token: str | None) -> ClientOrigin:
         """Whom a question is from: the name that it says, and the role that it proves."""
-        return Origin(client or "", _ADDRESS, self._port.roles.of(token).name.lower())
+        return ClientOrigin(client or "", _ADDRESS, self._port.roles.of(token).name.lower())
 
     def _is_proven(self, query: zenoh.Query) -> bool:
         """Whether it is a holder's or the operator's, in zenoh's thread: a flood of others takes no place of theirs."""

@@ -24,7 +24,7 @@ from deltaq_services.hli.client_roles import ClientRole, ClientRoles
 from deltaq_services.hli.deeds import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.state import HliState
-from deltaq_services.outputs import Origin, Output, Sender, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 _Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest
 
@@ -213,7 +213,7 @@ class Requests:
             code=code,
         )
 
-    def _tell_of_no_lease(self, request: LeaseRequest, asking: Origin, code: ReasonCode) -> None:
+    def _tell_of_no_lease(self, request: LeaseRequest, asking: ClientOrigin, code: ReasonCode) -> None:
         current = self._state.leases.of(request.robot)
         held = f"; {current.client} holds it" if current else ""
         text = f"{request.action}: {EXPLANATIONS[code]}{held}"

@@ -25,7 +25,7 @@ from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
 from deltaq_services.hli.tcp_front import TcpFront
-from deltaq_services.outputs import Origin, Output, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, ToSender
 from deltaq_services.pace import Pace
 
 _TICK_S = 0.02
@@ -140,7 +140,7 @@ class Hli:
             deed = Deed(
                 AuditKind.INCREMENT,
                 AuditOutcome.REFUSED,
-                Origin(address="zenoh"),
+                ClientOrigin(address="zenoh"),
                 code=ReasonCode.LEASE_NOT_HELD,
                 text="no proof of a lease came with it",
             )

@@ -19,7 +19,7 @@ from deltaq_services.hli.deeds import Deed, Tell, deed_of, told_to_nobody
 from deltaq_services.hli.leases import Lease, Leases
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
-from deltaq_services.outputs import NOBODY, Origin, Output, Sender, ToSender, ToTopic
+from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
 from deltaq_services.rate_limit import RateLimit
 
 MOST_COMMANDS_S = 100.0
@@ -118,7 +118,7 @@ class HliState:
         self.counters["refused"] += 1
         self.counters[f"refused_{reason.code}"] += 1
         if not is_holders:
-            origin = Origin(address="zenoh") if sender is None else sender.origin
+            origin = ClientOrigin(address="zenoh") if sender is None else sender.origin
             text = EXPLANATIONS[reason.code]
             self.tell(Deed(AuditKind.INCREMENT, AuditOutcome.REFUSED, origin, robot[:64], reason.code, text))
         return refusal(robot, cycle, seq, reason, sender, is_holders)
@@ -156,7 +156,7 @@ class HliState:
         error = Error(code=ReasonCode.LEASE_NOT_HELD, message=text, hint=hint, robot=lease.robot)
         return [ToSender(lease.connection, error)]
 
-    def tell_of_lease(self, what: AuditKind, origin: Origin, robot: str, text: str = "") -> None:
+    def tell_of_lease(self, what: AuditKind, origin: ClientOrigin, robot: str, text: str = "") -> None:
         """Tell what became of a lease."""
         self.tell(Deed(what, AuditOutcome.DONE, origin, robot, text=text))
 
@@ -207,5 +207,5 @@ class HliState:
         return [] if sender is None else [ToSender(sender, error)]
 
 
-def _origin(sender: Sender | None) -> Origin:
+def _origin(sender: Sender | None) -> ClientOrigin:
     return NOBODY if sender is None else sender.origin

@@ -30,7 +30,7 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.refusals import answered_by_error
-from deltaq_services.outputs import Origin, Output, Sender, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100
@@ -338,9 +338,9 @@ class TcpConnection(asyncio.Protocol, Sender):
     def _told(self, message: Message) -> list[Output]:
         return [ToSender(self, message)]
 
-    def _origin(self, hello: Hello | None, address: str) -> Origin:
+    def _origin(self, hello: Hello | None, address: str) -> ClientOrigin:
         role = self._port.roles.of(hello.token if hello else None)
-        return Origin(hello.client if hello else "", address, role.name.lower())
+        return ClientOrigin(hello.client if hello else "", address, role.name.lower())
 
     def _tell(self, what: AuditKind, code: ReasonCode, text: str) -> None:
         self._port.core.tell(Deed(what, AuditOutcome.REFUSED, self.origin, code=code, text=text))

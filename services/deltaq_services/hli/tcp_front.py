@@ -20,7 +20,7 @@ from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
-from deltaq_services.outputs import Origin
+from deltaq_services.outputs import ClientOrigin
 
 _log = logging.getLogger(__name__)
 
@@ -146,7 +146,7 @@ class TcpFront:
 
     def _refuse_unencrypted(self, transport: asyncio.BaseTransport, why: str) -> None:
         self.counters["tcp_unencrypted"] += 1
-        origin = Origin(address=address_of(transport))
+        origin = ClientOrigin(address=address_of(transport))
         text = f"no encryption was agreed on: {why}"
         self._port.core.tell(
             Deed(AuditKind.CONNECTED, AuditOutcome.REFUSED, origin, code=ReasonCode.MALFORMED, text=text)
