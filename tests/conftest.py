@@ -33,6 +33,18 @@ def guarded_key(tmp_path_factory):
         os.environ[KEY_FILE] = before
 
 
+@pytest.fixture(scope="session", autouse=True)
+def state_home(tmp_path_factory):
+    """A folder for what `deltaq up` keeps, so that tests leave nothing among the user's own."""
+    before = os.environ.get("XDG_STATE_HOME")
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+    yield
+    if before is None:
+        del os.environ["XDG_STATE_HOME"]
+    else:
+        os.environ["XDG_STATE_HOME"] = before
+
+
 ONLY_IF_ASKED = ("nightly", "container")
 """Tests under these markers run only where `-m` names the marker; whatever else `-m` says adds to that."""
 

@@ -10,6 +10,7 @@ import typer
 
 from deltaq_command import (
     advise,
+    audit,
     bench,
     demo,
     drive,
@@ -48,6 +49,7 @@ app.command(rich_help_panel=WATCH)(streams.hz)
 app.command(rich_help_panel=WATCH)(watch.health)
 app.command(rich_help_panel=WATCH)(recordings.record)
 app.command(rich_help_panel=WATCH)(metrics.metrics)
+app.command(rich_help_panel=WATCH)(audit.audit)
 app.command(rich_help_panel=COMMAND)(drive.drive)
 app.command(rich_help_panel=COMMAND)(advise.advise)
 app.command(rich_help_panel=COMMAND)(operate.stop)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -22,6 +24,15 @@ def up(
     recordings: Annotated[
         str, typer.Option(metavar="FOLDER", help="Let the console write and open recordings in this folder.")
     ] = "",
+    audit: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE",
+            envvar="DELTAQ_AUDIT_FILE",
+            help="Append who did what to this file; by default one in the user's state folder.",
+        ),
+    ] = "",
+    no_audit: Annotated[bool, typer.Option("--no-audit", help="Write no audit log.")] = False,
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from contextlib import nullcontext
@@ -44,9 +55,12 @@ def up(
     )
     from deltaq_services.hli.client_tokens import client_roles
     from deltaq_services.hli.line_encryption import line_encryption
+    from deltaq_services.process import AUDIT_FILE
 
     description = load_cell(cell)
-    services = cell_services(description, cell, real)
+    audit_file, why_none = (None, "") if no_audit else audit_file_of(audit, description.cell)
+    os.environ.pop(AUDIT_FILE, None)  # the HLI is told by its arguments, or not at all
+    services = cell_services(description, cell, real, str(audit_file or ""))
     if record:
         services = (*services, recorder(cell, record))
     if with_console and console_is_installed():
@@ -73,10 +87,26 @@ def up(
         if "hli" in launcher.ready:
             lines = f"{description.tcp_address}:{description.tcp_port}"
             log("deltaq", f"zenoh clients at {description.hli}, JSON lines at {lines}; Ctrl-C ends it")
+            if audit_file is not None:
+                log("deltaq", f"who does what is written to {audit_file}; `deltaq audit` shows it")
+            elif why_none:
+                log("deltaq", f"no audit log: {why_none}")
         tell_of_console(launcher, with_console)
         ended = watch(launcher, cell)
     if ended:
         raise typer.Exit(BAD)
+
+
+def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
+    """The file of the audit log, or why there is none: nobody shall be kept from a cell by a folder of logs."""
+    from deltaq_services.hli.audit_file import AuditFileError, default_audit_file
+
+    if wanted:
+        return Path(wanted).resolve(), ""
+    try:
+        return default_audit_file(cell), ""
+    except AuditFileError as error:
+        return None, str(error)
 
 
 def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:

@@ -23,7 +23,9 @@ from deltaq_launch.services import (
     metrics_exporter,
 )
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
+from deltaq_services.hli.audit_file import audit_file_name
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
+from deltaq_services.process import AUDIT_FILE
 
 FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
 CELL = "lab"
@@ -42,6 +44,7 @@ _SECRET = "deltaq-guarded-key"
 KEY_MAKER = "guarded-key"
 """The service that makes the guarded realm's key for the others, if it is not there yet."""
 _KEY_VOLUME, _KEY_FOLDER = "guarded", "/run/deltaq"
+_AUDIT_VOLUME, _AUDIT_FOLDER = "audit", "/var/lib/deltaq"
 
 
 def compose_document(cell_name: str = CELL) -> dict[str, Any]:
@@ -60,6 +63,9 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
         document[controller.name] = _container(controller, cell_name) | demo
     exporter = metrics_exporter(cell_name)
     document[exporter.name] = _container(exporter, cell_name) | {"profiles": ["metrics"]}
+    hli = document["hli"]
+    hli["environment"][AUDIT_FILE] = f"{_AUDIT_FOLDER}/{audit_file_name(cell.cell)}"
+    hli["volumes"] = [*hli.get("volumes", []), f"{_AUDIT_VOLUME}:{_AUDIT_FOLDER}"]
     guarded = [document[service.name] for service in services if service.role in GUARDED_ROLES]
     if off_loopback(cell) is None:
         file = f"{_KEY_FOLDER}/guarded.key"
@@ -76,14 +82,19 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
         return {
             "name": "deltaq",
             "services": {KEY_MAKER: maker} | document,
-            "volumes": {_KEY_VOLUME: {}},
+            "volumes": {_KEY_VOLUME: {}, _AUDIT_VOLUME: {}},
         }
     for container in guarded:
         container["environment"] = container.get("environment", {}) | {KEY_FILE: f"/run/secrets/{_SECRET}"}
         container["secrets"] = [_SECRET]
     needed = f"name a file made with `deltaq key` in {KEY_FILE}"
     secret = {"file": f"${{{KEY_FILE}:?{needed}}}"}  # compose refuses to start anything without it
-    return {"name": "deltaq", "services": document, "secrets": {_SECRET: secret}}
+    return {
+        "name": "deltaq",
+        "services": document,
+        "volumes": {_AUDIT_VOLUME: {}},
+        "secrets": {_SECRET: secret},
+    }
 
 
 def compose_text(cell_name: str = CELL) -> str:

@@ -101,13 +101,16 @@ class UnknownServiceError(DeltaqError):
     """A service was named that the cell does not have."""
 
 
-def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> tuple[Service, ...]:
+def cell_services(
+    cell: CellDescription, cell_name: str, real: bool = False, audit: str = ""
+) -> tuple[Service, ...]:
     """The services of a cell, each after those that it needs.
 
     Args:
         cell: the cell's description.
         cell_name: the name or path that the services are told to load it by.
         real: robots of flesh, so no emulator.
+        audit: file to which the HLI appends who did what; empty where its environment decides.
     """
     arguments = ("--cell", cell_name)
     realm = realm_of(cell)
@@ -148,7 +151,7 @@ def cell_services(cell: CellDescription, cell_name: str, real: bool = False) -> 
         Service(
             name="hli",
             role=Role.HLI,
-            arguments=("-m", "deltaq_services.hli", *arguments),
+            arguments=("-m", "deltaq_services.hli", *arguments, *(("--audit", audit) if audit else ())),
             needs=("sim",),
             listens=(
                 _tcp(cell.hli, "hli"),

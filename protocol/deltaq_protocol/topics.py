@@ -8,7 +8,7 @@ Where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the 
 
 from __future__ import annotations
 
-from deltaq_protocol import guarded, messages
+from deltaq_protocol import audit, guarded, messages
 from deltaq_protocol.topic import Cycles, Hertz, Kind, Messages, Party, Priority, Realm, Topic
 
 _OPEN = "deltaq/{cell}/"
@@ -110,6 +110,15 @@ GREETING = Topic(
     "greeting", Realm.GUARDED, Kind.STREAM, _GUARDED + "greeting/{service}", guarded.Greeting,
     publishers=_HLI + _SIM + _ROBOT_SERVER, readers=_HLI + _SIM + _ROBOT_SERVER, recorded=False,
 )  # fmt: skip
+AUDIT_ENTRY = Topic(
+    "audit-entry", Realm.GUARDED, Kind.STREAM, _GUARDED + "audit-entry", audit.AuditEntry,
+    publishers=_HLI, readers=_SIM, priority=Priority.ORDINARY, recorded=False,
+)  # fmt: skip
+AUDIT = Topic(
+    "audit", Realm.GUARDED, Kind.STREAM, _GUARDED + "audit", audit.AuditEntry,
+    publishers=_SIM, readers=_WATCHER, priority=Priority.ORDINARY,
+)  # fmt: skip
+"""The same, handed on: a recorder is connected to the SIM, and the SIM alone can tell whose an entry is."""
 GATE_KEYS = _GUARDED + "gate/*"
 """Keys of the two that follow, and of nothing else."""
 GATE_LOG = Topic(
@@ -125,5 +134,5 @@ TOPICS: tuple[Topic, ...] = (
     STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, CHALLENGE, CONTACT, DESCRIPTION,
     STATUS,
     SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH, GREETING,
-    GATE_LOG, GATE_MEMORY,
+    AUDIT_ENTRY, AUDIT, GATE_LOG, GATE_MEMORY,
 )  # fmt: skip

@@ -90,6 +90,9 @@ COUNTERS: tuple[Counted, ...] = (
         HLI, "tokens_not_compared", "tokens refused unseen because wrong ones came from the same address"
     ),
     Counted(
+        HLI, "tcp_unencrypted", "TCP connections that ended because no encryption was agreed on with them"
+    ),
+    Counted(
         HLI,
         "tcp_lines_slowed",
         "times that lines of TCP clients had to wait because more came than are served",
@@ -107,6 +110,11 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI, "failed", "messages that could not be served because of a fault of the HLI; its log has each"
     ),
+    Counted(HLI, "audit_lines", "entries of the audit log that were handed to its file"),
+    Counted(
+        HLI, "audit_lines_lost", "entries of the audit log that its file did not take: a full or failing disk"
+    ),
+    Counted(HLI, "audit_entries_unpublished", "entries of the audit log that were too many for recorders"),
     Counted(SIM, "{outcome}", "increments with this outcome"),
     Counted(SIM, "reason_{code}", "verdicts whose first reason is this one"),
     Counted(SIM, "command_{kind}", "commands of this kind that were obeyed"),

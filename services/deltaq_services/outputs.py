@@ -11,14 +11,35 @@ from deltaq_protocol.messages import Message
 from deltaq_protocol.topic import Realm, Topic
 
 
+@dataclass(frozen=True, slots=True)
+class ClientOrigin:
+    """Whom something comes from, for the audit log.
+
+    Attributes:
+        client: the name that it gives itself.
+        address: HOST:PORT of its connection, or `zenoh`; empty for the server itself.
+        role: that it has proved; empty where nobody asked.
+    """
+
+    client: str = ""
+    address: str = ""
+    role: str = ""
+
+
+NOBODY = ClientOrigin()
+"""The server itself, or who is not known."""
+
+
 class Sender(ABC):
     """Destination of an answer; the fronts derive from it, the core only hands it back.
 
     Attributes:
         lasting: True for a connection, which can get later messages too; a query takes one answer.
+        origin: whom it is, as far as that is known.
     """
 
     lasting = False
+    origin = NOBODY
 
     @abstractmethod
     def deliver(self, message: Message) -> None:

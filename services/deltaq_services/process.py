@@ -9,18 +9,30 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import Any, Never, Self
 
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 
+AUDIT_FILE = "DELTAQ_AUDIT_FILE"
+"""Environment variable: file of the audit log, where no argument names one."""
 
-def arguments(description: str, *, of_robot: bool = False) -> argparse.Namespace:
-    """Parse a service's command line: `--cell`, and `--robot` where there is one process a robot."""
+
+def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = False) -> argparse.Namespace:
+    """Parse a service's command line: `--cell`, `--robot` where there is one process a robot, `--audit` for its log."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
     if of_robot:
         parser.add_argument("--robot", required=True, help="name of the robot in the cell")
+    if writes_audit:
+        parser.add_argument(
+            "--audit",
+            type=Path,
+            metavar="FILE",
+            default=os.environ.get(AUDIT_FILE) or None,
+            help=f"append who did what to this file of JSON lines (default: {AUDIT_FILE}, or none)",
+        )
     return parser.parse_args()
 
 

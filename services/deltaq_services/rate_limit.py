@@ -7,15 +7,17 @@ class RateLimit:
     """A bucket that fills with time and from which each message takes one.
 
     Args:
-        most_s: messages a second, and the most at once.
+        most_s: messages a second.
+        at_once: the most at once; as many as in a second if it is not given.
 
     Attributes:
         most_s: as given.
     """
 
-    def __init__(self, most_s: float) -> None:
+    def __init__(self, most_s: float, at_once: float | None = None) -> None:
         self.most_s = most_s
-        self._left = most_s
+        self._full = most_s if at_once is None else at_once
+        self._left = self._full
         self._at_s: float | None = None
 
     def snapshot(self) -> tuple[float, float | None]:
@@ -34,7 +36,7 @@ class RateLimit:
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed now."""
         if self._at_s is not None:
-            self._left = min(self.most_s, self._left + (now_s - self._at_s) * self.most_s)
+            self._left = min(self._full, self._left + (now_s - self._at_s) * self.most_s)
         self._at_s = now_s
         if self._left < 1.0:
             return False

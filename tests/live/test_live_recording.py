@@ -16,6 +16,7 @@ from live_stack import Stack, live_stack
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.services import recorder
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.recorder.reader import Recording
 from deltaq_verification.replay import replay
 
@@ -69,6 +70,12 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
     seen = {item.topic.name for item in Recording.open(file).messages()}
     assert {"state", "verdict", "proximity", "server-state", "request", "admission", "gate-verdict"} <= seen
     assert {"supervision", "command", "command-reply", "gate-memory"} <= seen
+    audit = [item.message for item in Recording.open(file).messages((topics.AUDIT,))]
+    stops = [entry for entry in audit if isinstance(entry, AuditEntry) and entry.what is AuditKind.STOP]
+    assert [(entry.outcome, entry.client, entry.address) for entry in stops] == [
+        (AuditOutcome.ASKED, "test", "zenoh"),
+        (AuditOutcome.DONE, "test", "zenoh"),
+    ]
 
     assert recorders[1].returncode == 2
     assert said == (

@@ -5,10 +5,13 @@ from sealed_realm import SealedRealm
 from stranger import Stranger, ghost, orders, request
 
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
+from deltaq_protocol.codec import unpack
 from deltaq_protocol.guarded import Command, Greeting, Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.seal import ForgedMessageError
+from deltaq_protocol.session import open_session, subscribe_newest
 
 STEP = 1e-4  # [rad] a cycle
 CYCLES = 30
@@ -192,6 +195,29 @@ def test_greetings_are_not_a_stranger_s_either(realm, stranger):
         realm.cycle({})
     with pytest.raises(ForgedMessageError):
         realm.shell._seal.meet("x", b"x" * 100)
+
+
+def test_no_entry_of_the_audit_log_that_a_recorder_hears_is_a_stranger_s(realm, stranger):
+    cell = realm.description
+    recorder = open_session(connect=[cell.sim], must_connect=True)
+    heard = subscribe_newest(recorder, topics.AUDIT.key(cell.cell), 1000)
+    forged = AuditEntry(
+        time_utc="", time_s=0.0, what=AuditKind.STOP, outcome=AuditOutcome.DONE, client="forged"
+    )
+    true = forged.model_copy(update={"client": "true"})
+    entries = []
+    forged_before = realm.sim.counters["forged_messages"]
+    taken_before = realm.sim.taken
+    while not entries or realm.sim.counters["forged_messages"] < forged_before + 10:
+        stranger.say(topics.AUDIT_ENTRY, forged)
+        stranger.say(topics.AUDIT, forged)
+        realm.put(topics.AUDIT_ENTRY, true)
+        realm.pump()
+        while (sample := heard.try_recv()) is not None:
+            entries.append(unpack(AuditEntry, sample.payload.to_bytes()))
+    recorder.close()
+    assert set(entries) == {true}
+    assert realm.sim.taken == taken_before, "the gate does not hear of them"
 
 
 # --- replays ------------------------------------------------------------------------------------------

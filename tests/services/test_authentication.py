@@ -9,6 +9,7 @@ from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.challenges import GOOD_FOR_S, Challenges
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
+from deltaq_services.outputs import ClientOrigin
 
 KEY, MESSAGE = "deltaq/lab/fr/lease", b"renew"
 
@@ -21,7 +22,7 @@ def bench(operator: str | None = "token") -> tuple[Leases, Authentication]:
 
 def test_the_holder_s_request_is_good_once_and_in_order() -> None:
     leases, authentication = bench()
-    prover = Prover(leases.grant("fr", "x", None, 0.0).token)
+    prover = Prover(leases.grant("fr", ClientOrigin("x"), None, 0.0).token)
     first, second, third = (prover.prove_next(KEY, MESSAGE) for _ in range(3))
     assert authentication.holder("fr", KEY, MESSAGE, second) == "secret-0"
     assert [authentication.holder("fr", KEY, MESSAGE, proof) for proof in (first, second)] == [None, None]
@@ -31,18 +32,18 @@ def test_the_holder_s_request_is_good_once_and_in_order() -> None:
 
 def test_a_proof_without_a_count_makes_no_request_and_one_with_a_count_no_increment() -> None:
     leases, authentication = bench()
-    prover = Prover(leases.grant("fr", "x", None, 0.0).token)
+    prover = Prover(leases.grant("fr", ClientOrigin("x"), None, 0.0).token)
     assert authentication.holder("fr", KEY, MESSAGE, prover.prove(KEY, MESSAGE)) is None
     assert authentication.holder_of_increment("fr", KEY, MESSAGE, prover.prove_next(KEY, MESSAGE)) is None
 
 
 def test_counts_begin_anew_with_each_lease_and_the_old_one_is_worth_nothing() -> None:
     leases, authentication = bench()
-    old = leases.grant("fr", "x", None, 0.0)
+    old = leases.grant("fr", ClientOrigin("x"), None, 0.0)
     was = Prover(old.token)
     assert authentication.holder("fr", KEY, MESSAGE, was.prove(KEY, MESSAGE, (99).to_bytes(8, "big")))
     leases.end(old)
-    now = Prover(leases.grant("fr", "y", None, 0.0).token)
+    now = Prover(leases.grant("fr", ClientOrigin("y"), None, 0.0).token)
     assert authentication.holder("fr", KEY, MESSAGE, now.prove_next(KEY, MESSAGE)) == "secret-1"
     assert (
         authentication.holder("fr", KEY, MESSAGE, was.prove(KEY, MESSAGE, (100).to_bytes(8, "big"))) is None
@@ -53,10 +54,10 @@ def test_who_has_just_lost_a_lease_is_known_and_who_lost_one_before_is_not() -> 
     leases, authentication = bench()
     provers = []
     for _ in range(3):
-        lease = leases.grant("fr", "x", None, 0.0)
+        lease = leases.grant("fr", ClientOrigin("x"), None, 0.0)
         provers.append(Prover(lease.token))
         leases.end(lease)
-    leases.grant("fr", "y", None, 0.0)
+    leases.grant("fr", ClientOrigin("y"), None, 0.0)
     known = [
         authentication.holder_of_increment("fr", KEY, MESSAGE, prover.prove(KEY, MESSAGE))
         for prover in provers

@@ -6,15 +6,15 @@ import asyncio
 import contextlib
 import socket
 import ssl
-import subprocess
 from collections.abc import AsyncIterator
 
 import pytest
+from certificate import certificate
 from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient
 from small_cell import small_cell, told, tool_pose
 
-from deltaq_services.hli import tcp_front
+from deltaq_services.hli import handshake
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
@@ -24,18 +24,7 @@ TOKEN = "an operator's token"
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """As docs/how-to/talk-over-a-socket.md tells to make them."""
-    folder = tmp_path_factory.mktemp("certificate")
-    names = "subjectAltName=IP:127.0.0.1"
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
-         "-subj", "/CN=deltaq", "-addext", names, "-keyout", folder / "lines.key", "-out", folder / "lines.pem"],
-        check=True, capture_output=True,
-    )  # fmt: skip
-    return {
-        "DELTAQ_LINES_CERTIFICATE_FILE": str(folder / "lines.pem"),
-        "DELTAQ_LINES_KEY_FILE": str(folder / "lines.key"),
-    }
+    return certificate(tmp_path_factory.mktemp("certificate"))
 
 
 @contextlib.asynccontextmanager
@@ -72,7 +61,7 @@ async def test_over_tls_a_client_is_served_as_in_the_clear(files: dict[str, str]
 async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nobody(
     files: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tcp_front, "_HANDSHAKE_S", 0.2)
+    monkeypatch.setattr(handshake, "HANDSHAKE_S", 0.2)
     async with encrypted(files) as (hli, peer):
         port = peer.cell.tcp_port
         reader, writer = await asyncio.open_connection("127.0.0.1", port)

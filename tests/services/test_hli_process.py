@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import itertools
 import os
 import signal
 import socket
@@ -12,10 +14,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from json_client import json_client
+from json_client import JsonClient, json_client
 from small_cell import endpoint, free_port
 
 from deltaq_protocol import connect
+from deltaq_protocol.audit import AuditEntry
 
 pytestmark = pytest.mark.live
 
@@ -99,3 +102,38 @@ async def test_a_cell_that_does_not_exist_ends_it_with_status_2() -> None:
     assert started.returncode == 2
     assert b"nowhere" in err
     assert b"Traceback" not in err
+
+
+async def test_kill_9_in_a_flood_leaves_whole_lines_in_the_audit_log_and_the_next_process_appends(
+    tmp_path: Path,
+) -> None:
+    port, log = free_port(), tmp_path / "audit.jsonl"
+    command = ("--cell", str(cell_file(tmp_path, port)[0]), "--audit", str(log))
+    before = b""
+    for name in ("first", "second"):
+        async with process(*command, DELTAQ_OPERATOR_TOKEN="s3cret") as started:
+            assert started.stdout is not None
+            await asyncio.wait_for(started.stdout.readline(), 60)
+            async with json_client(port, name) as client:
+
+                async def flood(client: JsonClient = client) -> None:
+                    for number in itertools.count():
+                        client.send(type="lease", robot=f"ghost-{number}", action="take", token="guess")
+                        await client.writer.drain()
+
+                flooding = asyncio.create_task(flood())
+                async with asyncio.timeout(20):
+                    while len(log.read_bytes()) < len(before) + 2000:
+                        await asyncio.sleep(0.001)
+                started.kill()
+                await started.wait()
+                with contextlib.suppress(OSError):
+                    await flooding
+        now = log.read_bytes()
+        assert now.startswith(before)
+        assert now.endswith(b"\n")
+        entries = [AuditEntry.model_validate_json(line) for line in now[len(before) :].splitlines()]
+        assert (entries[0].what, entries[0].client) == ("connected", name)
+        assert entries[1].what == "lease_refused"
+        assert b"guess" not in now
+        before = now

@@ -140,15 +140,18 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     memory = core.snapshot()
     assert set(vars(core)) == {
         "_state", "_gate", "_gate_heard_s", "_states", "_services", "_proximity",
-    } | {"_tool_pose", "description", "counters", "increments", "requests"}  # fmt: skip
+    } | {"_tool_pose", "description", "counters", "increments", "requests", "tell"}  # fmt: skip
     state = core._state
     assert set(vars(state)) == {"leases", "commands", "command_rate", "links", "mismatches"} | {
         "cell",
         "identity",
         "counters",
+        "tell",
     }
     assert set(vars(state.leases)) == {"_leases", "_ended", "_epoch"} | {"_lease_s", "_new_token"}
-    assert set(vars(state.commands)) == {"_id", "_epoch", "_outdated_id", "_stop_id", "_awaited", "_stops"}
+    assert set(vars(state.commands)) == {
+        "_id", "_epoch", "_outdated_id", "_stop_id", "_awaited", "_stops",
+    } | {"_tell"}  # fmt: skip
     fixed = {"joints", "_max_age_cycles", "_max_state_age_s"}
     remembered = {
         "state",

@@ -188,7 +188,9 @@ class SealedRealm:
         while (sample := self._heard.try_recv()) is not None:
             key, sealed = str(sample.key_expr), sample.payload.to_bytes()
             self.recording.append((key, sealed))
-            if not key.startswith(topics.GATE_KEYS.format(cell=self.description.cell)[:-1]):
+            cell = self.description.cell
+            # what is only recorded has no seal
+            if not key.startswith(topics.GATE_KEYS.format(cell=cell)[:-1]) and key != topics.AUDIT.key(cell):
                 self._seal.meet(key, sealed)
 
     def pump_until(self, reached: Any) -> None:

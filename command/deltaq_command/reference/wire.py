@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from deltaq_command.reference.markdown import fields, message_link, models, table
-from deltaq_protocol import guarded
+from deltaq_protocol import audit, guarded
 from deltaq_protocol import messages as open_messages
 from deltaq_protocol import topics as table_of_topics
 from deltaq_protocol.messages import Message
@@ -48,7 +48,8 @@ def messages() -> str:
         "# Messages\n\nThe fields are the same in msgpack and in JSON lines; `deltaq schema` prints them as JSON"
         " Schema. `q` is a configuration and `dq` an increment over one cycle, in rad and m, in joint order."
     ]
-    for module, realm in ((open_messages, "Open realm"), (guarded, "Guarded realm")):
+    rooms = ((open_messages, "Open realm"), (guarded, "Guarded realm"), (audit, "Audit log"))
+    for module, realm in rooms:
         parts.append(f"## {realm}")
         parts += [fields(model, level=3) for model in models(module, Message)]
     return "\n\n".join(parts)

@@ -8,6 +8,7 @@ import resource
 import signal
 import ssl
 import sys
+from pathlib import Path
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.messages import Description, ToolPose
@@ -25,7 +26,11 @@ _REAL_TIME_PRIORITY = 9
 
 
 async def _run(
-    model: CellModel, description: Description, roles: ClientRoles, encryption: ssl.SSLContext | None
+    model: CellModel,
+    description: Description,
+    roles: ClientRoles,
+    encryption: ssl.SSLContext | None,
+    audit_file: Path | None,
 ) -> None:
     cell = model.description
 
@@ -36,7 +41,7 @@ async def _run(
     stopped = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
-    async with Hli(cell, description, tool_pose, roles, encryption):
+    async with Hli(cell, description, tool_pose, roles, encryption, audit_file):
         print(
             f"ready: hli of {cell.cell} on {cell.hli} and tcp {cell.tcp_address}:{cell.tcp_port}", flush=True
         )
@@ -52,7 +57,7 @@ def _allow_many_connections() -> None:
 
 def main() -> None:
     """Serve the clients of a cell."""
-    options = arguments("High-level interface: between controllers and the gate")
+    options = arguments("High-level interface: between controllers and the gate", writes_audit=True)
     logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     give_each_session_a_thread()
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
@@ -62,7 +67,7 @@ def main() -> None:
     description = cell.description_message()
     _allow_many_connections()
     ask_for_real_time(_REAL_TIME_PRIORITY)
-    asyncio.run(_run(cell, description, roles, encryption))
+    asyncio.run(_run(cell, description, roles, encryption, options.audit))
 
 
 if __name__ == "__main__":

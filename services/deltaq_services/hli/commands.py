@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditOutcome
 from deltaq_protocol.guarded import Command, CommandReply
 from deltaq_protocol.messages import DryRunReply, Error, Message
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
+from deltaq_services.hli.deeds import Tell, deed_of, told_to_nobody
+from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
 
 REPLY_DEADLINE_S = 0.5
 """Silence of the gate after which a command counts as not confirmed."""
@@ -60,6 +62,11 @@ class _Awaited:
     done: Message | None
     deadline_s: float
 
+    @property
+    def origins(self) -> tuple[ClientOrigin, ...]:
+        """Whose it is; nobody's is the HLI's own."""
+        return tuple(sender.origin for sender in self.senders) or (NOBODY,)
+
 
 def _told(awaited: _Awaited, message: Message) -> list[Output]:
     return [ToSender(sender, message) for sender in awaited.senders]
@@ -85,9 +92,11 @@ class Commands:
 
     Args:
         first_id: greater than any id used before, as far as that can be known.
+        tell: takes what became of each.
     """
 
-    def __init__(self, first_id: int) -> None:
+    def __init__(self, first_id: int, tell: Tell = told_to_nobody) -> None:
+        self._tell = tell
         self._id = first_id
         self._epoch = 0
         self._outdated_id = 0
@@ -120,8 +129,8 @@ class Commands:
         if command.kind == "stop":
             self._stops[command.robot] = _Stop(command, time_s + STOP_PERIOD_S)
 
-    def join_stop(self, sender: Sender) -> bool:
-        """Let one more await the stop of all robots that is under way, if there is one and not too many do.
+    def join_stop(self, sender: Sender) -> Command | None:
+        """Let one more await the stop of all robots that is under way; returns it, if there is one and not too many do.
 
         However fast stops come, no more of them go to the gate than it answers. One that was asked for after a reset
         joins none from before it.
@@ -129,10 +138,10 @@ class Commands:
         for id, awaited in self._awaited.items():
             if id == self._id and awaited.command.kind == "stop" and not awaited.command.robot:
                 if len(awaited.senders) >= MOST_AWAIT_A_STOP:
-                    return False
+                    return None
                 self._awaited[id] = replace(awaited, senders=(*awaited.senders, sender))
-                return True
-        return False
+                return awaited.command
+        return None
 
     def stops_again(self, time_s: float) -> list[Output]:
         """The stops that the gate still has not answered, whatever their senders have been told since."""
@@ -154,17 +163,19 @@ class Commands:
             if not unknowing and reply.code is ReasonCode.REPLAYED_SEQUENCE:
                 return []  # a duplicate; the answer to the first is still to come
         awaited = self._awaited.pop(reply.id, None)
-        if awaited is None or not awaited.senders:
+        if awaited is None:
             return []
         if reply.verdict is not None:
             return _told(awaited, DryRunReply(robot=reply.verdict.robot, verdict=reply.verdict))
         if reply.accepted and awaited.done is not None:
+            self._say(awaited, AuditOutcome.DONE)
             return _told(awaited, awaited.done)
         code = reply.code or ReasonCode.NOT_PERMITTED
         asked_for = awaited.command.robot
         robot = f" of {asked_for}" if asked_for else ""
         text = f"{awaited.command.kind}{robot} refused: {reply.message or EXPLANATIONS[code]}"
         hint = _HINTS.get(code, "")
+        self._say(awaited, AuditOutcome.REFUSED, text, code)
         error = Error(
             code=code, message=text, hint=hint, request=awaited.command.kind, robot=asked_for or None
         )
@@ -185,11 +196,20 @@ class Commands:
         self._awaited[command.id] = replace(awaited, command=command)
         return [ToTopic(topics.COMMAND, "", command)]
 
+    def _say(
+        self, awaited: _Awaited, outcome: AuditOutcome, text: str = "", code: ReasonCode | None = None
+    ) -> None:
+        for origin in awaited.origins:
+            self._tell(deed_of(awaited.command, outcome, origin, text, code))
+
     def overdue(self, time_s: float) -> tuple[int, list[Output]]:
         """How many commands the gate has just left unanswered, and the errors for their senders."""
         late = [awaited for awaited in self._awaited.values() if time_s >= awaited.deadline_s]
         for awaited in late:
             del self._awaited[awaited.command.id]
+            self._say(
+                awaited, AuditOutcome.UNCONFIRMED, _unconfirmed(awaited.command), ReasonCode.UNREACHABLE
+            )
         answers = [
             told
             for awaited in late

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import CommandReply, Health, ServerState
 from deltaq_protocol.identity import CellIdentity
@@ -39,6 +40,7 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.deeds import Deed, Tell, told_to_nobody
 from deltaq_services.hli.increments import Increments
 from deltaq_services.hli.leases import Leases
 from deltaq_services.hli.requests import Requests
@@ -60,11 +62,13 @@ class HliCore:
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
         roles: of clients; None: everybody is an operator.
+        tell: takes what was done or tried, for the audit log.
 
     Attributes:
         increments: takes the controllers' increments.
         requests: answers leases, stop, reset and digital outputs.
         counters: everything that has been counted.
+        tell: as given.
     """
 
     def __init__(
@@ -75,8 +79,11 @@ class HliCore:
         new_token: Callable[[], str],
         first_epoch: int,
         roles: ClientRoles | None = None,
+        tell: Tell = told_to_nobody,
     ) -> None:
-        self._state = HliState(cell, CellIdentity.parse(description.identity), new_token, first_epoch)
+        self.tell = tell
+        identity = CellIdentity.parse(description.identity)
+        self._state = HliState(cell, identity, new_token, first_epoch, tell)
         self._tool_pose = tool_pose
         self._gate: Health | None = None
         self._gate_heard_s = -math.inf
@@ -240,8 +247,18 @@ class HliCore:
             ours = ", ".join(map(str, LINE_VERSIONS))
             text = f"client speaks protocol {hello.protocol}, this server {ours}"
             hint = "install the deltaq version that the server runs"
+            self.tell(
+                Deed(
+                    AuditKind.CONNECTED,
+                    AuditOutcome.REFUSED,
+                    sender.origin,
+                    code=ReasonCode.PROTOCOL_VERSION,
+                    text=text,
+                )
+            )
             error = Error(code=ReasonCode.PROTOCOL_VERSION, message=text, hint=hint, request=hello.type)
             return [ToSender(sender, error)]
+        self.tell(Deed(AuditKind.CONNECTED, AuditOutcome.DONE, sender.origin))
         description = self.description
         welcome = Welcome(
             protocol=hello.protocol,

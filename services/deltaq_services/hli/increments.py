@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import Asked, RobotLink
 from deltaq_services.hli.state import HliState
-from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender, ToTopic
 
 
 class Increments:
@@ -70,6 +72,10 @@ class Increments:
     def on_malformed(self, error: InvalidMessageError, sender: Sender | None) -> list[Output]:
         """A malformed message: counted and answered, nothing else."""
         self._state.counters["malformed"] += 1
+        origin = ClientOrigin(address="zenoh") if sender is None else sender.origin
+        # what it holds may be a secret in the wrong place
+        text = str(error).partition(", got ")[0]
+        self._state.tell(Deed(AuditKind.MESSAGE, AuditOutcome.REFUSED, origin, code=error.code, text=text))
         if sender is None:
             return []
         hint = "`deltaq schema` prints the schema of every message"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from deltaq_services.outputs import Sender
+from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 
 
 @dataclass
@@ -20,6 +20,7 @@ class Lease:
         last_seq: greatest sequence number seen under this lease.
         used: True once an increment was accepted; then losing the holder is a reason to stop.
         connection: the holder's connection, where it has one.
+        origin: of the holder, for the audit log.
     """
 
     robot: str
@@ -30,6 +31,7 @@ class Lease:
     connection: Sender | None = None
     last_seq: int = -1
     used: bool = False
+    origin: ClientOrigin = NOBODY
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +89,13 @@ class Leases:
         lease = self._leases.get(robot)
         return lease.token if lease else None, self._ended.get(robot)
 
-    def grant(self, robot: str, client: str, connection: Sender | None, time_s: float) -> Lease:
+    def grant(self, robot: str, holder: ClientOrigin, connection: Sender | None, time_s: float) -> Lease:
         """A new lease, in place of the one before."""
         self._epoch += 1
-        lease = Lease(robot, self._epoch, client, self._new_token(), time_s + self._lease_s, connection)
+        expires_s = time_s + self._lease_s
+        lease = Lease(
+            robot, self._epoch, holder.client, self._new_token(), expires_s, connection, origin=holder
+        )
         self._leases[robot] = lease
         return lease
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Callable
 from typing import TypeVar
@@ -22,6 +23,7 @@ from deltaq_protocol.messages import (
     LeaseRequest,
     Message,
     ResetRequest,
+    StopRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
@@ -30,9 +32,13 @@ from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.sieve import Sieve, Sifted
 from deltaq_services.hli.zenoh_session import LoopSession
-from deltaq_services.outputs import Output, Sender
+from deltaq_services.outputs import ClientOrigin, Output, Sender
 
 RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest)
+
+
+_ADDRESS = "zenoh"
+"""Of all who ask over zenoh: it does not tell where a question comes from."""
 
 
 class QuerySender(Sender):
@@ -40,11 +46,13 @@ class QuerySender(Sender):
 
     Attributes:
         key: that the answer goes out on.
+        origin: whom it is from, once that is known.
     """
 
     def __init__(self, query: zenoh.Query, key: str) -> None:
         self._query = query
         self.key = key
+        self.origin = ClientOrigin(address=_ADDRESS)
 
     def deliver(self, message: Message) -> None:
         """Answer the query; a refusal is an error reply."""
@@ -95,6 +103,11 @@ class OpenFront:
         """What the session counted."""
         return self._session.counters() + self._sieve.counters()
 
+    @property
+    def unproven(self) -> int:
+        """Increments that showed no lease."""
+        return self._sieve.unproven
+
     def close(self) -> None:
         """Close the realm to clients."""
         self._session.close()
@@ -136,6 +149,7 @@ class OpenFront:
         try:
             request = unpack(ContactRequest, _payload(query))
             request = request.model_copy(update={"token": self._role_token(query)})
+            sender.origin = self._origin(request.client, request.token)
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
@@ -148,6 +162,8 @@ class OpenFront:
     def _on_stop(self, query: zenoh.Query) -> None:
         # a stop is obeyed whatever the message says
         sender = QuerySender(query, topics.STOP.key(self._cell))
+        with contextlib.suppress(InvalidMessageError):
+            sender.origin = self._origin(unpack(StopRequest, _payload(query)).client, None)
         self._port.carry_out(self._port.core.requests.on_stop(sender, self._port.now()))
 
     def _on_status(self, query: zenoh.Query) -> None:
@@ -172,6 +188,7 @@ class OpenFront:
             if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
                 raise _wrong_key(request.robot, str(query.key_expr))
             request = self._proven(request, query)
+            sender.origin = self._origin_of(request)
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
@@ -187,6 +204,18 @@ class OpenFront:
         if isinstance(request, LeaseRequest | ResetRequest):
             fields["token"] = self._role_token(query)
         return request.model_copy(update=fields)
+
+    def _origin_of(self, request: RobotRequest) -> ClientOrigin:
+        if isinstance(request, IoRequest):
+            lease = self._port.core.leases.held_with(request.robot, request.lease)
+            return self._origin(None, None) if lease is None else lease.origin
+        if isinstance(request, LeaseRequest | ResetRequest):
+            return self._origin(request.client, request.token)
+        return self._origin(None, None)
+
+    def _origin(self, client: str | None, token: str | None) -> ClientOrigin:
+        """Whom a question is from: the name that it says, and the role that it proves."""
+        return ClientOrigin(client or "", _ADDRESS, self._port.roles.of(token).name.lower())
 
     def _is_proven(self, query: zenoh.Query) -> bool:
         """Whether it is a holder's or the operator's, in zenoh's thread: a flood of others takes no place of theirs."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.messages import (
     ContactRequest,
     Done,
@@ -17,11 +19,12 @@ from deltaq_protocol.messages import (
     Reason,
     ResetRequest,
 )
-from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.client_roles import ClientRole, ClientRoles
+from deltaq_services.hli.deeds import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.state import HliState
-from deltaq_services.outputs import Output, Sender, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 _Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest
 
@@ -41,8 +44,9 @@ class Requests:
     def on_lease(self, request: LeaseRequest, sender: Sender, time_s: float) -> list[Output]:
         """Acquire, renew, release or take the lease of a robot."""
         outputs = self._state.tick(time_s)
-        robot = request.robot
+        robot, asking = request.robot, replace(sender.origin, client=request.client or "anonymous")
         if robot not in self._state.links:
+            self._tell_of_no_lease(request, asking, ReasonCode.UNKNOWN_ROBOT)
             return [*outputs, ToSender(sender, self._lease_reply(robot, ReasonCode.UNKNOWN_ROBOT, time_s))]
         own, current = self._state.leases.held_with(robot, request.lease), self._state.leases.of(robot)
         code: ReasonCode | None = None
@@ -51,6 +55,7 @@ class Requests:
             if own is None:
                 code = ReasonCode.LEASE_NOT_HELD
             else:
+                self._state.tell_of_lease(AuditKind.LEASE_RELEASED, own.origin, robot)
                 outputs += self._state.end_lease(own)
                 granted = None
         elif own is not None:
@@ -64,20 +69,28 @@ class Requests:
         elif request.action is LeaseAction.TAKE and not self._is_operator(request.token):
             code = ReasonCode.NOT_PERMITTED
         else:
+            what, text = AuditKind.LEASE_GRANTED, ""
             if current is not None:
                 self._state.counters["leases_taken"] += 1
+                what, text = (
+                    AuditKind.LEASE_TAKEN_OVER,
+                    f"from {current.client}, {current.origin.address or 'unknown'}",
+                )
                 outputs += self._state.end_lease(current)
             self._state.counters["leases_granted"] += 1
+            self._state.tell_of_lease(what, asking, robot, text)
             connection = sender if sender.lasting else None
-            granted = self._state.leases.grant(robot, request.client or "anonymous", connection, time_s)
+            granted = self._state.leases.grant(robot, asking, connection, time_s)
         if code is not None:
             self._state.counters[f"lease_refused_{code}"] += 1
+            self._tell_of_no_lease(request, asking, code)
         return [*outputs, ToSender(sender, self._lease_reply(robot, code, time_s, granted))]
 
     def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
         """Bring every robot to rest; anyone may."""
         self._state.counters["stops"] += 1
-        if self._state.commands.join_stop(sender):
+        if (joined := self._state.commands.join_stop(sender)) is not None:
+            self._state.tell(deed_of(joined, AuditOutcome.ASKED, sender.origin))
             return []
         outputs = self._state.drop_all(Reason(code=ReasonCode.STOPPED, what=ReasonCode.OPERATOR_STOP))
         command = self._state.new_command(kind="stop", reason=ReasonCode.OPERATOR_STOP)
@@ -178,10 +191,14 @@ class Requests:
     def on_connection_lost(self, leases: Iterable[tuple[str, str]], time_s: float) -> list[Output]:
         """A connection broke; `leases` are the robots and tokens it held."""
         self._state.counters["connections_lost"] += 1
-        held = (self._state.leases.held_with(robot, token) for robot, token in leases)
-        return [
-            output for lease in held if lease is not None for output in self._state.holder_lost(lease, time_s)
-        ]
+        outputs: list[Output] = []
+        for robot, token in leases:
+            lease = self._state.leases.held_with(robot, token)
+            if lease is not None:
+                text = "the connection ended"
+                self._state.tell_of_lease(AuditKind.LEASE_LOST, lease.origin, robot, text)
+                outputs += self._state.holder_lost(lease, time_s)
+        return outputs
 
     def _lease_reply(
         self, robot: str, code: ReasonCode | None, time_s: float, granted: Lease | None = None
@@ -196,6 +213,14 @@ class Requests:
             code=code,
         )
 
+    def _tell_of_no_lease(self, request: LeaseRequest, asking: ClientOrigin, code: ReasonCode) -> None:
+        current = self._state.leases.of(request.robot)
+        held = f"; {current.client} holds it" if current else ""
+        text = f"{request.action}: {EXPLANATIONS[code]}{held}"
+        self._state.tell(
+            Deed(AuditKind.LEASE_REFUSED, AuditOutcome.REFUSED, asking, request.robot, code, text)
+        )
+
     def _is_operator(self, token: str | None) -> bool:
         return self._roles.of(token) is ClientRole.OPERATOR
 
@@ -207,4 +232,6 @@ class Requests:
     ) -> list[Output]:
         robot = None if isinstance(request, ContactRequest) else request.robot
         error = Error(code=code, message=text, hint=hint, request=request.type, robot=robot)
+        kind = KIND_OF_REQUEST[request.type]
+        self._state.tell(Deed(kind, AuditOutcome.REFUSED, sender.origin, robot, code, text))
         return [ToSender(sender, error)]

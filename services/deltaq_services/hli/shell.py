@@ -8,19 +8,24 @@ import ssl
 import time
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Health
 from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
+from deltaq_services.hli.audit import Audit
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.core import HliCore
+from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.guarded_front import GuardedFront
 from deltaq_services.hli.open_front import OpenFront
 from deltaq_services.hli.tcp_front import TcpFront
-from deltaq_services.outputs import Output, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, ToSender
 from deltaq_services.pace import Pace
 
 _TICK_S = 0.02
@@ -35,8 +40,10 @@ class Hli:
         tool_pose: pose of a robot's tool from its name and its n joints `q` [rad or m].
         roles: of clients; None: everybody is an operator.
         encryption: of the lines over TCP; None: they are in the clear.
+        audit_file: of the audit log; None: it goes to recorders alone.
 
     Raises:
+        AuditFileError: on entering, if the audit log cannot be written.
         ServiceUnreachableError: on entering, if the open realm's endpoint cannot be listened on.
         OSError: on entering, if the TCP port cannot be listened on.
     """
@@ -48,14 +55,17 @@ class Hli:
         tool_pose: Callable[[str, tuple[float, ...]], ToolPose],
         roles: ClientRoles | None = None,
         encryption: ssl.SSLContext | None = None,
+        audit_file: Path | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
         self.roles = roles or ClientRoles()
         self._encryption = encryption
         self.core = HliCore(
-            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, self.roles
+            cell, description, tool_pose, lambda: secrets.token_hex(16), first_epoch, self.roles, self._tell
         )
+        self._audit_file = audit_file
+        self._unproven = 0
         self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32))
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
@@ -63,6 +73,14 @@ class Hli:
 
     async def __aenter__(self) -> Hli:
         self.loop = asyncio.get_running_loop()
+        self._audit = Audit(self._audit_file, self._publish_entry, self._secrets, self.now)
+        try:
+            return await self._begin()
+        except BaseException:
+            self._audit.close()
+            raise
+
+    async def _begin(self) -> Hli:
         self._tcp = TcpFront(self)
         await self._tcp.listen(self._cell.tcp_address, self._cell.tcp_port, self._encryption)
         try:
@@ -82,6 +100,8 @@ class Hli:
         self._next_tick.cancel()
         await self._tcp.close()
         self._open.close()
+        self._tell_of_unproven()
+        self._audit.close()
         self._guarded.close()
 
     def now(self) -> float:
@@ -104,17 +124,42 @@ class Hli:
                 if isinstance(output.message, RobotState):
                     self._tcp.publish_state(output.message)
 
+    def _tell(self, deed: Deed) -> None:
+        self._audit.tell(deed)
+
+    def _publish_entry(self, entry: AuditEntry) -> None:
+        self._guarded.publish(topics.AUDIT_ENTRY, "", entry)
+
+    def _secrets(self) -> tuple[str, ...]:
+        return *self.roles.tokens, *self.core.leases.tokens()
+
+    def _tell_of_unproven(self) -> None:
+        """Increments without a proof: zenoh's threads count them, and nobody decodes them."""
+        before, self._unproven = self._unproven, self._open.unproven
+        if self._unproven > before:
+            deed = Deed(
+                AuditKind.INCREMENT,
+                AuditOutcome.REFUSED,
+                ClientOrigin(address="zenoh"),
+                code=ReasonCode.LEASE_NOT_HELD,
+                text="no proof of a lease came with it",
+            )
+            self._audit.tell(deed, self._unproven - before)
+
     def _tick(self) -> None:
         now = self.now()
         self._next_tick = self.loop.call_at(now + _TICK_S, self._tick)
         self.carry_out(self.core.on_tick(now))
+        self._tell_of_unproven()
+        self._audit.tick()
         if self._pace.due(now):
             self._publish_health(now)
 
     def _publish_health(self, now: float) -> None:
         lagging = self.core.lagging(now)
         counters = self.core.counters + self._front_counters()
-        details = (*self.core.mismatches, *((f"lagging: {'; '.join(lagging)}",) if lagging else ()))
+        said = f"lagging: {'; '.join(lagging)}" if lagging else ""
+        details = [text for text in (*self.core.mismatches, said, self._audit.fault) if text]
         health = Health(
             service="hli",
             healthy=not self.core.mismatches,
@@ -128,4 +173,7 @@ class Hli:
     def _front_counters(self) -> Counter[str]:
         counters = self._tcp.counters + self._open.counters() + self._guarded.counters()
         counters["tcp_connections_open"] = len(self._tcp.connections)
+        counters["audit_lines"] = self._audit.lines
+        counters["audit_lines_lost"] = self._audit.lost
+        counters["audit_entries_unpublished"] = self._audit.unpublished
         return counters

@@ -80,6 +80,11 @@ class Sieve:
                 return None
         return Sifted(robot, proven.token, payload)
 
+    @property
+    def unproven(self) -> int:
+        """Increments that nobody proved."""
+        return self._counters["increments_unproven"]
+
     def counters(self) -> Counter[str]:
         """What was forgotten."""
         with self._lock:

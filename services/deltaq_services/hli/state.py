@@ -8,16 +8,18 @@ from typing import Any
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Command, Health
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
-from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead
 from deltaq_services.hli.commands import Commands
+from deltaq_services.hli.deeds import Deed, Tell, deed_of, told_to_nobody
 from deltaq_services.hli.leases import Lease, Leases
 from deltaq_services.hli.refusals import refusal
 from deltaq_services.hli.robot_link import Asked, RobotLink
-from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
+from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
 from deltaq_services.rate_limit import RateLimit
 
 MOST_COMMANDS_S = 100.0
@@ -32,6 +34,7 @@ class HliState:
         identity: its name and hash.
         new_token: makes a secret, different each time.
         first_epoch: greater than any lease epoch or command id used before, as far as that can be known.
+        tell: takes what was done or tried, for the audit log.
     """
 
     def __init__(
@@ -40,14 +43,16 @@ class HliState:
         identity: CellIdentity,
         new_token: Callable[[], str],
         first_epoch: int,
+        tell: Tell = told_to_nobody,
     ) -> None:
         age_s, ahead = cell.gate.max_request_age_s, cell.gate.lookahead_cycles
         self.cell = cell
         self.identity = identity
+        self.tell = tell
         self.mismatches: dict[str, str] = {}
         self.counters: Counter[str] = Counter()
         self.leases = Leases(cell.robots, cell.lease_s, new_token, first_epoch)
-        self.commands = Commands(first_epoch)
+        self.commands = Commands(first_epoch, tell)
         self.command_rate = RateLimit(MOST_COMMANDS_S)
         self.links = {
             name: RobotLink(
@@ -79,6 +84,8 @@ class HliState:
         outputs: list[Output] = []
         for lease in self.leases.expired(time_s):
             self.counters["leases_expired"] += 1
+            text = f"nothing was heard for {self.cell.lease_s:g} s"
+            self.tell_of_lease(AuditKind.LEASE_EXPIRED, lease.origin, lease.robot, text)
             outputs += self._told_of_expiry(lease) + self.holder_lost(lease, time_s)
         late, answers = self.commands.overdue(time_s)
         self.counters["commands_unanswered"] += late
@@ -93,6 +100,8 @@ class HliState:
             if reason.code is ReasonCode.LEASE_NOT_HELD and reason.bound is not None:
                 for lease in self.leases.count_on_from(int(reason.bound)):
                     self.counters["leases_outdated"] += 1
+                    text = "the gate knows of a later one"
+                    self.tell_of_lease(AuditKind.LEASE_LOST, lease.origin, lease.robot, text)
                     outputs += self.end_lease(lease)
         return outputs
 
@@ -108,6 +117,10 @@ class HliState:
         """Refuse an increment: count it, and send the verdict to the sender; the holder's to every watcher too."""
         self.counters["refused"] += 1
         self.counters[f"refused_{reason.code}"] += 1
+        if not is_holders:
+            origin = ClientOrigin(address="zenoh") if sender is None else sender.origin
+            text = EXPLANATIONS[reason.code]
+            self.tell(Deed(AuditKind.INCREMENT, AuditOutcome.REFUSED, origin, robot[:64], reason.code, text))
         return refusal(robot, cycle, seq, reason, sender, is_holders)
 
     def refuse_asked(self, asked: Asked, reason: Reason) -> list[Output]:
@@ -143,6 +156,10 @@ class HliState:
         error = Error(code=ReasonCode.LEASE_NOT_HELD, message=text, hint=hint, robot=lease.robot)
         return [ToSender(lease.connection, error)]
 
+    def tell_of_lease(self, what: AuditKind, origin: ClientOrigin, robot: str, text: str = "") -> None:
+        """Tell what became of a lease."""
+        self.tell(Deed(what, AuditOutcome.DONE, origin, robot, text=text))
+
     def drop_all(self, reason: Reason) -> list[Output]:
         """Refuse every increment that waits, of all robots."""
         dropped = [link.drop() for link in self.links.values()]
@@ -169,7 +186,7 @@ class HliState:
                 request=command.kind,
                 robot=command.robot,
             )
-            return [] if sender is None else [ToSender(sender, error)]
+            return self._refused(command, sender, error)
         if command.kind != "stop" and not self.command_rate.take(time_s):
             self.counters["commands_too_many"] += 1
             error = Error(
@@ -179,6 +196,16 @@ class HliState:
                 request=command.kind,
                 robot=command.robot,
             )
-            return [] if sender is None else [ToSender(sender, error)]
+            return self._refused(command, sender, error)
+        if command.kind != "dry_run":
+            self.tell(deed_of(command, AuditOutcome.ASKED, _origin(sender)))
         self.commands.sent(command, sender, done, time_s)
         return [ToTopic(topics.COMMAND, "", command)]
+
+    def _refused(self, command: Command, sender: Sender | None, error: Error) -> list[Output]:
+        self.tell(deed_of(command, AuditOutcome.REFUSED, _origin(sender), error.message, error.code))
+        return [] if sender is None else [ToSender(sender, error)]
+
+
+def _origin(sender: Sender | None) -> ClientOrigin:
+    return NOBODY if sender is None else sender.origin

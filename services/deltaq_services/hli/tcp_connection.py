@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections import Counter
+from dataclasses import replace
 from typing import Any, Protocol
 
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map, to_line
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
@@ -25,9 +27,10 @@ from deltaq_protocol.messages import (
     StopRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.refusals import answered_by_error
-from deltaq_services.outputs import Output, Sender, ToSender
+from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100
@@ -86,6 +89,8 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     Attributes:
         leases: token of each robot's lease that was granted to this connection.
+        origin: its address, and once it has said hello its name and role.
+        is_welcome: it has said hello.
     """
 
     lasting = True
@@ -116,6 +121,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         peer = transport.get_extra_info("peername")
         self._address = peer[0] if peer else ""
+        self.origin = self._origin(None, address_of(transport))
         if not self._front.admit(self, self._address):
             self._for_stop_alone = True
             self._port.loop.call_later(STOP_DEADLINE_S, self.close)
@@ -143,6 +149,11 @@ class TcpConnection(asyncio.Protocol, Sender):
             robot = next(iter(self._newest_states))
             self._transport.write(self._newest_states.pop(robot))
 
+    @property
+    def is_welcome(self) -> bool:
+        """Whether it has said hello."""
+        return self._client is not None
+
     def connection_lost(self, _exc: Exception | None) -> None:
         """The connection has broken or was closed."""
         if self._hello_deadline is not None:
@@ -162,6 +173,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._transport.write(self._front.description_line if is_description else to_line(message))
         if self._transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
             self._front.counters["tcp_not_reading"] += 1
+            self._tell(AuditKind.DISCONNECTED, ReasonCode.TOO_MANY, "the answers were not read")
             self._transport.abort()
 
     def deliver_state(self, robot: str, line: bytes) -> None:
@@ -268,6 +280,7 @@ class TcpConnection(asyncio.Protocol, Sender):
             text = f"a {kind} before the hello"
             hint = f'begin with {{"type":"hello","protocol":{PROTOCOL_VERSION},"client":"your name"}}'
             answered = answered_by_error(data)
+            self._tell(AuditKind.MESSAGE, ReasonCode.NOT_PERMITTED, text)
             return self._told(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, **answered))
         if message_type is Increment:
             return self._increment(data, now)
@@ -289,9 +302,12 @@ class TcpConnection(asyncio.Protocol, Sender):
         if hello.token is not None and not self._front.token_may_be_used(hello, self._address):
             text = "wrong token, or too many wrong ones came from this address; the connection ends"
             hint = "give the right one a second later, or none: then you may look on, and stop"
+            self.origin = replace(self.origin, client=hello.client)
+            self._tell(AuditKind.CONNECTED, ReasonCode.NOT_PERMITTED, text)
             self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=hello.type))
             self.close()
             return []
+        self.origin = self._origin(hello, self.origin.address)
         outputs = self._port.core.take(hello, self._port.now(), self)
         self._port.carry_out(outputs)
         if hello.protocol not in LINE_VERSIONS:
@@ -322,13 +338,30 @@ class TcpConnection(asyncio.Protocol, Sender):
     def _told(self, message: Message) -> list[Output]:
         return [ToSender(self, message)]
 
+    def _origin(self, hello: Hello | None, address: str) -> ClientOrigin:
+        role = self._port.roles.of(hello.token if hello else None)
+        return ClientOrigin(hello.client if hello else "", address, role.name.lower())
+
+    def _tell(self, what: AuditKind, code: ReasonCode, text: str) -> None:
+        self._port.core.tell(Deed(what, AuditOutcome.REFUSED, self.origin, code=code, text=text))
+
     def _give_up(self, text: str, hint: str) -> None:
         self._front.counters["tcp_given_up"] += 1
+        self._tell(AuditKind.DISCONNECTED, ReasonCode.MALFORMED, text)
         self.deliver(Error(code=ReasonCode.MALFORMED, message=f"{text}; the connection ends", hint=hint))
         self.close()
 
     def _hello_is_overdue(self) -> None:
         self._give_up(f"no hello within {HELLO_DEADLINE_S:g} s", "the first line of a client is its hello")
+
+
+def address_of(transport: asyncio.BaseTransport) -> str:
+    """HOST:PORT of whoever is at the other end."""
+    peer = transport.get_extra_info("peername")
+    if not peer:
+        return ""
+    host = f"[{peer[0]}]" if ":" in peer[0] else peer[0]
+    return f"{host}:{peer[1]}"
 
 
 def _is_stop(line: bytes) -> bool:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import logging
 import socket
 import ssl
 from collections import Counter
+from functools import cached_property, partial
 
+from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.client_roles import Tries
+from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.handshake import Handshake
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
-from deltaq_services.hli.tcp_connection import TcpConnection
+from deltaq_services.hli.tcp_connection import TcpConnection, address_of
+from deltaq_services.outputs import ClientOrigin
 
 _log = logging.getLogger(__name__)
 
@@ -26,8 +30,6 @@ _WAIT_S = 0.005
 """Where lines wait for their rates, they are looked at again after this."""
 _ACCEPTED_A_TURN = 8
 """Connections taken up before the loop turns to others."""
-_HANDSHAKE_S = 5.0
-"""Connections that do not agree on their encryption until then end."""
 _WAITING_CONNECTIONS = 1024
 """Connections that the system keeps until they are taken up; beyond, a newcomer waits for a second."""
 
@@ -49,7 +51,7 @@ class TcpFront:
         """Clients that have a place."""
         return tuple(self._places.clients)
 
-    @functools.cached_property
+    @cached_property
     def description_line(self) -> bytes:
         """The longest answer, made once."""
         return to_line(self._port.core.description)
@@ -61,12 +63,10 @@ class TcpFront:
             OSError: if the address cannot be listened on.
         """
         self._server = await self._port.loop.create_server(
-            lambda: TcpConnection(self._port, self),
+            self._new_connection if encryption is None else partial(self._new_handshake, encryption),
             address,
             tcp_port,
             backlog=_ACCEPTED_A_TURN,
-            ssl=encryption,
-            ssl_handshake_timeout=None if encryption is None else _HANDSHAKE_S,
         )
         for listener in self._server.sockets:
             # asyncio takes the length of the system's queue for the number that it accepts at once
@@ -87,6 +87,10 @@ class TcpFront:
         )
         hint = "close one that is not needed; a stop is obeyed here all the same, if it comes now"
         connection.deliver(Error(code=ReasonCode.TOO_MANY, message=text, hint=hint))
+        refused = AuditOutcome.REFUSED
+        self._port.core.tell(
+            Deed(AuditKind.CONNECTED, refused, connection.origin, code=ReasonCode.TOO_MANY, text=text)
+        )
         return False
 
     def token_may_be_used(self, hello: Hello, address: str) -> bool:
@@ -106,6 +110,8 @@ class TcpFront:
         """Forget a connection that broke, and tell the core what it held."""
         self._turns.leave(connection)
         if self._places.leave(connection):
+            if connection.is_welcome:
+                self._port.core.tell(Deed(AuditKind.DISCONNECTED, AuditOutcome.DONE, connection.origin))
             outputs = self._port.core.requests.on_connection_lost(connection.leases.items(), self._port.now())
             self._port.carry_out(outputs)
 
@@ -131,6 +137,20 @@ class TcpFront:
             for connection in connections:
                 connection.close()
             await self._server.wait_closed()
+
+    def _new_connection(self) -> TcpConnection:
+        return TcpConnection(self._port, self)
+
+    def _new_handshake(self, encryption: ssl.SSLContext) -> Handshake:
+        return Handshake(self._port.loop, encryption, self._new_connection, self._refuse_unencrypted)
+
+    def _refuse_unencrypted(self, transport: asyncio.BaseTransport, why: str) -> None:
+        self.counters["tcp_unencrypted"] += 1
+        origin = ClientOrigin(address=address_of(transport))
+        text = f"no encryption was agreed on: {why}"
+        self._port.core.tell(
+            Deed(AuditKind.CONNECTED, AuditOutcome.REFUSED, origin, code=ReasonCode.MALFORMED, text=text)
+        )
 
     def _serve(self) -> None:
         self._is_scheduled = True

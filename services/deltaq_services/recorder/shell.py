@@ -75,6 +75,8 @@ class Recorder:
             open_stream = topic.realm is Realm.OPEN and topic.kind is Kind.STREAM
             if open_stream and Party.CLIENT in topic.readers and topic.recorded:
                 self._session.declare_subscriber(topic.key(cell.cell), lambda s, t=topic: self._put(t, s))
+        audit = topics.AUDIT
+        self._session.declare_subscriber(audit.key(cell.cell), lambda sample: self._put(audit, sample))
         # one subscriber for both, so that a snapshot keeps its place among the entries
         self._session.declare_subscriber(topics.GATE_KEYS.format(cell=cell.cell), self._put_gate)
 

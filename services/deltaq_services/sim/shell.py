@@ -37,7 +37,10 @@ _LOG_PERIOD_S = 1.0
 
 
 def _taken() -> dict[str, Topic]:
-    """What the gate takes in, by the end of the key; others' heartbeats only wake it, and greetings are the seal's."""
+    """What the SIM takes in, by the end of the key; others' heartbeats only wake it, and greetings are the seal's.
+
+    Entries of the audit log it hands on to recorders; the gate does not hear of them.
+    """
     rows = [topic for topic in topics.TOPICS if topic.realm is Realm.GUARDED and Party.SIM in topic.readers]
     return {
         topic.template.rpartition("/")[2]: topic for topic in rows if topic.message not in (Health, Greeting)
@@ -68,6 +71,8 @@ class Shell:
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._log = GateLog(self._session, self._name, self.sim)
+        audit = topics.AUDIT.key(self._name)
+        self._audit = declare_publisher(self._session, audit, priority=topics.AUDIT.priority)
         self._publishers: dict[tuple[str, str], Any] = {}
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
         self._log_pace = Pace(_LOG_PERIOD_S)
@@ -106,6 +111,9 @@ class Shell:
         except InvalidMessageError as error:
             self.sim.counters["invalid_messages"] += 1
             print(f"{key}: {error}", flush=True)
+            return
+        if topic is topics.AUDIT_ENTRY:
+            self._audit.put(payload)
             return
         if self._stamps is not None:
             self._stamps.came(message)

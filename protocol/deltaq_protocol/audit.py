@@ -1,0 +1,70 @@
+"""Entries of the audit log: who did what, from where, in which role, and how it ended."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field, FiniteFloat
+
+from deltaq_protocol.messages import Count, Message
+from deltaq_protocol.reasons import ReasonCode
+
+LONGEST_NAME = 64
+LONGEST_ADDRESS = 80
+LONGEST_TEXT = 300
+"""Characters that an entry keeps of what strangers may have written."""
+
+
+class AuditKind(StrEnum):
+    """What was done, or tried."""
+
+    CONNECTED = "connected"
+    DISCONNECTED = "disconnected"
+    LEASE_GRANTED = "lease_granted"
+    LEASE_TAKEN_OVER = "lease_taken_over"
+    LEASE_RELEASED = "lease_released"
+    LEASE_EXPIRED = "lease_expired"
+    LEASE_LOST = "lease_lost"
+    LEASE_REFUSED = "lease_refused"
+    STOP = "stop"
+    RESET = "reset"
+    OUTPUTS = "outputs"
+    CONTACT = "contact"
+    DRY_RUN = "dry_run"
+    INCREMENT = "increment"
+    MESSAGE = "message"
+
+
+class AuditOutcome(StrEnum):
+    """How it ended.
+
+    `asked` says that the gate was asked, `done` that it was carried out, `unconfirmed` that nobody knows.
+    """
+
+    ASKED = "asked"
+    DONE = "done"
+    REFUSED = "refused"
+    UNCONFIRMED = "unconfirmed"
+
+
+class AuditEntry(Message):
+    """One line of the audit log, written by the HLI.
+
+    `time_utc` is the wall clock's time in ISO 8601, `time_s` the HLI's monotonic one [s]. `client` is the name that the
+    client gives itself. `address` is HOST:PORT of a TCP connection, or `zenoh`, which does not tell. `role` is what was
+    proved (`observer`, `controller`, `operator`); empty where nobody asked. `text` is what the client was told. `count`
+    is how many equal ones the entry stands for; client, address and text are then those of the newest.
+    """
+
+    time_utc: str
+    time_s: FiniteFloat
+    what: AuditKind
+    outcome: AuditOutcome
+    robot: str | None = None
+    client: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""
+    role: str = ""
+    code: ReasonCode | None = None
+    text: Annotated[str, Field(max_length=LONGEST_TEXT)] = ""
+    count: Count = 1

@@ -1,0 +1,71 @@
+"""The encryption of a connection, agreed on before anybody else hears of it; who fails in that is told of."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import Callable
+
+HANDSHAKE_S = 5.0
+"""Connections that do not agree on their encryption until then end."""
+
+
+class Handshake(asyncio.Protocol):
+    """Begins as a connection's protocol, and hands the encrypted connection on.
+
+    Args:
+        loop: that serves it.
+        encryption: with the certificate.
+        begin: makes the protocol of an encrypted connection.
+        failed: takes the transport, and why nothing was agreed on.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        encryption: ssl.SSLContext,
+        begin: Callable[[], asyncio.Protocol],
+        failed: Callable[[asyncio.BaseTransport, str], None],
+    ) -> None:
+        self._loop, self._encryption = loop, encryption
+        self._begin, self._failed = begin, failed
+        self._connection: asyncio.Protocol | None = None
+        self._early = bytearray()
+        self._is_lost = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Somebody has connected."""
+        assert isinstance(transport, asyncio.Transport)  # of a TCP server, always
+        transport.pause_reading()  # what comes is for the encryption
+        self._task = self._loop.create_task(self._agree(transport))
+
+    def data_received(self, data: bytes) -> None:
+        """What was encrypted, and came with the end of the agreement."""
+        if self._connection is None:
+            self._early += data
+        else:
+            self._connection.data_received(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The connection has ended before this handed it on, or as it did."""
+        self._is_lost = True
+        if self._connection is not None:
+            self._connection.connection_lost(exc)
+
+    async def _agree(self, transport: asyncio.Transport) -> None:
+        try:
+            encrypted = await self._loop.start_tls(
+                transport, self, self._encryption, server_side=True, ssl_handshake_timeout=HANDSHAKE_S
+            )
+        except OSError as error:
+            why = error.reason if isinstance(error, ssl.SSLError) else type(error).__name__
+            self._failed(transport, why)
+            transport.abort()
+            return
+        if self._is_lost or encrypted is None:
+            return
+        connection = self._connection = self._begin()
+        encrypted.set_protocol(connection)
+        connection.connection_made(encrypted)
+        if self._early:
+            connection.data_received(bytes(self._early))

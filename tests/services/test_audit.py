@@ -1,0 +1,317 @@
+"""Who did what, as a real HLI writes it: strangers first."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ssl
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from certificate import certificate
+from guarded_peer import GuardedPeer, guarded_peer
+from json_client import JsonClient, json_client
+from open_stranger import OpenStranger
+from small_cell import small_cell, told, tool_pose
+
+from deltaq_protocol import connect, topics
+from deltaq_protocol.audit import LONGEST_TEXT, AuditEntry, AuditKind, AuditOutcome
+from deltaq_protocol.codec import unpack
+from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.messages import Increment, LeaseAction, LeaseRequest
+from deltaq_protocol.proof import Prover
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.audit import Audit
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.line_encryption import line_encryption
+from deltaq_services.hli.shell import Hli
+from deltaq_services.outputs import ClientOrigin
+
+OPERATOR, CONTROLLER = "the operator's token, 0123456789", "the controller's, 0123456789"
+WRONG = "a wrong token, 9876543210"
+
+
+class Audited:
+    """A running HLI, and its audit log."""
+
+    def __init__(self, hli: Hli, peer: GuardedPeer, file: Path) -> None:
+        self.hli, self.peer, self.file = hli, peer, file
+        self.port = peer.cell.tcp_port
+
+    def entries(self) -> list[dict[str, Any]]:
+        """What is in the file; every line is a whole entry."""
+        lines = self.file.read_bytes().splitlines()
+        return [AuditEntry.model_validate_json(line).model_dump(mode="json") for line in lines]
+
+    async def entry(self, what: str, outcome: str, **fields: Any) -> dict[str, Any]:
+        """The first entry of this kind and outcome, with these fields; waits for it."""
+        wanted = {"what": what, "outcome": outcome} | fields
+        async with asyncio.timeout(10):
+            while True:
+                for entry in self.entries():
+                    if wanted.items() <= entry.items():
+                        return entry
+                await asyncio.sleep(0.01)
+
+    async def counted(self, what: str, wanted: int) -> list[dict[str, Any]]:
+        """Entries of a kind, once their counts have come to what is wanted."""
+        async with asyncio.timeout(20):
+            while True:
+                found = [entry for entry in self.entries() if entry["what"] == what]
+                if sum(entry["count"] for entry in found) >= wanted:
+                    return found
+                await asyncio.sleep(0.05)
+
+
+@contextlib.asynccontextmanager
+async def audited(file: Path, encryption: ssl.SSLContext | None = None) -> AsyncIterator[Audited]:
+    cell, roles = small_cell(), ClientRoles(OPERATOR, CONTROLLER)
+    async with (
+        guarded_peer(cell) as peer,
+        Hli(cell, told(cell), tool_pose, roles, encryption, file) as hli,
+    ):
+        await peer.turn()
+        yield Audited(hli, peer, file)
+
+
+@pytest.fixture
+async def running(tmp_path: Path) -> AsyncIterator[Audited]:
+    async with audited(tmp_path / "audit.jsonl") as now:
+        yield now
+
+
+def address_of(client: JsonClient) -> str:
+    host, port = client.writer.get_extra_info("sockname")
+    return f"{host}:{port}"
+
+
+# --- strangers ------------------------------------------------------------------------------------------
+
+
+async def test_what_a_stranger_tries_over_a_line_is_named_with_his_address_and_his_proved_role(
+    running: Audited,
+) -> None:
+    async with json_client(running.port, "mallory") as client:
+        where = {"client": "mallory", "address": address_of(client), "role": "observer"}
+        for action in ("acquire", "take"):
+            reply = await client.ask("lease", type="lease", robot="fr", action=action)
+            assert reply["code"] == "not_permitted"
+        error = await client.ask("done", type="reset", robot="fr")
+        assert error["code"] == "not_permitted"
+        await client.ask("done", type="contact", contact="gripper_on_valves", allowed=True)
+        await client.ask("io", type="io", robot="gr", outputs={"gripper": True})
+        client.send(type="increment", robot="fr", seq=1, cycle=running.peer.cycle, dq=[0.0] * 6)
+        await client.receive("verdict")
+        await client.ask("error", type="reset", robot="fr", nonsense=1)
+
+        no_lease = await running.entry("lease_refused", "refused", robot="fr", code="not_permitted", **where)
+        assert no_lease["text"].startswith("acquire: ")
+        reset = await running.entry("reset", "refused", robot="fr", code="not_permitted", **where)
+        assert reset["text"] == error["message"]
+        await running.entry("contact", "refused", robot=None, code="not_permitted", **where)
+        await running.entry("outputs", "refused", robot="gr", code="lease_not_held", **where)
+        await running.entry("increment", "refused", robot="fr", code="lease_not_held", **where)
+        malformed = await running.entry("message", "refused", code="malformed", **where)
+        assert malformed["text"] == "nonsense: Extra inputs are not permitted"
+        assert len(await running.counted("lease_refused", 2)) == 2
+    await running.entry("disconnected", "done", **where)
+
+
+async def test_wrong_tokens_other_versions_and_no_hello_are_named(running: Audited) -> None:
+    async with json_client(running.port, None) as client:
+        await client.ask("welcome", type="hello", protocol=1, client="guesser", token=WRONG)
+        refused = {"code": "not_permitted", "client": "guesser", "role": "observer"}
+        await running.entry("connected", "refused", address=address_of(client), **refused)
+    async with json_client(running.port, None) as client:
+        await client.ask("welcome", type="hello", protocol=99, client="from the future")
+        other = await running.entry("connected", "refused", code="protocol_version")
+        assert (other["address"], "99" in other["text"]) == (address_of(client), True)
+    async with json_client(running.port, None) as client:
+        await client.ask("done", type="reset", robot="fr")
+        early = await running.entry("message", "refused", code="not_permitted", client="")
+        assert (early["address"], early["text"]) == (address_of(client), "a reset before the hello")
+
+
+async def test_what_a_stranger_tries_over_zenoh_is_named_and_counted(running: Audited) -> None:
+    stranger = await asyncio.to_thread(OpenStranger, running.peer.cell.hli, "small")
+    asked = LeaseRequest(robot="fr", action=LeaseAction.RELEASE, client="mallory", lease="guessed")
+    proof = Prover("a guess").prove(topics.LEASE.key("small", robot="fr"), b"another message", b"n" * 8)
+    await asyncio.to_thread(stranger.ask, topics.LEASE, asked, proof, "fr")
+    await running.entry("lease_refused", "refused", client="mallory", address="zenoh", role="observer")
+    increment = Increment(robot="fr", seq=1, cycle=1, dq=(0.0,) * 6, lease="guessed")
+    for _ in range(30):
+        await asyncio.to_thread(stranger.say, topics.INCREMENT, increment, proof, robot="fr")
+    lines = await running.counted("increment", 30)
+    assert sum(entry["count"] for entry in lines) == 30
+    assert {(entry["address"], entry["code"]) for entry in lines} == {("zenoh", "lease_not_held")}
+    await asyncio.to_thread(stranger.close)
+
+
+async def test_a_name_cannot_break_a_line_nor_a_terminal(running: Audited) -> None:
+    name = 'x"}\n{"what":"stop","client":"root"}\x1b[2J\u202e\x7f'
+    async with json_client(running.port, name) as client:
+        await client.ask("done", type="reset", robot="fr")
+        entry = await running.entry("reset", "refused")
+    assert entry["client"] == r'x"}\n{"what":"stop","client":"root"}\x1b[2J\u202e\x7f'
+    assert running.file.read_bytes().isascii()
+    assert not set(running.file.read_bytes()) & ({*range(32), 127} - {10})
+
+
+async def test_a_client_in_the_clear_at_an_encrypted_line_is_named(tmp_path: Path) -> None:
+    encryption = line_encryption(small_cell(), certificate(tmp_path))
+    async with audited(tmp_path / "audit.jsonl", encryption) as running:
+        reader, writer = await asyncio.open_connection("127.0.0.1", running.port)
+        client = JsonClient(reader, writer)
+        client.send(type="stop")
+        await client.ended()
+        refused = await running.entry("connected", "refused", code="malformed", address=address_of(client))
+        assert refused["text"].startswith("no encryption was agreed on: ")
+        assert running.hli.status().hli["tcp_unencrypted"] == 1
+        writer.close()
+
+
+# --- what is done -----------------------------------------------------------------------------------------
+
+
+async def test_what_is_done_is_named_with_what_became_of_it(running: Audited) -> None:
+    async with (
+        json_client(running.port, "driver", token=CONTROLLER) as driver,
+        json_client(running.port, "chief", token=OPERATOR) as chief,
+    ):
+        drives = {"client": "driver", "address": address_of(driver), "role": "controller"}
+        leads = {"client": "chief", "address": address_of(chief), "role": "operator"}
+        await running.entry("connected", "done", **drives)
+        assert (await driver.ask("lease", type="lease", robot="gr", action="acquire"))["granted"]
+        await running.entry("lease_granted", "done", robot="gr", **drives)
+        await driver.ask("io", type="io", robot="gr", outputs={"gripper": True})
+        await running.entry("outputs", "done", robot="gr", text="gripper on", **drives)
+        assert (await chief.ask("lease", type="lease", robot="gr", action="take"))["granted"]
+        taken = await running.entry("lease_taken_over", "done", robot="gr", **leads)
+        assert taken["text"] == f"from driver, {drives['address']}"
+        await chief.ask("lease", type="lease", robot="gr", action="release")
+        await running.entry("lease_released", "done", robot="gr", **leads)
+        await driver.ask("done", type="stop")
+        await running.entry("stop", "asked", **drives)
+        await running.entry("stop", "done", text="every robot: operator_stop", **drives)
+        running.peer.refuses = ReasonCode.CAUSE_STANDS
+        error = await chief.ask("done", type="reset", robot="fr")
+        await running.entry("reset", "refused", code="cause_stands", text=error["message"], **leads)
+        running.peer.obeys = False
+        error = await chief.ask("done", type="contact", contact="gripper_on_valves", allowed=True)
+        await running.entry("contact", "asked", text="gripper_on_valves allowed", **leads)
+        await running.entry("contact", "unconfirmed", code="unreachable", text=error["message"], **leads)
+        assert (await driver.ask("lease", type="lease", robot="fr", action="acquire"))["granted"]
+    await running.entry("lease_lost", "done", robot="fr", text="the connection ended", **drives)
+    times = [entry["time_s"] for entry in running.entries()]
+    assert times == sorted(times)
+
+
+async def test_over_zenoh_too_and_a_lease_that_runs_out_is_its_holders(running: Audited) -> None:
+    where = {"address": "zenoh"}
+    async with connect(running.peer.cell.hli, client="script", token=OPERATOR) as cell:
+        async with cell.lease("gr") as robot:
+            await robot.io({"gripper": True})
+        with contextlib.suppress(RefusedError):
+            await cell.reset("fr")
+        await cell.stop()
+    operator = {"client": "script", "role": "operator"} | where
+    await running.entry("lease_granted", "done", robot="gr", **operator)
+    await running.entry("outputs", "done", robot="gr", **operator)
+    await running.entry("lease_released", "done", robot="gr", **operator)
+    await running.entry("reset", "done", robot="fr", **operator)
+    # anybody may stop: nothing is proved
+    await running.entry("stop", "done", client="script", role="observer", **where)
+    async with json_client(running.port, "silent", token=CONTROLLER) as client:
+        await client.ask("lease", type="lease", robot="fr", action="acquire")
+        expired = await running.entry("lease_expired", "done", robot="fr", client="silent")
+        assert (expired["address"], expired["role"]) == (address_of(client), "controller")
+
+
+async def test_no_secret_is_in_the_file(running: Audited) -> None:
+    async with connect(running.peer.cell.hli, client="script", token=OPERATOR) as cell, cell.lease("fr"):
+        lease = running.hli.core.leases.of("fr")
+        assert lease is not None
+        secrets = (OPERATOR, CONTROLLER, WRONG, lease.token)
+        # a token in the wrong place, and fields of a message that is refused as a whole
+        for fields in (
+            {"client": f"my token is {OPERATOR}"[:64], "token": OPERATOR},
+            {"client": "x", "token": WRONG},
+            {"token": CONTROLLER},
+            {"client": "y", "token": {"is": WRONG}},
+            {"client": lease.token},
+        ):
+            async with json_client(running.port, None) as client:
+                await client.ask("welcome", type="hello", protocol=1, **fields)
+        async with json_client(running.port, "z") as client:
+            client.send(type=WRONG)
+            client.send(type="stop", token=OPERATOR)
+            client.send(type="lease", robot="fr", action="take", token=WRONG, lease=[lease.token])
+            await client.receive("done")
+    await running.entry("lease_released", "done", robot="fr")
+    text = running.file.read_text()
+    assert "(a secret)" in text
+    assert [secret for secret in secrets if secret in text] == []
+
+
+async def test_recorders_get_every_entry_sealed_through_the_gates_process(running: Audited) -> None:
+    heard: asyncio.Queue[bytes] = asyncio.Queue()
+    subscribed = running.peer._subscribe(topics.AUDIT_ENTRY.key("small"), heard.put_nowait)
+    async with json_client(running.port, "driver", token=CONTROLLER) as client:
+        async with asyncio.timeout(10):
+            while heard.empty():  # until it is known who listens
+                await client.ask("lease", type="lease", robot="fr", action="acquire")
+                await client.ask("lease", type="lease", robot="fr", action="release")
+                await asyncio.sleep(0.3)
+            entry = unpack(AuditEntry, await heard.get())
+    assert (entry.client, entry.role) == ("driver", "controller")
+    subscribed.undeclare()
+
+
+# --- a disk that fails ------------------------------------------------------------------------------------
+
+
+async def test_a_full_disk_stops_nothing_is_counted_and_is_told_in_the_health() -> None:
+    async with audited(Path("/dev/full")) as running:
+        async with json_client(running.port, "driver", token=CONTROLLER) as client:
+            assert (await client.ask("lease", type="lease", robot="fr", action="acquire"))["granted"]
+            cycle = await running.peer.turn()
+            client.send(type="increment", robot="fr", seq=1, cycle=cycle, dq=[0.0] * 6)
+            assert (await client.receive("verdict"))["outcome"] == "admitted"
+        async with asyncio.timeout(10):
+            while running.hli.status().hli.get("audit_lines_lost", 0) < 2:
+                await asyncio.sleep(0.01)
+            while "audit log: No space left on device" not in (await running.peer.health.get()).detail:
+                pass
+
+
+# --- what needs no server ---------------------------------------------------------------------------------
+
+
+def test_texts_of_strangers_are_cut_and_every_entry_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "audit.jsonl"
+    published: list[AuditEntry] = []
+    audit = Audit(file, published.append, lambda: ("s3cret",), lambda: 5.0)
+    origin = ClientOrigin("\n" * 10_000, "\ud800" * 10_000, "observer")
+    for text in ("ü\r\n" * 10_000, "s3cret" * 10_000, "\x00"):
+        audit.tell(Deed(AuditKind.MESSAGE, AuditOutcome.REFUSED, origin, text, text=text))
+    audit.close()
+    lines = file.read_bytes().splitlines()
+    assert [AuditEntry.model_validate_json(line) for line in lines] == published
+    assert len(published) == 3
+    assert all(len(entry.text) <= LONGEST_TEXT and entry.text.isprintable() for entry in published)
+    assert max(map(len, lines)) < 4096
+    assert b"s3cret" not in file.read_bytes()
+
+
+def test_recorders_are_sent_no_more_than_they_may_and_the_file_has_all(tmp_path: Path) -> None:
+    published: list[AuditEntry] = []
+    audit = Audit(tmp_path / "audit.jsonl", published.append, tuple, lambda: 5.0)
+    for kind in AuditKind:
+        for number in range(10):
+            audit.tell(Deed(kind, AuditOutcome.DONE, ClientOrigin(str(number))))
+    audit.close()
+    assert (len(published), audit.unpublished, audit.lines) == (20, 10 * len(AuditKind) - 20, 150)
+    assert len((tmp_path / "audit.jsonl").read_bytes().splitlines()) == 150
