@@ -113,17 +113,24 @@ class BlockingRobot:
         """Ask for an increment `dq` (n,) [rad or m] and wait for its verdict; see `LeasedRobot.move`."""
         if self._robot.state is None:
             return self._background.run(self._robot.move(dq))
-        return self._robot.move_now(dq, lambda: self._background.run(self._robot.lease.renew()))
+        return self._robot.move_now(dq, self._renew)
 
-    def send(self, dq: Iterable[float]) -> int:
+    def send(self, dq: Iterable[float], cycle: int | None = None) -> int:
         """Ask for an increment `dq` (n,) [rad or m] and do not wait for its verdict; see `LeasedRobot.send`."""
         if self._robot.state is None:
-            return self._background.run(self._robot.send(dq))
-        return self._robot.send_now(dq)
+            return self._background.run(self._robot.send(dq, cycle))
+        return self._robot.send_now(dq, cycle)
+
+    def new_verdicts(self) -> list[Verdict]:
+        """The verdicts on what was sent with `send` that have come; see `LeasedRobot.new_verdicts`."""
+        return self._robot.new_verdicts_now(self._renew)
 
     def verdicts(self) -> Iterator[Verdict]:
         """The verdicts on what was sent with `send`; see `LeasedRobot.verdicts`."""
         return self._background.iterate(self._robot.verdicts())
+
+    def _renew(self) -> None:
+        self._background.run(self._robot.lease.renew())
 
     def close(self) -> None:
         """Give the lease back, as leaving the block does; `with` is the safer way."""

@@ -329,7 +329,9 @@ def test_after_a_chain_that_broke_the_next_increment_has_all_the_time_there_is()
     ahead.decided(decided(21), braking_at(20))
     ahead.cycle_passed(server_state("fr", 21, q_cmd=ZEROS, q=ZEROS, dq=ZEROS, plan=BRAKING))
     assert ahead.setpoint_cycle(braking_at(21)) == 24
-    ahead.decided(decided(22), braking_at(21))  # under way since before the break: it follows what did not happen
+    ahead.decided(
+        decided(22), braking_at(21)
+    )  # under way since before the break: it follows what did not happen
     assert ahead.setpoint_cycle(braking_at(21)) == 24
     assert ahead.q_ahead(braking_at(21))[0] == pytest.approx(STEP * (0.5 + 0.25))
 

@@ -42,7 +42,8 @@ class AdmittedAhead:
     def __init__(self, cycles: int, cycle_s: float) -> None:
         self.cycles = cycles
         self._cycle_s = cycle_s
-        self.restore(AheadMemory())
+        self._verdicts: dict[int, Verdict] = {}
+        self._decided, self._chain_cycle = -1, 0
 
     def decided(self, verdict: Verdict, state: ServerState) -> None:
         """The gate has decided an increment; `state` is the newest."""
