@@ -104,11 +104,8 @@ class InFlight:
         q_cmd, account = np.array(_told(state)[1]), self._account(state)
         for dq in (*account.decided, *account.undecided):
             q_cmd = q_cmd + dq
-        last = state.cycle + self._lookahead_cycles
-        next_cycle = account.decided_cycle + 1 + len(account.undecided)
-        # no increment is decided beyond `last`; one that is already can only be told by a newer state than this
-        cycle = max(min(next_cycle, last), account.decided_cycle + 1) - 1
-        return Ahead(cycle, q_cmd, max(1, last + 1 - next_cycle))
+        cycle = account.decided_cycle + len(account.undecided)
+        return Ahead(cycle, q_cmd, max(1, state.cycle + self._lookahead_cycles - cycle))
 
     def take_given_up(self) -> int:
         """How many increments were given up since the last call, whose verdicts have not come."""
@@ -136,8 +133,23 @@ class InFlight:
             for one in self._sent:
                 one.setpoint_cycle = None  # a hold has emptied what the Robot Server kept
                 self._decided_seq = max(self._decided_seq, one.seq)
+        self._infer_decided(state)
         oldest = state.cycle - self._lookahead_cycles - PATIENCE_CYCLES
         self._give_up([one for one in self._sent if one.cycle <= oldest])
+
+    def _infer_decided(self, state: RobotState) -> None:
+        """A state may know of verdicts that have not come, or never will: increments are decided in their order."""
+        first, q_ahead = _told(state)
+        if q_ahead == state.q_cmd:
+            return  # a robot at rest has a setpoint as far ahead without any verdict
+        unheard = first - 1 - max(self._decided_cycle, state.cycle)
+        if unheard > 0:
+            decided = [one.seq for one in self._undecided()][:unheard]
+            self._decided_seq = max(self._decided_seq, *decided, -1)
+            self._decided_cycle = first - 1
+
+    def _undecided(self) -> list[_Sent]:
+        return [one for one in self._sent if not one.is_answered and one.seq > self._decided_seq]
 
     def _give_up(self, increments: Sequence[_Sent]) -> None:
         self._given_up += sum(not one.is_answered for one in increments)
@@ -145,23 +157,20 @@ class InFlight:
         self._sent = [one for one in self._sent if one.seq not in gone]
 
     def _account(self, state: RobotState) -> _Account:
-        first, q_ahead = _told(state)
+        first, _ = _told(state)
         decided = {
             one.setpoint_cycle: one.dq
             for one in self._sent
             if one.setpoint_cycle is not None and one.setpoint_cycle >= first
         }
         last = max(decided, default=first - 1)
-        silent = [one for one in self._sent if not one.is_answered]
-        # increments are decided in their order: a verdict that is missing before another was lost, or is late
-        lost = [one.dq for one in silent if one.seq < self._decided_seq]
+        # a verdict that is missing before another was lost, or is late
+        lost = [one.dq for one in self._sent if not one.is_answered and one.seq < self._decided_seq]
         gaps = last + 1 - first - len(decided)
         filled = lost[-gaps:] if gaps > 0 else []
-        undecided = [one.dq for one in silent if one.seq > self._decided_seq]
-        if q_ahead != state.q_cmd:  # the state may know of verdicts that have not come
-            del undecided[: max(0, first - 1 - max(self._decided_cycle, state.cycle))]
         in_order = [decided[cycle] for cycle in sorted(decided)]
-        return _Account(last, [*in_order, *filled], undecided[-self._lookahead_cycles :])
+        undecided = [one.dq for one in self._undecided()[-self._lookahead_cycles :]]
+        return _Account(last, [*in_order, *filled], undecided)
 
 
 def _told(state: RobotState) -> tuple[int, tuple[float, ...]]:
