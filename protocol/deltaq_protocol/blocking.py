@@ -6,7 +6,8 @@
                 verdict = robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
 The event loop runs in a separate thread, so the lease is renewed while the script computes. A controller that is slower
-than a cycle, or farther away, does not wait: it calls `robot.send(dq)` and reads `robot.verdicts()`.
+than a cycle, or farther away, does not wait, nor does any in a cell with a lookahead: it calls `robot.send(dq)` and
+reads `robot.new_verdicts()`; `deltaq_protocol.in_flight` says what is on its way.
 
 In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` last until `robot.close()` and
 `cell.close()`, or until the interpreter ends.

@@ -69,6 +69,7 @@ class InFlight:
         self._lookahead_cycles = 1
         self._newest_cycle = self._answered_cycle = -1
         self._decided_seq = self._decided_cycle = -1
+        self._told: tuple[int, tuple[float, ...]] | None = None
 
     def sent(self, seq: int, dq: ArrayLike, cycle: int) -> None:
         """An increment (n,) [rad or m] was sent in answer to the state of `cycle`."""
@@ -140,13 +141,17 @@ class InFlight:
     def _infer_decided(self, state: RobotState) -> None:
         """A state may know of verdicts that have not come, or never will: increments are decided in their order."""
         first, q_ahead = _told(state)
-        if q_ahead == state.q_cmd:
-            return  # a robot at rest has a setpoint as far ahead without any verdict
+        before, self._told = self._told, (first, q_ahead)
         unheard = first - 1 - max(self._decided_cycle, state.cycle)
+        if q_ahead == state.q_cmd:  # a robot at rest has a setpoint as far ahead without any verdict
+            unheard = 0
+        undecided = self._undecided()
+        if undecided and before is not None and before[0] == first - 1:
+            shows = tuple((np.array(before[1]) + undecided[0].dq).tolist()) == q_ahead
+            unheard = max(unheard, int(shows))
         if unheard > 0:
-            decided = [one.seq for one in self._undecided()][:unheard]
-            self._decided_seq = max(self._decided_seq, *decided, -1)
-            self._decided_cycle = first - 1
+            self._decided_seq = max([self._decided_seq, *(one.seq for one in undecided[:unheard])])
+            self._decided_cycle = max(self._decided_cycle, first - 1)
 
     def _undecided(self) -> list[_Sent]:
         return [one for one in self._sent if not one.is_answered and one.seq > self._decided_seq]

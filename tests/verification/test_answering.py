@@ -115,7 +115,7 @@ def jitter(seed: int, median_s: float, sigma: float) -> Callable[[], float]:
     return lambda: median_s * math.exp(sigma * drawn.gauss(0, 1))
 
 
-@pytest.fixture(scope="module", params=[2, 3])
+@pytest.fixture(scope="module", params=[1, 2, 3])
 def ahead(request: pytest.FixtureRequest) -> int:
     return int(request.param)
 
