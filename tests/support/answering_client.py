@@ -51,6 +51,7 @@ class AnsweringClient:
         self._say, self._increment, self._waits = say, increment, waits
         self._seq = 0
         self._awaited: tuple[int, int] | None = None
+        self._unanswered: RobotState | None = None
 
     def acquire(self) -> None:
         """Ask for the lease."""
@@ -72,10 +73,14 @@ class AnsweringClient:
             self._awaited = None
         if self.in_flight.take(verdict):
             self._count(verdict.outcome.value)
+        if self._waits and self._unanswered is not None:
+            self._answer(self._unanswered)
 
     def _answer(self, state: RobotState) -> None:
+        self._unanswered = state
         if self._waits and self._awaited is not None and state.cycle < self._awaited[1] + 4:
             return
+        self._unanswered = None
         cycles = self.in_flight.cycles_to_answer(state)
         for cycle in cycles[-1:] if self._waits else cycles:
             ahead = self.in_flight.ahead(state)
