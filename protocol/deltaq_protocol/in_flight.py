@@ -69,10 +69,14 @@ class InFlight:
         self._lookahead_cycles = 1
         self._newest_cycle = self._answered_cycle = -1
         self._decided_seq = self._decided_cycle = -1
+        self._shape = (0,)
         self._told: tuple[int, tuple[float, ...]] | None = None
 
     def sent(self, seq: int, dq: ArrayLike, cycle: int) -> None:
-        """An increment (n,) [rad or m] was sent in answer to the state of `cycle`."""
+        """An increment (n,) [rad or m] was sent in answer to the state of `cycle`.
+
+        One that is not finite, or of another length than the robot's, is refused and never reckoned with.
+        """
         self._sent.append(_Sent(seq, cycle, np.array(dq, dtype=float)))
         self._answered_cycle = cycle
 
@@ -91,9 +95,7 @@ class InFlight:
             self._decided_cycle = max(self._decided_cycle, verdict.setpoint_cycle)
         elif verdict.outcome is Outcome.HELD:  # its setpoint is one of the brake
             self._decided_cycle = max(self._decided_cycle, verdict.cycle) + 1
-        if (
-            verdict.outcome is not Outcome.REFUSED
-        ):  # that one may come from the HLI, before others are decided
+        if verdict.outcome is not Outcome.REFUSED:  # the HLI may refuse one before others are decided
             self._decided_seq = max(self._decided_seq, verdict.seq)
         return is_first
 
@@ -128,7 +130,7 @@ class InFlight:
             self._give_up(self._sent)
             self._lookahead_cycles = 1
             self._answered_cycle = self._decided_cycle = -1
-        self._newest_cycle = state.cycle
+        self._newest_cycle, self._shape = state.cycle, (len(state.q_cmd),)
         self._lookahead_cycles = max(self._lookahead_cycles, _told(state)[0] - state.cycle)
         if state.phase not in _MAY_MOVE:
             for one in self._sent:
@@ -147,14 +149,22 @@ class InFlight:
             unheard = 0
         undecided = self._undecided()
         if undecided and before is not None and before[0] == first - 1:
-            shows = tuple((np.array(before[1]) + undecided[0].dq).tolist()) == q_ahead
-            unheard = max(unheard, int(shows))
+            shown = np.array(before[1]) + undecided[0].dq
+            unheard = max(unheard, int(tuple(shown.tolist()) == q_ahead))
         if unheard > 0:
             self._decided_seq = max([self._decided_seq, *(one.seq for one in undecided[:unheard])])
             self._decided_cycle = max(self._decided_cycle, first - 1)
 
     def _undecided(self) -> list[_Sent]:
-        return [one for one in self._sent if not one.is_answered and one.seq > self._decided_seq]
+        return [one for one in self._unanswered() if one.seq > self._decided_seq]
+
+    def _unanswered(self) -> list[_Sent]:
+        """Those without a verdict that can be admitted."""
+        return [
+            one
+            for one in self._sent
+            if not one.is_answered and one.dq.shape == self._shape and np.isfinite(one.dq).all()
+        ]
 
     def _give_up(self, increments: Sequence[_Sent]) -> None:
         self._given_up += sum(not one.is_answered for one in increments)
@@ -170,7 +180,7 @@ class InFlight:
         }
         last = max(decided, default=first - 1)
         # a verdict that is missing before another was lost, or is late
-        lost = [one.dq for one in self._sent if not one.is_answered and one.seq < self._decided_seq]
+        lost = [one.dq for one in self._unanswered() if one.seq < self._decided_seq]
         gaps = last + 1 - first - len(decided)
         filled = lost[-gaps:] if gaps > 0 else []
         in_order = [decided[cycle] for cycle in sorted(decided)]

@@ -66,6 +66,18 @@ def test_what_a_state_knows_of_is_not_reckoned_with_again_though_its_verdict_was
     assert reckoned(in_flight, state(11, 1.0, 1.5)) == (12, 1.5)
 
 
+@pytest.mark.parametrize("dq", [[float("nan")], [float("inf")], [0.1, 0.1], []])
+def test_what_is_no_increment_of_this_robot_is_refused_and_not_reckoned_with(dq: list[float]) -> None:
+    """Else one bad increment would make the next one bad, and that the one after."""
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, dq, 10)
+    undecided = state(11, 1.0, 1.5, setpoint_cycle=12)
+    assert reckoned(in_flight, undecided) == (11, 1.5)
+    in_flight.sent(2, [0.1], 11)
+    assert reckoned(in_flight, undecided) == (12, 1.6)
+
+
 def test_what_was_scaled_counts_as_it_was_admitted() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
