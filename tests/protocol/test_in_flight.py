@@ -98,9 +98,30 @@ def test_a_hold_forgets_all_that_was_sent() -> None:
     in_flight = InFlight()
     in_flight.sent(1, [0.1], 10)
     in_flight.sent(2, [0.1], 11)
-    in_flight.take(verdict(1, 12, 0.1))
+    in_flight.take(verdict(1, 14, 0.1))
     assert reckoned(in_flight, state(11, 1.0, 1.0, phase=Phase.HELD)) == (11, 1.0)
     assert reckoned(in_flight, state(12, 1.0, 1.0)) == (13, 1.0)
+
+
+def test_what_lies_before_an_increment_that_was_admitted_is_taken_as_it_was_asked_for() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, [0.1], 10)
+    in_flight.sent(2, [0.01], 11)
+    in_flight.take(verdict(2, 13, 0.01))
+    assert reckoned(in_flight, state(11, 1.0, 1.5, setpoint_cycle=12)) == (13, 1.61)
+    in_flight.take(verdict(1, 12, 0.05, Outcome.SCALED))
+    assert reckoned(in_flight, state(11, 1.0, 1.5, setpoint_cycle=12)) == (13, 1.56)
+
+
+def test_a_setpoint_that_the_gate_held_is_none_of_the_increment_behind_it() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, [0.1], 10)
+    held = Verdict(robot="fr", cycle=11, seq=1, outcome=Outcome.HELD, dq=(0.02,))
+    in_flight.take(held)
+    in_flight.sent(2, [0.01], 11)
+    assert reckoned(in_flight, state(11, 1.0, 1.42)) == (13, 1.43)  # 12 is of the brake
 
 
 def test_another_robot_server_counts_from_one() -> None:
