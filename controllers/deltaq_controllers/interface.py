@@ -46,6 +46,13 @@ class RobotView:
         cycle = state.cycle if state.setpoint_cycle is None else state.setpoint_cycle - 1
         return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd))
 
+    def after(self, cycle: int, dq: Array) -> RobotView:
+        """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
+
+        A controller that left it out would request the same motion twice.
+        """
+        return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq)
+
 
 @dataclass(frozen=True)
 class View:

@@ -70,7 +70,8 @@ async def drive(
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
-    No verdict is waited for (`deltaq_controllers.answers`). One that does not arrive is counted.
+    In a cell with a lookahead no verdict is waited for (`deltaq_controllers.answers`). One that does not arrive is
+    counted, and the next state is answered as usual.
 
     Args:
         cell: connection to the cell.
@@ -91,7 +92,7 @@ async def drive(
                 view = answers.view(state)
                 if watch is not None:
                     watch(view)
-                await answers.send(cycle, controller.increment(view))
+                await answers.send(state, cycle, controller.increment(view))
             for verdict in answers.verdicts():
                 statistics.add(verdict)
 

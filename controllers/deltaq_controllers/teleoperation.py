@@ -161,7 +161,7 @@ async def teleoperate(
                 increment = teleoperator.increment(answers.view(state))
                 if is_over and teleoperator.is_at_rest:
                     return
-                await answers.send(cycle, increment)
+                await answers.send(state, cycle, increment)
             for verdict in answers.verdicts():
                 statistics.add(verdict)
                 teleoperator.take_verdict(verdict)

@@ -81,7 +81,6 @@ class Leased:
     q: np.ndarray
     cell: QuietCell
     cycle: int = 0
-    come: list[Verdict] = field(default_factory=list)
 
     def state(self) -> RobotState:
         q = tuple(self.q.tolist())
@@ -103,25 +102,12 @@ class Leased:
             yield self.state()
             await asyncio.sleep(0)
 
-    async def send(self, dq: Iterable[float], cycle: int) -> int:
+    async def move(self, dq: Iterable[float]) -> Verdict:
         moved = tuple(dq)
         self.q = self.q + np.array(moved)
-        self.come.append(
-            Verdict(
-                robot=self.robot,
-                cycle=cycle,
-                seq=cycle,
-                outcome=Outcome.ADMITTED,
-                setpoint_cycle=cycle + 1,
-                scale=1.0,
-                dq=moved,
-            )
+        return Verdict(
+            robot=self.robot, cycle=self.cycle, seq=self.cycle, outcome=Outcome.ADMITTED, scale=1.0, dq=moved
         )
-        return cycle
-
-    async def new_verdicts(self) -> list[Verdict]:
-        come, self.come = self.come, []
-        return come
 
 
 class QuietCell(Cell):

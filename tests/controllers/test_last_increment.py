@@ -43,3 +43,14 @@ def test_where_something_in_flight_was_lost_the_last_increment_is_still_the_same
     np.testing.assert_allclose(last.update(reckoned), dq)
     for cycle in (5, 4):
         np.testing.assert_allclose(last.update(view(cycle, np.array([1.0, 2.0]))), dq)
+
+
+def test_an_increment_under_way_counts_as_commanded() -> None:
+    last = LastIncrement(MAX_DDQ)
+    seen = view(4, np.array([1.0, 2.0]))
+    last.update(seen)
+    dq = np.array([0.01, 0.02])
+    ahead = seen.after(4, dq)
+    np.testing.assert_allclose(ahead.q_cmd, [1.01, 2.02])
+    np.testing.assert_allclose(last.update(ahead), dq)
+    np.testing.assert_array_equal(ahead.q, seen.q)

@@ -205,7 +205,7 @@ class OperatedRobot:
                 view = answers.view(state)
                 increment = pilot.increment(view, stood and _has_nothing_ahead(state, view.own), began_s)
                 if increment is not None and state.phase is not Phase.HELD:
-                    await answers.send(cycle, increment)
+                    await answers.send(state, cycle, increment)
             for verdict in answers.verdicts():
                 pilot.take_verdict(verdict)
             self._longest_s = max(self._longest_s, time.monotonic() - began_s)
