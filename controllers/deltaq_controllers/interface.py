@@ -27,7 +27,7 @@ class RobotView:
     """One robot as a controller sees it.
 
     Attributes:
-        cycle: number of the robot's cycle.
+        cycle: whose setpoint `q_cmd` is, the robot's newest or with a lookahead a later one.
         time_s: stamp of the state on the clock of that robot's server [s].
         q: (n,) measured configuration [rad or m].
         q_cmd: (n,) setpoint that an increment is added to: the one just sent, or with a lookahead the last of
@@ -43,7 +43,8 @@ class RobotView:
     def from_state(cls, state: RobotState) -> Self:
         """The same from a state message."""
         q_cmd = state.q_cmd if state.q_ahead is None else state.q_ahead
-        return cls(state.cycle, state.time_s, np.array(state.q), np.array(q_cmd))
+        cycle = state.cycle if state.setpoint_cycle is None else state.setpoint_cycle - 1
+        return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd))
 
     def after(self, cycle: int, dq: Array) -> RobotView:
         """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
@@ -81,6 +82,10 @@ class Controller(Protocol):
         ...
 
 
+_RECKONED_CYCLES = 10
+"""A setpoint that was reckoned with and did not come is at most so far ahead; another Robot Server counts from one."""
+
+
 class LastIncrement:
     """What a robot was last commanded, read off its setpoints.
 
@@ -100,10 +105,11 @@ class LastIncrement:
     def update(self, view: RobotView) -> Array:
         """The (n,) increment that led to this setpoint; zero for the first one [rad or m]."""
         cycles = view.cycle - self._cycle
-        if self._q_cmd is None or cycles < 0:
+        if self._q_cmd is None or cycles < -_RECKONED_CYCLES:
             self._dq = np.zeros_like(self._max_ddq)
         elif cycles > 0:
             self._dq = self._last_of(view.q_cmd - self._q_cmd, cycles)
+        # where no cycle has passed something in flight was lost or clipped: the last increment is the same
         self._cycle, self._q_cmd = view.cycle, view.q_cmd
         return self._dq
 

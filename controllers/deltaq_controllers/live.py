@@ -16,19 +16,16 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.interface import Controller, ControllerError, RobotView, View
+from deltaq_controllers.answers import Answers
+from deltaq_controllers.interface import Controller, ControllerError, View
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Description, RobotState, Verdict
+from deltaq_protocol.messages import Description
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses: refused, wrong usage, unreachable."""
-
-
-PATIENCE_CYCLES = 4
-"""The robot brakes from the first cycle without an admission: better to answer a newer state than to wait."""
 
 
 def robot_models(description: Description) -> dict[str, RobotModel]:
@@ -73,7 +70,8 @@ async def drive(
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
-    A verdict that does not arrive is counted, and the next state is answered as usual.
+    In a cell with a lookahead no verdict is waited for (`deltaq_controllers.answers`). One that does not arrive is
+    counted, and the next state is answered as usual.
 
     Args:
         cell: connection to the cell.
@@ -86,43 +84,23 @@ async def drive(
         RefusedError: the lease was not granted, or lost.
         ServiceUnreachableError: the HLI is gone.
     """
-    verdict: Verdict | None = None
     settle_memory()
     async with cell.lease(robot) as leased:
+        answers = Answers(cell, leased)
         async for state in leased.states():
-            view = view_of(cell, state, verdict)
-            if watch is not None:
-                watch(view)
-            increment = controller.increment(view)
-            try:
-                async with asyncio.timeout(PATIENCE_CYCLES * cell.description.cycle_s):
-                    verdict = await leased.move(increment.tolist())
-            except (TimeoutError, ServiceUnreachableError):
-                verdict = None
-            statistics.add(verdict)
+            for cycle in await answers.due(state):
+                view = answers.view(state)
+                if watch is not None:
+                    watch(view)
+                await answers.send(state, cycle, controller.increment(view))
+            for verdict in answers.verdicts():
+                statistics.add(verdict)
 
 
 def settle_memory() -> None:
     """Call this once before a control loop: models live for ever, so no garbage collection need visit them."""
     gc.collect()
     gc.freeze()
-
-
-def view_of(cell: Cell, state: RobotState, verdict: Verdict | None = None) -> View:
-    """The state of one robot and the newest states of all others.
-
-    Args:
-        cell: connection to the cell.
-        state: state of the robot that is moved.
-        verdict: the newest verdict on it; what it admitted and the state does not show yet is in flight.
-    """
-    own = RobotView.from_state(state)
-    if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:
-        own = own.after(verdict.cycle, np.array(verdict.dq))
-    others = {name: cell.state(name) for name in cell.robots if name != state.robot}
-    return View(
-        own, {name: RobotView.from_state(other) for name, other in others.items() if other is not None}
-    )
 
 
 def run(controller: Coroutine[Any, Any, None], summary: Callable[[], dict[str, Any]]) -> int:

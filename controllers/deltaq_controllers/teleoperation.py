@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deltaq_controllers.live import PATIENCE_CYCLES, settle_memory, view_of
+from deltaq_controllers.answers import Answers
+from deltaq_controllers.live import settle_memory
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
@@ -19,8 +20,8 @@ from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
-from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Phase, Verdict
+from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 
 
@@ -141,33 +142,30 @@ async def teleoperate(
         ServiceUnreachableError: the HLI is gone.
     """
     robot = teleoperator.robot.name
-    verdict: Verdict | None = None
     is_over = False
     await asyncio.to_thread(practise, teleoperator)
     settle_memory()
     if enough.is_set():
         return
     async with cell.lease(robot) as leased:
+        answers = Answers(cell, leased)
         async for state in leased.states():
             if state.phase is Phase.HELD:
                 raise _held(robot, state.reason)
-            view = view_of(cell, state, verdict)
             command = None if is_over or enough.is_set() else operator.read(state.time_s)
             is_over = (
                 command is None
             )  # for good: keys pressed while the robot comes to rest do not start it again
             teleoperator.command = OperatorCommand() if command is None else command
-            increment = teleoperator.increment(view)
-            if is_over and teleoperator.is_at_rest:
-                return
-            try:
-                async with asyncio.timeout(PATIENCE_CYCLES * cell.description.cycle_s):
-                    verdict = await leased.move(increment.tolist())
-            except (TimeoutError, ServiceUnreachableError):
-                verdict = None
-            statistics.add(verdict)
-            teleoperator.take_verdict(verdict)
-            watch(view.own.q)
+            for cycle in await answers.due(state):
+                increment = teleoperator.increment(answers.view(state))
+                if is_over and teleoperator.is_at_rest:
+                    return
+                await answers.send(state, cycle, increment)
+            for verdict in answers.verdicts():
+                statistics.add(verdict)
+                teleoperator.take_verdict(verdict)
+            watch(np.array(state.q))
 
 
 def _held(robot: str, reason: ReasonCode | None) -> RefusedError:

@@ -6,7 +6,8 @@
                 verdict = robot.move(dq)  # (n,) [rad or m] for one cycle; what was admitted comes back
 
 The event loop runs in a separate thread, so the lease is renewed while the script computes. A controller that is slower
-than a cycle, or farther away, does not wait: it calls `robot.send(dq)` and reads `robot.verdicts()`.
+than a cycle, or farther away, does not wait, nor does any in a cell with a lookahead: it calls `robot.send(dq)` and
+reads `robot.new_verdicts()`; `deltaq_protocol.in_flight` says what is on its way.
 
 In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` last until `robot.close()` and
 `cell.close()`, or until the interpreter ends.
@@ -113,17 +114,24 @@ class BlockingRobot:
         """Ask for an increment `dq` (n,) [rad or m] and wait for its verdict; see `LeasedRobot.move`."""
         if self._robot.state is None:
             return self._background.run(self._robot.move(dq))
-        return self._robot.move_now(dq, lambda: self._background.run(self._robot.lease.renew()))
+        return self._robot.move_now(dq, self._renew)
 
-    def send(self, dq: Iterable[float]) -> int:
+    def send(self, dq: Iterable[float], cycle: int | None = None) -> int:
         """Ask for an increment `dq` (n,) [rad or m] and do not wait for its verdict; see `LeasedRobot.send`."""
         if self._robot.state is None:
-            return self._background.run(self._robot.send(dq))
-        return self._robot.send_now(dq)
+            return self._background.run(self._robot.send(dq, cycle))
+        return self._robot.send_now(dq, cycle)
+
+    def new_verdicts(self) -> list[Verdict]:
+        """The verdicts on what was sent with `send` that have come; see `LeasedRobot.new_verdicts`."""
+        return self._robot.new_verdicts_now(self._renew)
 
     def verdicts(self) -> Iterator[Verdict]:
         """The verdicts on what was sent with `send`; see `LeasedRobot.verdicts`."""
         return self._background.iterate(self._robot.verdicts())
+
+    def _renew(self) -> None:
+        self._background.run(self._robot.lease.renew())
 
     def close(self) -> None:
         """Give the lease back, as leaving the block does; `with` is the safer way."""

@@ -9,8 +9,8 @@ However a block is left, nothing more is sent: the robot brakes to rest along a 
 certified. In a notebook, `await connect(...).open()` and `await cell.close()` do the same; a lease has `open`
 and `close`, too.
 
-A controller that is slower than a cycle, or farther away, does not wait: it calls `await robot.send(dq)` and reads
-`robot.verdicts()`.
+A controller that is slower than a cycle, or farther away, does not wait, nor does any in a cell with a lookahead: it
+calls `await robot.send(dq)` and reads `robot.new_verdicts()`; `deltaq_protocol.in_flight` says what is on its way.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ import contextlib
 import itertools
 import queue
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 
 import zenoh
@@ -29,14 +28,13 @@ from deltaq_protocol.messages import (
 )
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_protocol.sent_verdicts import SentVerdicts
 from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.wire import Wire
 
 VERDICT_DEADLINE_S = 0.25
 """Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""
 _FIRST_STATE_DEADLINE_S = 0.5
-_VERDICTS_WAITING = 1024
-"""Bound of sent increments, and of received verdicts, that nobody has read."""
 
 
 class LeasedRobot:
@@ -70,9 +68,7 @@ class LeasedRobot:
         self._stamps = stamps_if_asked(f"client-{name}", [name])
         self._seqs = itertools.count(1)
         self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
-        # each of its operations is atomic, whatever other threads do meanwhile
-        self._sent: deque[int] = deque(maxlen=_VERDICTS_WAITING)
-        self._verdicts: asyncio.Queue[Verdict] = asyncio.Queue(_VERDICTS_WAITING)
+        self._verdicts = SentVerdicts()
         self._releasing: asyncio.Future[None] | None = None
 
     @property
@@ -114,7 +110,7 @@ class LeasedRobot:
         verdicts: asyncio.Queue[Verdict] = asyncio.Queue()
         self._awaited[seq] = verdicts
         try:
-            self._ask_for(dq, seq, state)
+            self._ask_for(dq, seq, state.cycle)
             async with asyncio.timeout(VERDICT_DEADLINE_S):
                 return await self._own(verdicts)
         except TimeoutError:
@@ -139,7 +135,7 @@ class LeasedRobot:
         self._awaited[seq] = verdicts
         give_up_s = time.monotonic() + VERDICT_DEADLINE_S
         try:
-            self._ask_for(dq, seq, state)
+            self._ask_for(dq, seq, state.cycle)
             while True:
                 verdict = verdicts.get(timeout=max(0.0, give_up_s - time.monotonic()))
                 if not _is_about_lease(verdict):
@@ -151,13 +147,16 @@ class LeasedRobot:
         finally:
             del self._awaited[seq]
 
-    async def send(self, dq: Iterable[float]) -> int:
-        """Ask for an increment in answer to the newest state, and do not wait: its verdict comes with `verdicts`.
+    async def send(self, dq: Iterable[float], cycle: int | None = None) -> int:
+        """Ask for an increment and do not wait: its verdict comes with `verdicts` or `new_verdicts`.
 
-        For a controller that is slower than a cycle, or farther away than one.
+        For a controller that is slower than a cycle, or farther away than one, and for any in a cell with a lookahead.
+        `deltaq_protocol.in_flight` keeps account of what was sent and is not in the setpoint yet.
 
         Args:
             dq: (n,) increment over one cycle [rad or m].
+            cycle: of the state that it answers; None for the newest. With a lookahead the answer to each state has a
+                setpoint of its own, so say which it is: a newer one may have come.
 
         Returns:
             The sequence number, which its verdict carries.
@@ -167,17 +166,17 @@ class LeasedRobot:
             ServiceUnreachableError: the server is gone, or the robot has no state to be answered.
         """
         await self._answerable()
-        return self.send_now(dq)
+        return self.send_now(dq, cycle)
 
-    def send_now(self, dq: Iterable[float]) -> int:
+    def send_now(self, dq: Iterable[float], cycle: int | None = None) -> int:
         """`send` for a robot that has a state already; any thread may call it."""
         self.lease.check()
         state = self._newest.value
         if state is None:
             raise self._without_state()
         seq = next(self._seqs)
-        self._sent.append(seq)
-        self._ask_for(dq, seq, state)
+        self._verdicts.expect(seq)
+        self._ask_for(dq, seq, state.cycle if cycle is None else cycle)
         return seq
 
     async def verdicts(self) -> AsyncIterator[Verdict]:
@@ -194,8 +193,31 @@ class LeasedRobot:
             self.lease.check()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(VERDICT_DEADLINE_S):
-                    verdict = await self._own(self._verdicts)
+                    verdict = await self._own(self._verdicts.queue)
                 yield verdict
+
+    async def new_verdicts(self) -> list[Verdict]:
+        """The verdicts on increments sent with `send` that have come since the last call; none is waited for.
+
+        As with `verdicts`, of two on the same sequence number the last one counts, and one that was lost is missing.
+
+        Raises:
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the server is gone.
+        """
+        self.lease.check()
+        come = self._verdicts.read()
+        if any(map(_is_about_lease, come)):
+            await self.lease.renew()
+        return [verdict for verdict in come if not _is_about_lease(verdict)]
+
+    def new_verdicts_now(self, renew: Callable[[], None]) -> list[Verdict]:
+        """`new_verdicts` for threads other than the loop's; `renew` as in `move_now`."""
+        self.lease.check()
+        come = self._verdicts.read()
+        if any(map(_is_about_lease, come)):
+            renew()
+        return [verdict for verdict in come if not _is_about_lease(verdict)]
 
     async def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
         """Set digital outputs by name, and read all outputs and inputs.
@@ -211,10 +233,8 @@ class LeasedRobot:
         """A verdict on this robot has come; `Cell` calls this."""
         if (waiting := self._awaited.get(verdict.seq)) is not None:
             waiting.put_nowait(verdict)
-        elif verdict.seq in self._sent:
-            if self._verdicts.full():
-                self._verdicts.get_nowait()
-            self._verdicts.put_nowait(verdict)
+        else:
+            self._verdicts.take(verdict)
 
     async def release(self) -> None:
         """Release the lease, if the server can still be reached; `Cell.lease` does so when its block is left."""
@@ -248,16 +268,16 @@ class LeasedRobot:
             "is its Robot Server up (`deltaq status`)?"
         )
 
-    def _ask_for(self, dq: Iterable[float], seq: int, state: RobotState) -> None:
+    def _ask_for(self, dq: Iterable[float], seq: int, cycle: int) -> None:
         # not validated here: only the server decides what is refused
         increment = Increment.model_construct(
             robot=self.name,
             seq=seq,
-            cycle=state.cycle,
+            cycle=cycle,
             dq=tuple(float(element) for element in dq),
         )
         if self._stamps is not None:
-            self._stamps.add(StampStation.INCREMENT_OUT, self.name, state.cycle, seq)
+            self._stamps.add(StampStation.INCREMENT_OUT, self.name, cycle, seq)
         payload = pack(increment)
         try:
             self._publisher.put(payload, attachment=self.lease.prover.prove(self._key, payload))

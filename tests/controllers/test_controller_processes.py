@@ -13,7 +13,8 @@ import pytest
 from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.load import load_cell
-from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_controllers.answers import own_view, view_of
+from deltaq_controllers.interface import RobotView
 from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import cell_services
 from deltaq_protocol.client import Cell
@@ -146,17 +147,16 @@ def state(robot: str, cycle: int, q_cmd: tuple[float, ...]) -> RobotState:
 def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -> None:
     seen = state("fr", 7, (1.0, 2.0))
     verdict = Verdict(robot="fr", cycle=7, seq=1, outcome=Outcome.ADMITTED, dq=(0.1, 0.2))
-    under_way = view_of(Told(seen), seen, verdict).own
+    under_way = own_view(seen, verdict)
     assert under_way.q_cmd.tolist() == [1.1, 2.2]
     assert under_way.cycle == 8
     for known in (None, verdict.model_copy(update={"cycle": 6}), verdict.model_copy(update={"dq": ()})):
-        plain = view_of(Told(seen), seen, known).own
+        plain = own_view(seen, known)
         assert plain.q_cmd.tolist() == [1.0, 2.0]
         assert plain.cycle == 7
 
 
 def test_robots_that_have_not_been_heard_of_are_left_out() -> None:
     fr, gr = state("fr", 7, (1.0,)), state("gr", 3, (2.0,))
-    assert view_of(Told(fr), fr).others == {}
-    assert view_of(Told(fr, gr), fr).others["gr"].cycle == 3
-    assert PATIENCE_CYCLES >= 2
+    assert view_of(Told(fr), "fr", RobotView.from_state(fr)).others == {}
+    assert view_of(Told(fr, gr), "fr", RobotView.from_state(fr)).others["gr"].cycle == 3

@@ -36,6 +36,15 @@ def test_a_server_that_starts_again_starts_from_rest() -> None:
     np.testing.assert_array_equal(last.update(view(1, np.ones(2))), [0.0, 0.0])
 
 
+def test_where_something_in_flight_was_lost_the_last_increment_is_still_the_same() -> None:
+    last, dq = LastIncrement(MAX_DDQ), np.array([0.01, 0.02])
+    last.update(view(4, np.array([1.0, 2.0])))
+    reckoned = view(5, np.array([1.0, 2.0]) + dq)
+    np.testing.assert_allclose(last.update(reckoned), dq)
+    for cycle in (5, 4):
+        np.testing.assert_allclose(last.update(view(cycle, np.array([1.0, 2.0]))), dq)
+
+
 def test_an_increment_under_way_counts_as_commanded() -> None:
     last = LastIncrement(MAX_DDQ)
     seen = view(4, np.array([1.0, 2.0]))

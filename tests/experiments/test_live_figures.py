@@ -10,7 +10,7 @@ from stamped import MS, ns, stamp
 
 from deltaq_experiments.bench.braked import BrakeCause, causes
 from deltaq_experiments.bench.hop_reference import HopTimes
-from deltaq_experiments.bench.journeys import RobotStamps, by_robot, journeys
+from deltaq_experiments.bench.journeys import OF_ADMISSION, OF_DECISION, RobotStamps, by_robot, journeys
 from deltaq_experiments.bench.live_figures import LiveRow, bounded_rows, robot_figures
 from deltaq_experiments.bench.quantiles import Quantiles, ratio
 from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
@@ -187,8 +187,75 @@ def test_a_braked_cycle_is_blamed_on_the_first_station_not_passed_in_time(
 ) -> None:
     stamps = RobotStamps()
     stamp(stamps, 4, **before)  # type: ignore[arg-type] # the cases above
-    stamp(stamps, 5, outcome=BRAKED)
+    # the gate does one thing after the other: it has not begun with the next one before it is done with this one
+    stamp(stamps, 5, outcome=BRAKED, without=OF_DECISION + OF_ADMISSION)
     assert causes(stamps, [5]) == Counter({cause: 1})
+
+
+def ahead_stamps(
+    last: int, braked: tuple[int, ...] = (), **of: dict[str, object]
+) -> tuple[RobotStamps, list[int]]:
+    """A robot in a cell with a lookahead of 2 whose increments go two cycles ahead; `of` cycles other stamps are taken.
+
+    Returns:
+        The stamps, and the cycles that have an outcome.
+    """
+    stamps = RobotStamps()
+    for cycle in range(last + 1):
+        outcome = BRAKED if cycle in braked else CycleOutcome.FRESH
+        usual: dict[str, object] = {"setpoint_cycle": cycle + 2, "outcome": outcome}
+        stamp(stamps, cycle, **usual | of.get(f"c{cycle}", {}))  # type: ignore[arg-type] # as `stamp` takes them
+    return stamps, list(range(last + 1))
+
+
+def test_with_a_lookahead_an_increment_that_went_into_a_later_setpoint_is_told_as_late() -> None:
+    """That of cycle 5 comes after the telegram of 7, where its setpoint is sent, and goes into that of 8."""
+    late = {station: 18.0 for station in StampStation if station >= StampStation.REQUEST_AT_GATE}
+    stamps, cycles = ahead_stamps(
+        8,
+        braked=(7,),
+        c5={"later_ms": late | {StampStation.REQUEST_AT_GATE: 20.0}, "decided_on": 6, "setpoint_cycle": 8},
+        c6={"later_ms": late, "decided_on": 7, "setpoint_cycle": 9},
+        c7={"later_ms": late, "decided_on": 8, "setpoint_cycle": 10},
+    )
+    assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.ON_WAY_TO_GATE: 1})
+
+
+def test_with_a_lookahead_a_late_increment_is_blamed_on_the_setpoint_that_it_missed_and_no_other() -> None:
+    """Increments are decided a cycle late from cycle 5 on, and none of them too late."""
+    late = {station: 8.0 for station in StampStation if station >= StampStation.INCREMENT_OUT}
+    stamps, cycles = ahead_stamps(8, **{f"c{cycle}": {"later_ms": late} for cycle in (5, 6, 7, 8)})
+    assert causes(stamps, cycles, lookahead_cycles=2) == Counter()
+
+
+def test_with_a_lookahead_an_increment_that_went_into_an_earlier_setpoint_is_not_taken_for_held() -> None:
+    """The answer to 3 is missing, and those behind it move up; 7 is without one when the answer to 6 is missing too."""
+    none = {"without": tuple(s for s in StampStation if s >= StampStation.INCREMENT_OUT)}
+    stamps, cycles = ahead_stamps(
+        8,
+        braked=(7,),
+        c3=none,
+        c4={"setpoint_cycle": 5},
+        c5={"setpoint_cycle": 6},
+        c6=none,
+        c7={"setpoint_cycle": 8},
+        c8={"setpoint_cycle": 9},
+    )
+    assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.NO_INCREMENT: 1})
+
+
+def test_with_a_lookahead_what_the_gate_held_is_told_as_held() -> None:
+    held = {"without": OF_ADMISSION}
+    stamps, cycles = ahead_stamps(8, braked=(7,), c5=held)
+    assert causes(stamps, cycles, lookahead_cycles=2) == Counter({BrakeCause.GATE_HELD: 1})
+
+
+def test_what_lies_behind_a_break_of_the_chain_is_told_so() -> None:
+    """The admission for 6 is lost; that for 7 follows it and is refused, and the next one goes into 8."""
+    lost = {"without": (StampStation.ADMISSION_AT_SERVER,)}
+    stamps, cycles = ahead_stamps(8, braked=(6, 7), c4=lost)
+    expected = Counter({BrakeCause.ADMISSION_LOST: 1, BrakeCause.CHAIN_BROKE: 1})
+    assert causes(stamps, cycles, lookahead_cycles=2) == expected
 
 
 def test_a_held_robot_and_a_missed_reply_are_causes_of_their_own() -> None:

@@ -298,7 +298,7 @@ def test_what_has_not_been_admitted_yet_is_told_as_the_brake() -> None:
     ahead = AdmittedAhead(3, 0.012)
     state = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
     assert (ahead.setpoint_cycle(state), ahead.q_ahead(state)) == (21, ZEROS)
-    ahead.decided(decided(22))
+    ahead.decided(decided(22), state)
     assert ahead.setpoint_cycle(state) == 23
     assert ahead.q_ahead(state)[0] == pytest.approx(1.5 * STEP)
 
@@ -312,11 +312,44 @@ def test_a_robot_at_rest_waits_for_as_much_in_flight_as_may_be() -> None:
 def test_where_an_admission_was_not_taken_those_behind_it_are_told_no_more() -> None:
     for dq, told in ((DQ, 2 * STEP), (ZEROS, 0.0)):
         ahead = AdmittedAhead(3, 0.012)
+        before = server_state("fr", 20, q_cmd=ZEROS, q=ZEROS)
         for cycle in (21, 22, 23):
-            ahead.decided(decided(cycle))
+            ahead.decided(decided(cycle), before)
         ahead.cycle_passed(server_state("fr", 21, q_cmd=ZEROS, q=ZEROS, dq=dq))
         state = server_state("fr", 21, q_cmd=ZEROS, q=ZEROS)
         assert ahead.q_ahead(state)[0] == pytest.approx(told)
+
+
+def braking_at(cycle: int) -> Any:
+    return server_state("fr", cycle, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+
+
+def test_after_a_chain_that_broke_the_next_increment_has_all_the_time_there_is() -> None:
+    ahead = AdmittedAhead(3, 0.012)
+    ahead.decided(decided(21), braking_at(20))
+    ahead.cycle_passed(server_state("fr", 21, q_cmd=ZEROS, q=ZEROS, dq=ZEROS, plan=BRAKING))
+    assert ahead.setpoint_cycle(braking_at(21)) == 24
+    ahead.decided(
+        decided(22), braking_at(21)
+    )  # under way since before the break: it follows what did not happen
+    assert ahead.setpoint_cycle(braking_at(21)) == 24
+    assert ahead.q_ahead(braking_at(21))[0] == pytest.approx(STEP * (0.5 + 0.25))
+
+
+def test_what_the_gate_held_takes_a_setpoint_with_its_brake() -> None:
+    ahead = AdmittedAhead(3, 0.012)
+    ahead.decided(decided(21), braking_at(20))
+    held = Verdict(robot="fr", cycle=20, seq=22, outcome=Outcome.HELD, dq=ZEROS)
+    ahead.decided(held, braking_at(20))
+    assert ahead.setpoint_cycle(braking_at(20)) == 23
+    assert ahead.q_ahead(braking_at(20))[0] == pytest.approx(1.75 * STEP)
+
+
+def test_the_cycles_of_another_robot_server_are_counted_from_one() -> None:
+    ahead = AdmittedAhead(3, 0.012)
+    ahead.decided(decided(1021), braking_at(1020))
+    ahead.cycle_passed(braking_at(1))
+    assert ahead.setpoint_cycle(braking_at(1)) == 2
 
 
 @pytest.mark.parametrize("ahead", [False, True])

@@ -13,7 +13,7 @@ from small_cell import server_state
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
-from deltaq_protocol.guarded import Command, CommandReply, Health, Request
+from deltaq_protocol.guarded import Command, CommandReply, Health, Plan, Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import declare_publisher, open_session
@@ -41,7 +41,10 @@ class GuardedPeer:
         self.refuses: ReasonCode | None = None
         self.cycle = 100
         self.q_cmd = {name: (0.1,) * len(robot.joints) for name, robot in cell.robots.items()}
+        self.dq = {name: (0.0,) * len(robot.joints) for name, robot in cell.robots.items()}
         self.phases = dict.fromkeys(cell.robots, Phase.READY)
+        self._due: dict[tuple[str, int], tuple[float, ...]] = {}
+        self._last_due = dict.fromkeys(cell.robots, 0)
         self._alive: dict[str, asyncio.Event] = {name: asyncio.Event() for name in cell.robots}
         self._loop = asyncio.get_running_loop()
         self._servers = {name: open_session(listen=[robot.server]) for name, robot in cell.robots.items()}
@@ -58,7 +61,7 @@ class GuardedPeer:
     async def turn(self, robot: str = "fr", cycles: int = 1) -> int:
         """Publish the states of the next cycles, each answered by a request; returns the last cycle."""
         for _ in range(cycles):
-            self.cycle += 1
+            self._begin_cycle(robot)
             self._alive[robot].clear()
             # until the HLI has found us what we publish reaches nobody
             while not self._alive[robot].is_set():
@@ -73,31 +76,57 @@ class GuardedPeer:
     async def run(self, robot: str = "fr") -> None:
         """Turn for ever, in the cell's cycle."""
         while True:
-            self.cycle += 1
+            self._begin_cycle(robot)
             self.publish_state(robot)
             await asyncio.sleep(self.cell.cycle_s)
 
     def publish_state(self, robot: str = "fr", **changes: Any) -> None:
         """Publish one state."""
-        fields = {"q_cmd": self.q_cmd[robot]} | changes
+        fields: dict[str, Any] = {"q_cmd": self.q_cmd[robot]}
+        if self.cell.gate.lookahead_cycles > 1:
+            dq = self.dq[robot]
+            fields |= {"dq": dq, "plan": Plan(dq=dq, brake_cycles=1, step=0 if any(dq) else 1)}
+        fields |= changes
         state = server_state(robot, self.cycle, self.phases[robot], **fields)
         key = topics.SERVER_STATE.key(self.cell.cell, robot=robot)
         self._publish(self._servers[robot], key, state)
 
     def judge(self, request: Request) -> None:
         """Admit a request as it is."""
+        robot, dq = request.robot, request.dq or ()
+        goes = self._place(robot, request.cycle)
         verdict = Verdict(
-            robot=request.robot,
+            robot=robot,
             cycle=request.cycle,
             seq=request.seq,
             outcome=Outcome.ADMITTED,
-            setpoint_cycle=request.cycle + 1,
+            setpoint_cycle=goes,
             scale=1.0,
-            dq=request.dq or (),
+            dq=dq,
+            time_to_stop_s=self.cell.cycle_s,
         )
-        moved = zip(self.q_cmd[request.robot], verdict.dq, strict=True)
-        self.q_cmd[request.robot] = tuple(q + dq for q, dq in moved)
-        self.publish_from_sim(topics.GATE_VERDICT.key(self.cell.cell, robot=request.robot), verdict)
+        if self.cell.gate.lookahead_cycles > 1:
+            self._due[robot, goes] = dq
+        else:
+            self._move(robot, dq)
+        self.publish_from_sim(topics.GATE_VERDICT.key(self.cell.cell, robot=robot), verdict)
+
+    def _place(self, robot: str, cycle: int) -> int:
+        """The cycle that an increment goes into: behind all that is due, or as far ahead as may be."""
+        ahead, last = self.cell.gate.lookahead_cycles, self._last_due[robot]
+        if ahead == 1:
+            return cycle + 1
+        self._last_due[robot] = last + 1 if last >= self.cycle else self.cycle + ahead
+        return self._last_due[robot]
+
+    def _begin_cycle(self, robot: str) -> None:
+        self.cycle += 1
+        if self.cell.gate.lookahead_cycles > 1:
+            self._move(robot, self._due.pop((robot, self.cycle), (0.0,) * len(self.q_cmd[robot])))
+
+    def _move(self, robot: str, dq: tuple[float, ...]) -> None:
+        moved = zip(self.q_cmd[robot], dq, strict=True)
+        self.q_cmd[robot], self.dq[robot] = tuple(q + dq for q, dq in moved), dq
 
     def publish_from_sim(self, key: str, message: Message) -> None:
         """Publish as the SIM."""

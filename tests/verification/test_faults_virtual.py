@@ -28,6 +28,14 @@ def lab():
     return load_rsi_cell("lab")
 
 
+@pytest.fixture(scope="module")
+def ahead(tmp_path_factory):
+    """The same with a lookahead of 2."""
+    file = tmp_path_factory.mktemp("cell") / "ahead.yaml"
+    file.write_text("extends: lab.yaml\ncell: ahead\ngate: {lookahead_cycles: 2}\n")
+    return load_rsi_cell(file)
+
+
 def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
     assert row.good
     assert row.motion.braked_after_cycles <= ROUND_TRIP_CYCLES
@@ -56,6 +64,32 @@ def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_name(lab, name, r
     assert_braked_at_once_along_the_brake(row)
     assert (row.phase, row.reason, row.recovery) == ("held", reason, recovery)
     assert row.named_after_s <= named_s
+
+
+@pytest.mark.parametrize(
+    ("name", "later_cycles"),
+    [
+        ("operator-stop", 0),
+        ("controller-dead", 0),
+        ("controller-frozen", 1),
+        ("hli-dead", 1),
+        ("sim-dead", 1),
+    ],
+)
+def test_with_a_lookahead_what_is_in_flight_is_driven_first_and_a_stop_is_as_quick(
+    lab, ahead, name, later_cycles
+):
+    row, before = run_fault(fault_named(name), ahead, "fr"), run_fault(fault_named(name), lab, "fr")
+    assert row.good
+    assert (row.phase, row.reason, row.recovery) == (before.phase, before.reason, before.recovery)
+    assert row.motion.braked_after_cycles == before.motion.braked_after_cycles + later_cycles
+    assert row.motion.rest_after_s == pytest.approx(before.motion.rest_after_s + later_cycles * 0.012)
+
+
+def test_with_a_lookahead_a_gate_that_is_a_cycle_late_costs_nothing(ahead):
+    row = run_fault(fault_named("sim-slow"), ahead, "fr")
+    assert row.good
+    assert (row.phase, row.motion.braked_after_cycles) == ("engaged", None)
 
 
 def test_increments_of_nan_brake_the_robot_and_their_sender_keeps_it_and_goes_on(lab):
@@ -151,9 +185,14 @@ def test_one_seed_is_one_run(lab):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("fault", CATALOGUE, ids=lambda fault: fault.name)
-def test_no_fault_passes_a_limit_or_touches_and_after_each_the_robot_moves_again(lab, fault):
-    assert run_fault(fault, lab, "fr").good
+@pytest.mark.parametrize(
+    "fault", [fault for fault in CATALOGUE if fault.virtual], ids=lambda fault: fault.name
+)
+@pytest.mark.parametrize("lookahead_cycles", [1, 2])
+def test_no_fault_passes_a_limit_or_touches_and_after_each_the_robot_moves_again(
+    lab, ahead, lookahead_cycles, fault
+):
+    assert run_fault(fault, {1: lab, 2: ahead}[lookahead_cycles], "fr").good
 
 
 @pytest.mark.nightly

@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from pydantic import ValidationError
 
-from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.live import PATIENCE_CYCLES, view_of
+from deltaq_controllers.answers import Answers
+from deltaq_controllers.interface import ControllerError, RobotView
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.reach import PlannedReach
 from deltaq_protocol.arrays import Array
@@ -34,9 +34,9 @@ from deltaq_protocol.driving import (
     ViewAt,
     Wish,
 )
-from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.leased_robot import LeasedRobot
-from deltaq_protocol.messages import Phase, Verdict
+from deltaq_protocol.messages import Phase, RobotState
 
 REPORT_S = 0.2
 """Time between two reports."""
@@ -189,32 +189,26 @@ class OperatedRobot:
             driving.result()
 
     async def _drive(self, leased: LeasedRobot) -> None:
-        pilot, before, verdict = self._pilot, None, None
+        pilot, before, answers = self._pilot, None, Answers(self._cell, leased)
         async for state in leased.states():
             began_s = time.monotonic()
-            is_still = before is not None and before.q_cmd == state.q_cmd
+            cycles = await answers.due(state)
+            stood = before is not None and before.q_cmd == state.q_cmd
             before = state
             if state.phase is Phase.HELD:
                 pilot.held()
-                verdict = None
             if self._leaving.is_set():
                 pilot.held()
-                if is_still:
+                if stood and _has_nothing_ahead(state, answers.own(state)):
                     return
-            increment = pilot.increment(view_of(self._cell, state, verdict), is_still, began_s)
-            if increment is None or state.phase is Phase.HELD:
-                verdict = None
-                continue
-            verdict = await self._verdict(leased, increment.tolist())
-            pilot.take_verdict(verdict)
+            for cycle in cycles:
+                view = answers.view(state)
+                increment = pilot.increment(view, stood and _has_nothing_ahead(state, view.own), began_s)
+                if increment is not None and state.phase is not Phase.HELD:
+                    await answers.send(state, cycle, increment)
+            for verdict in answers.verdicts():
+                pilot.take_verdict(verdict)
             self._longest_s = max(self._longest_s, time.monotonic() - began_s)
-
-    async def _verdict(self, leased: LeasedRobot, dq: list[float]) -> Verdict | None:
-        try:
-            async with asyncio.timeout(PATIENCE_CYCLES * self._cell.description.cycle_s):
-                return await leased.move(dq)
-        except (TimeoutError, ServiceUnreachableError):
-            return None
 
     async def _report(self) -> None:
         while True:
@@ -231,3 +225,8 @@ class OperatedRobot:
                 self._told_ways = ways
                 self._say(ways)
             await asyncio.sleep(REPORT_S)
+
+
+def _has_nothing_ahead(state: RobotState, own: RobotView) -> bool:
+    """Whether what is in flight, if anything, moves the robot no farther than the setpoint just sent."""
+    return state.q_cmd == tuple(own.q_cmd.tolist())

@@ -1,12 +1,13 @@
 """The way of each increment through the cell, joined from the stamps of all processes.
 
 Pure. Robot and cycle join a state with the increment that answers it; its sequence number joins the increment with the
-decision on it; the cycle of the state that was decided on joins the decision with its admission, which is taken in the
-cycle after. Any stamp may be missing.
+decision on it. The gate does one thing after the other, so an admission that goes out after a decision has begun and
+before the next one belongs to it; the cycle whose setpoint it goes into joins its stamps. Any stamp may be missing.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -19,7 +20,7 @@ OF_INCREMENT = (StampStation.INCREMENT_OUT, StampStation.INCREMENT_AT_HLI, Stamp
 OF_DECISION = (StampStation.DECISION_BEGUN, StampStation.DECIDED)
 """Stations of a decision, stamped with the cycle of the state that it was made on and the sequence number."""
 OF_ADMISSION = (StampStation.ADMISSION_OUT, StampStation.ADMISSION_AT_SERVER)
-"""Stations of an admission, stamped with the cycle of the state that it was decided on."""
+"""Stations of an admission, stamped with the cycle before that of its setpoint."""
 
 
 @dataclass
@@ -30,7 +31,7 @@ class RobotStamps:
         states: time of each cycle at each station of a state [ns].
         increments: time of each (cycle, sequence number) at each station of an increment [ns].
         decisions: time of each (cycle, sequence number) at each station of a decision [ns].
-        admissions: time of each cycle at each station of an admission [ns].
+        admissions: time of each admission, by the cycle before that of its setpoint, at each station of one [ns].
         outcomes: what the robot was sent in each cycle.
     """
 
@@ -73,12 +74,14 @@ class Journey:
         cycle: that it answers.
         seq: its sequence number.
         decided_on: cycle of the state that it was decided on; None if it was not decided.
+        setpoint_cycle: the cycle that it goes into; None if there is no admission of it.
         at_ns: when it passed each station, without those that it did not pass [ns].
     """
 
     cycle: int
     seq: int
     decided_on: int | None
+    setpoint_cycle: int | None
     at_ns: dict[StampStation, int]
 
     def age_ns(self, station: StampStation) -> int | None:
@@ -87,36 +90,67 @@ class Journey:
         return None if begin_ns is None or at_ns is None else at_ns - begin_ns
 
 
-def by_robot(written: Iterable[WrittenStamps], lookahead_cycles: int = 1) -> dict[str, RobotStamps]:
-    """The stamps of all processes, by robot; those of admissions under the state whose answers go into them."""
+def by_robot(written: Iterable[WrittenStamps]) -> dict[str, RobotStamps]:
+    """The stamps of all processes, by robot."""
     robots: dict[str, RobotStamps] = {}
     for one in written:
         for station, index, cycle, detail, time_ns in one.rows.tolist():
             stamps = robots.setdefault(one.robots[index], RobotStamps())
-            answered = cycle - lookahead_cycles + 1 if station in OF_ADMISSION else cycle
-            stamps.add(StampStation(station), answered, detail, time_ns)
+            stamps.add(StampStation(station), cycle, detail, time_ns)
     return robots
 
 
-def journeys(stamps: RobotStamps, begin_ns: int, end_ns: int) -> list[Journey]:
+def journeys(stamps: RobotStamps, begin_ns: int, end_ns: int, lookahead_cycles: int = 1) -> list[Journey]:
     """Every increment that answers a telegram of the window, in the order of cycles.
 
     An increment counts if any process has stamped it. Where its telegram's stamp is missing it has no age, and is left
     out.
     """
-    cycles = set(stamps.cycles_in(begin_ns, end_ns))
-    decided_on = _decided_on(stamps)
-    keys = {key for station in OF_INCREMENT for key in stamps.increments[station] if key[0] in cycles}
-    return [_journey(stamps, cycle, seq, decided_on.get((cycle, seq))) for cycle, seq in sorted(keys)]
+    return journeys_of(stamps, stamps.cycles_in(begin_ns, end_ns), lookahead_cycles)
 
 
-def _journey(stamps: RobotStamps, cycle: int, seq: int, decided_on: int | None) -> Journey:
+def journeys_of(stamps: RobotStamps, cycles: Iterable[int], lookahead_cycles: int = 1) -> list[Journey]:
+    """Every increment that answers one of these cycles."""
+    answered = set(cycles)
+    decided_on, placed = _decided_on(stamps), goes_after(stamps, lookahead_cycles)
+    keys = {key for station in OF_INCREMENT for key in stamps.increments[station] if key[0] in answered}
+    return [_journey(stamps, *key, decided_on.get(key), placed) for key in sorted(keys)]
+
+
+def _journey(
+    stamps: RobotStamps,
+    cycle: int,
+    seq: int,
+    decided_on: int | None,
+    placed: dict[tuple[int, int], int],
+) -> Journey:
     passed = [(s, stamps.states[s].get(cycle)) for s in OF_STATE]
     passed += [(s, stamps.increments[s].get((cycle, seq))) for s in OF_INCREMENT]
+    setpoint_cycle = None
     if decided_on is not None:
         passed += [(s, stamps.decisions[s].get((decided_on, seq))) for s in OF_DECISION]
-        passed += [(s, stamps.admissions[s].get(decided_on)) for s in OF_ADMISSION]
-    return Journey(cycle, seq, decided_on, {s: at_ns for s, at_ns in passed if at_ns is not None})
+        if (before := placed.get((decided_on, seq))) is not None:
+            passed += [(s, stamps.admissions[s].get(before)) for s in OF_ADMISSION]
+            setpoint_cycle = before + 1
+    at_ns = {s: at_ns for s, at_ns in passed if at_ns is not None}
+    return Journey(cycle, seq, decided_on, setpoint_cycle, at_ns)
+
+
+def goes_after(stamps: RobotStamps, lookahead_cycles: int) -> dict[tuple[int, int], int]:
+    """By decision (cycle of the state, sequence number), the cycle before that of its setpoint."""
+    out = sorted((at_ns, cycle) for cycle, at_ns in stamps.admissions[StampStation.ADMISSION_OUT].items())
+    begun = sorted((at_ns, key) for key, at_ns in stamps.decisions[StampStation.DECISION_BEGUN].items())
+    at_server = stamps.admissions[StampStation.ADMISSION_AT_SERVER]
+    found: dict[tuple[int, int], int] = {}
+    for index, (begun_ns, key) in enumerate(begun):
+        end_ns = begun[index + 1][0] if index + 1 < len(begun) else None
+        first = bisect_left(out, (begun_ns, -1))
+        usual = key[0] + lookahead_cycles - 1
+        if first < len(out) and (end_ns is None or out[first][0] < end_ns):
+            found[key] = out[first][1]
+        elif usual in at_server and usual not in stamps.admissions[StampStation.ADMISSION_OUT]:
+            found[key] = usual  # the stamp of its going out was lost
+    return found
 
 
 def _decided_on(stamps: RobotStamps) -> dict[tuple[int, int], int]:

@@ -165,7 +165,7 @@ def _figures(
     cell: CellDescription, services: Sequence[Service], window: _Window, written: Sequence[WrittenStamps]
 ) -> LiveRun:
     ahead = cell.gate.lookahead_cycles
-    stamps = by_robot(written, ahead)
+    stamps = by_robot(written)
     robots = {
         name: robot_figures(
             stamps.get(name, RobotStamps()), window.begin_ns, window.end_ns, window.reference, ahead

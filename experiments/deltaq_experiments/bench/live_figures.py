@@ -141,7 +141,7 @@ def robot_figures(
     cycles = [cycle for cycle in stamps.cycles_in(begin_ns, end_ns) if cycle in outcomes]
     fresh = sum(outcomes[cycle] is CycleOutcome.FRESH for cycle in cycles)
     braked = causes(stamps, cycles, lookahead_cycles)
-    travelled = journeys(stamps, begin_ns, end_ns)
+    travelled = journeys(stamps, begin_ns, end_ns, lookahead_cycles)
     return RobotFigures(
         cycles=len(cycles),
         fresh=fresh,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Increment, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.admitted_ahead import AdmittedAhead
+from deltaq_services.hli.admitted_ahead import AdmittedAhead, AheadMemory
 from deltaq_services.outputs import Sender
 
 _MAX_AWAITED = 64
@@ -43,7 +43,7 @@ class LinkMemory:
         answered_cycle: cycle of the state that it answered.
         awaited: who awaits which verdict.
         waiting: the increment that waits.
-        admitted: of each cycle to come, the verdict on what goes into it.
+        admitted: what is known of the setpoints to come.
     """
 
     state: ServerState | None
@@ -52,7 +52,7 @@ class LinkMemory:
     answered_cycle: int
     awaited: Mapping[int, Sender | None]
     waiting: Asked | None
-    admitted: Mapping[int, Verdict]
+    admitted: AheadMemory | None
 
 
 class RobotLink:
@@ -82,7 +82,7 @@ class RobotLink:
     def snapshot(self) -> LinkMemory:
         """Snapshot of the robot, for `restore`."""
         awaited = dict(self._awaited)
-        admitted = {} if self._admitted is None else self._admitted.snapshot()
+        admitted = None if self._admitted is None else self._admitted.snapshot()
         return LinkMemory(
             self.state,
             self.received_s,
@@ -99,7 +99,7 @@ class RobotLink:
         self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
         self._waiting = memory.waiting
         self._awaited = dict(memory.awaited)
-        if self._admitted is not None:
+        if self._admitted is not None and memory.admitted is not None:
             self._admitted.restore(memory.admitted)
 
     def phase(self, time_s: float) -> Phase:
@@ -159,8 +159,8 @@ class RobotLink:
 
     def decided(self, verdict: Verdict) -> tuple[bool, Sender | None]:
         """The gate has decided; returns whether a verdict for this sequence number was awaited, and by whom."""
-        if self._admitted is not None:
-            self._admitted.decided(verdict)
+        if self._admitted is not None and self.state is not None:
+            self._admitted.decided(verdict, self.state)
         if verdict.seq not in self._awaited:
             return False, None
         return True, self._awaited.pop(verdict.seq)

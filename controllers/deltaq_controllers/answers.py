@@ -1,0 +1,108 @@
+"""How a controller's increments go out and verdicts come back, with a lookahead and without.
+
+In a cell with a lookahead the verdict may take longer than a cycle: each state is answered as it comes, and what is in
+flight is reckoned with (`deltaq_protocol.in_flight`). In one without (`q_ahead` is null) each verdict is awaited before
+the next state is answered: not to wait gained nothing there in a running cell (docs/explanation/timing.md).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from deltaq_controllers.interface import RobotView, View
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.client import Cell
+from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight
+from deltaq_protocol.leased_robot import LeasedRobot
+from deltaq_protocol.messages import RobotState, Verdict
+
+
+class Answers:
+    """Answers the states of one robot.
+
+    Args:
+        cell: connection to the cell.
+        leased: the robot.
+    """
+
+    def __init__(self, cell: Cell, leased: LeasedRobot) -> None:
+        self._cell, self._leased = cell, leased
+        self._in_flight = InFlight()
+        self._awaited: Verdict | None = None
+        self._before: Verdict | None = None
+        self._come: list[Verdict | None] = []
+
+    async def due(self, state: RobotState) -> Sequence[int]:
+        """The cycles for which increments are to be sent now.
+
+        It is that of the state. With a lookahead it is also that of those before it that were missed, if there is room.
+
+        Args:
+            state: newer than all before it.
+
+        Raises:
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the HLI is gone.
+        """
+        if state.q_ahead is None:
+            self._before, self._awaited = self._awaited, None
+            return (state.cycle,)
+        self._come += [v for v in await self._leased.new_verdicts() if self._in_flight.take(v)]
+        return self._in_flight.cycles_to_answer(state)
+
+    def own(self, state: RobotState) -> RobotView:
+        """The robot with all that is in flight, after `due`: what the next increment is added to."""
+        if state.q_ahead is None:
+            return own_view(state, self._before)
+        ahead = self._in_flight.ahead(state)
+        return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd)
+
+    def view(self, state: RobotState) -> View:
+        """The same, and the newest states of all others."""
+        return view_of(self._cell, state.robot, self.own(state))
+
+    async def send(self, state: RobotState, cycle: int, dq: Array) -> None:
+        """Send an increment (n,) for a cycle that is due [rad or m]; without a lookahead wait for its verdict.
+
+        Raises:
+            RefusedError: the lease was lost.
+            ServiceUnreachableError: the HLI is gone. That a verdict is missing is no error.
+        """
+        if state.q_ahead is not None:
+            self._in_flight.sent(await self._leased.send(dq.tolist(), cycle), dq, cycle)
+            return
+        with suppress(TimeoutError, ServiceUnreachableError):
+            async with asyncio.timeout(PATIENCE_CYCLES * self._cell.description.cycle_s):
+                self._awaited = await self._leased.move(dq.tolist())
+        self._come.append(self._awaited)
+
+    def verdicts(self) -> list[Verdict | None]:
+        """The first verdict on each increment of which it is known since the last call; None if it never came."""
+        come, self._come = self._come, []
+        return come + [None] * self._in_flight.take_given_up()
+
+
+def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
+    """The state of the robot that is moved.
+
+    Args:
+        state: its newest.
+        verdict: the newest on it; what it admitted and the state does not show yet is in flight.
+    """
+    own = RobotView.from_state(state)
+    if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:
+        own = own.after(verdict.cycle, np.array(verdict.dq))
+    return own
+
+
+def view_of(cell: Cell, robot: str, own: RobotView) -> View:
+    """The view of the robot that is moved, and the newest states of all others."""
+    others = {name: cell.state(name) for name in cell.robots if name != robot}
+    return View(
+        own, {name: RobotView.from_state(other) for name, other in others.items() if other is not None}
+    )

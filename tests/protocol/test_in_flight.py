@@ -1,0 +1,163 @@
+"""What is reckoned with that no state shows yet; `tests/verification/test_answering.py` holds it against real cores."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight
+from deltaq_protocol.messages import Outcome, Phase, RobotState, ToolPose, Verdict
+
+POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+
+
+def state(cycle: int, q_cmd: float = 0.0, q_ahead: float | None = None, **changes: Any) -> RobotState:
+    """A state of a robot with one joint, in a cell with a lookahead of 2 if it tells `q_ahead`."""
+    ahead = {} if q_ahead is None else {"q_ahead": (q_ahead,), "setpoint_cycle": cycle + 2}
+    fields: dict[str, Any] = {"robot": "fr", "cycle": cycle, "ipoc": 0, "time_s": 0.0, "q": (q_cmd,)}
+    fields |= {"q_cmd": (q_cmd,), "tool": POSE, "phase": Phase.ENGAGED}
+    return RobotState(**fields | ahead | changes)
+
+
+def verdict(seq: int, cycle: int, dq: float, outcome: Outcome = Outcome.ADMITTED) -> Verdict:
+    goes = None if outcome in (Outcome.REFUSED, Outcome.HELD) else cycle
+    return Verdict(robot="fr", cycle=cycle - 2, seq=seq, outcome=outcome, setpoint_cycle=goes, dq=(dq,))
+
+
+def reckoned(in_flight: InFlight, told: RobotState) -> tuple[int, float]:
+    ahead = in_flight.ahead(told)
+    return ahead.cycle, pytest.approx(float(ahead.q_cmd[0]))
+
+
+def test_a_verdict_on_nothing_that_was_sent_changes_nothing() -> None:
+    in_flight = InFlight()
+    assert not in_flight.take(verdict(7, 12, 0.1))
+    assert reckoned(in_flight, state(10, 1.0, 1.5)) == (11, 1.5)
+
+
+def test_what_never_got_a_verdict_is_given_up_in_the_end_and_counted_once() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.5))
+    in_flight.sent(1, [0.1], 10)
+    last = 10 + 2 + PATIENCE_CYCLES
+    assert reckoned(in_flight, state(last - 1, 1.0, 1.0)) == (last + 1, 1.1)
+    assert in_flight.take_given_up() == 0
+    assert reckoned(in_flight, state(last, 1.0, 1.0)) == (last + 1, 1.0)
+    assert (in_flight.take_given_up(), in_flight.take_given_up()) == (1, 0)
+    assert not in_flight.take(verdict(1, 12, 0.1))  # too late to be counted again
+
+
+@pytest.mark.parametrize("outcome", [Outcome.REFUSED, Outcome.HELD])
+def test_what_moves_nothing_is_reckoned_with_until_that_is_known(outcome: Outcome) -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, [0.1], 10)
+    undecided = state(11, 1.0, 1.5, setpoint_cycle=12)
+    assert reckoned(in_flight, undecided) == (12, 1.6)
+    assert in_flight.take(verdict(1, 13, 0.0, outcome))
+    assert reckoned(in_flight, undecided) == (11, 1.5)
+
+
+def test_what_a_state_knows_of_is_not_reckoned_with_again_though_its_verdict_was_lost() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, [0.1], 10)
+    assert reckoned(in_flight, state(11, 1.0, 1.5)) == (12, 1.5)
+
+
+@pytest.mark.parametrize("dq", [[float("nan")], [float("inf")], [0.1, 0.1], []])
+def test_what_is_no_increment_of_this_robot_is_refused_and_not_reckoned_with(dq: list[float]) -> None:
+    """Else one bad increment would make the next one bad, and that the one after."""
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, dq, 10)
+    undecided = state(11, 1.0, 1.5, setpoint_cycle=12)
+    assert reckoned(in_flight, undecided) == (11, 1.5)
+    in_flight.sent(2, [0.1], 11)
+    assert reckoned(in_flight, undecided) == (12, 1.6)
+
+
+def test_what_was_scaled_counts_as_it_was_admitted() -> None:
+    in_flight = InFlight()
+    in_flight.sent(1, [0.1], 10)
+    in_flight.take(verdict(1, 13, 0.04, Outcome.SCALED))
+    assert reckoned(in_flight, state(11, 1.0, 1.5)) == (13, 1.54)
+    assert reckoned(in_flight, state(12, 1.0, 1.54)) == (13, 1.54)  # the state knows of it: not twice
+
+
+def test_the_last_of_two_verdicts_on_one_increment_counts_and_the_first_is_told() -> None:
+    in_flight = InFlight()
+    in_flight.sent(1, [0.1], 10)
+    assert in_flight.take(verdict(1, 12, 0.1))
+    assert not in_flight.take(verdict(1, 14, 0.1))  # its admission came too late
+    assert reckoned(in_flight, state(12, 1.0, 1.0)) == (14, 1.1)
+
+
+def test_a_hold_forgets_all_that_was_sent() -> None:
+    in_flight = InFlight()
+    in_flight.sent(1, [0.1], 10)
+    in_flight.sent(2, [0.1], 11)
+    in_flight.take(verdict(1, 14, 0.1))
+    assert reckoned(in_flight, state(11, 1.0, 1.0, phase=Phase.HELD)) == (11, 1.0)
+    assert reckoned(in_flight, state(12, 1.0, 1.0)) == (13, 1.0)
+
+
+def test_what_lies_before_an_increment_that_was_admitted_is_taken_as_it_was_asked_for() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, [0.1], 10)
+    in_flight.sent(2, [0.01], 11)
+    in_flight.take(verdict(2, 13, 0.01))
+    assert reckoned(in_flight, state(11, 1.0, 1.5, setpoint_cycle=12)) == (13, 1.61)
+    in_flight.take(verdict(1, 12, 0.05, Outcome.SCALED))
+    assert reckoned(in_flight, state(11, 1.0, 1.5, setpoint_cycle=12)) == (13, 1.56)
+
+
+def test_a_setpoint_that_the_gate_held_is_none_of_the_increment_behind_it() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.4))
+    in_flight.sent(1, [0.1], 10)
+    held = Verdict(robot="fr", cycle=11, seq=1, outcome=Outcome.HELD, dq=(0.02,))
+    in_flight.take(held)
+    in_flight.sent(2, [0.01], 11)
+    assert reckoned(in_flight, state(11, 1.0, 1.42)) == (13, 1.43)  # 12 is of the brake
+
+
+def test_another_robot_server_counts_from_one() -> None:
+    in_flight = InFlight()
+    for seq, cycle in enumerate((1000, 1001), start=1):
+        in_flight.ahead(state(cycle, 1.0, 1.5))
+        in_flight.sent(seq, [0.1], cycle)
+    assert reckoned(in_flight, state(1, 2.0, 2.0)) == (2, 2.0)
+    assert in_flight.take_given_up() == 2
+    assert list(in_flight.cycles_to_answer(state(2, 2.0, 2.0))) == [2]
+
+
+def test_missed_states_are_answered_as_far_as_there_is_room_and_each_once() -> None:
+    in_flight = InFlight()
+    assert list(in_flight.cycles_to_answer(state(10, 1.0, 1.1))) == [10]
+    in_flight.sent(1, [0.1], 10)
+    in_flight.take(verdict(1, 12, 0.1))
+    used_up = state(15, 1.2, 1.2, setpoint_cycle=16)
+    assert list(in_flight.cycles_to_answer(used_up)) == [14, 15]
+    for seq, cycle in enumerate((14, 15), start=2):
+        in_flight.sent(seq, [0.1], cycle)
+    assert list(in_flight.cycles_to_answer(state(16, 1.2, 1.3))) == [16]
+
+
+def test_a_robot_at_rest_is_not_given_more_than_one_at_a_time() -> None:
+    in_flight = InFlight()
+    in_flight.ahead(state(10, 1.0, 1.0))
+    in_flight.sent(1, [0.1], 10)
+    assert list(in_flight.cycles_to_answer(state(20, 1.0, 1.0))) == [20]
+
+
+def test_without_a_lookahead_the_setpoint_just_sent_counts_and_what_is_behind_it() -> None:
+    in_flight = InFlight()
+    assert reckoned(in_flight, state(10, 1.0)) == (10, 1.0)
+    in_flight.sent(1, [0.1], 10)
+    assert reckoned(in_flight, state(11, 1.0)) == (12, 1.1)
+    in_flight.take(verdict(1, 12, 0.05))
+    assert reckoned(in_flight, state(11, 1.0)) == (12, 1.05)
+    assert reckoned(in_flight, state(12, 1.05)) == (12, 1.05)
