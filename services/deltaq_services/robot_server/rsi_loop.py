@@ -2,7 +2,7 @@
 
 One thread, and one cycle of it:
 
-1. A little before the telegram is due, take what has come from the gate and prepare the reply; look again a few times.
+1. A little before the telegram is due, take what has come from the gate and prepare the reply, where the cell wants it.
 2. When the telegram comes, send that reply if it is the telegram that was expected and nothing has come since.
 3. Decide on the telegram. This is the decision that counts; where nothing was sent in 2, send its reply now.
 4. Publish.
@@ -25,35 +25,33 @@ from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
-_LOOK_S = 0.0002
-"""Between two looks whether the gate has said something since the reply was prepared."""
+_MARGIN_S = 0.0003
+"""To fall asleep again before the telegram: it would wait for a preparation that is not done."""
 
-_LAST_LOOK_S = 0.0003
-"""Before a telegram is due the last look is over: one takes a third of that, and a telegram would wait for it."""
-
-_FORGOTTEN = 0.999
-"""Share of the longest preparation that is left after a cycle."""
+_NEWEST = 0.05
+"""Share of the newest preparation in what one usually takes."""
 
 
 class Lead:
-    """How long before a telegram is due its reply is prepared: somewhat longer than that has taken lately.
+    """How long before a telegram is due its reply is prepared: as late as may be, since what comes after is not in it.
 
     Args:
         cycle_s: sample time.
     """
 
     def __init__(self, cycle_s: float) -> None:
-        self._longest_s = 0.0
+        self._usual_s = 0.0
         self._cycle_s = cycle_s
 
     @property
     def seconds(self) -> float:
         """At most half a cycle: what comes from the gate within it makes a prepared reply void."""
-        return min(1.25 * self._longest_s + _LAST_LOOK_S, 0.5 * self._cycle_s)
+        return min(1.5 * self._usual_s + _MARGIN_S, 0.5 * self._cycle_s)
 
     def took(self, seconds: float) -> None:
         """A preparation has taken so long."""
-        self._longest_s = max(seconds, _FORGOTTEN * self._longest_s)
+        share = _NEWEST if self._usual_s else 1.0
+        self._usual_s += share * (seconds - self._usual_s)
 
 
 class RsiLoop:
@@ -65,7 +63,7 @@ class RsiLoop:
         krc: the socket.
         link: to the gate.
         ending: of the process.
-        preparation: of replies.
+        preparation: of replies; None where none is prepared.
         cycle_s: sample time.
         silence_s: after which a KRC counts as silent.
     """
@@ -77,7 +75,7 @@ class RsiLoop:
         krc: KrcSocket,
         link: GuardedLink,
         ending: Ending,
-        preparation: Preparation,
+        preparation: Preparation | None,
         cycle_s: float,
         silence_s: float,
     ) -> None:
@@ -85,39 +83,32 @@ class RsiLoop:
         self._link, self._ending, self._preparation = link, ending, preparation
         self._cycle_s, self._silence_s = cycle_s, silence_s
         self._lead = Lead(cycle_s)
-        self._silent_s = self._due_s = 0.0
-        self._look_s = math.inf
+        self._silent_s = 0.0
+        self._prepare_s = math.inf
         self._prepared: PreparedReply | None = None
 
     def run(self) -> None:
         """Answer telegrams until the process may end."""
         self._silent_s = time.monotonic() + self._silence_s
         while not self._ending.over:
-            if self._prepared is not None and self._look_s == math.inf:
+            if self._prepared is not None:
                 self._answer(self._prepared)
-            elif not self._krc.wait(min(self._silent_s, self._look_s) - time.monotonic()):
-                self._time_passed(time.monotonic())
-            elif self._prepared is not None:
-                self._answer(self._prepared)
+                continue
+            has_come = self._krc.wait(min(self._silent_s, self._prepare_s) - time.monotonic())
+            now_s = time.monotonic()
+            if self._preparation is not None and not has_come and self._prepare_s <= now_s < self._silent_s:
+                self._prepare(self._preparation, now_s)
             else:
-                self._read(time.monotonic())
+                self._read(now_s)
 
-    def _time_passed(self, now_s: float) -> None:
-        if self._look_s <= now_s < self._silent_s:
-            self._prepare(now_s)
-        else:
-            self._read(now_s)
-
-    def _prepare(self, now_s: float) -> None:
-        """Prepare the reply; look again whether something has come until the telegram is about to come."""
-        if self._hear(now_s) or self._prepared is None:
-            self._prepared = self._preparation.after(self._krc.newest, self._ending.stop, now_s)
+    def _prepare(self, preparation: Preparation, now_s: float) -> None:
+        """Prepare the reply, once a cycle: whoever looks again and again takes the processor from those who command."""
+        self._prepare_s = math.inf
+        self._hear(now_s)
+        self._prepared = preparation.after(self._krc.newest, self._ending.stop, now_s)
         if self._prepared is not None:
             self._krc.rehearse(self._prepared)
-        done_s = time.monotonic()
-        self._lead.took(done_s - now_s)
-        last_s = self._due_s - _LAST_LOOK_S
-        self._look_s = min(done_s + _LOOK_S, last_s) if done_s < last_s else math.inf
+        self._lead.took(time.monotonic() - now_s)
 
     def _answer(self, prepared: PreparedReply) -> None:
         """Wait for the telegram, if it is not there, and answer it with the prepared reply, if it is the one."""
@@ -128,7 +119,7 @@ class RsiLoop:
 
     def _read(self, now_s: float, sent: PreparedReply | None = None) -> None:
         """A datagram has come, to which a prepared reply was sent or none; or the KRC is silent."""
-        self._prepared, self._look_s = None, math.inf
+        self._prepared, self._prepare_s = None, math.inf
         measured = self._krc.read(now_s, alone=sent is not None)
         if measured is not None:
             self._silent_s = now_s + self._silence_s
@@ -137,8 +128,8 @@ class RsiLoop:
                 self._server.state, now_s, lambda: _told(self._server.detail, self._krc.detail)
             )
             self._ending.cycle_passed()
-            self._due_s = now_s + self._cycle_s
-            self._look_s = self._due_s - self._lead.seconds
+            if self._preparation is not None:
+                self._prepare_s = now_s + self._cycle_s - self._lead.seconds
             return
         if sent is not None:
             self._disagree(sent)
@@ -154,15 +145,14 @@ class RsiLoop:
         else:
             self._link.publish(None, now_s, lambda: _told("waiting for a position", self._krc.detail))
 
-    def _hear(self, now_s: float) -> bool:
-        """Hand the core what has come from the gate; whether anything has."""
+    def _hear(self, now_s: float) -> None:
+        """Hand the core what has come from the gate."""
         messages: list[Admission | Supervision] = [*self._link.admissions()]
         supervision = self._link.supervision()
         if supervision is not None:
             messages.append(supervision)
         for message in messages:
             self._server.take(message, now_s)
-        return bool(messages)
 
     def _decide(self, measured: Measurement, now_s: float, prepared: PreparedReply | None) -> None:
         if prepared is None:

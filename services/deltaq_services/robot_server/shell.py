@@ -66,7 +66,7 @@ def preparation(
 
 def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescription, xml: Path) -> None:
     rsi = RsiDriver(sensor_codec(cell, server.robot, xml), cell, server.robot, server.counters)
-    prepares = preparation(cell, server, rsi, xml)
+    prepares = preparation(cell, server, rsi, xml) if driver.prepared_replies else None
     link = GuardedLink(cell, server.robot, server.counters)
     silence_s = cell.gate.krc_timeout_s
     try:
