@@ -12,6 +12,7 @@ import numpy as np
 
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.motion_validator import FINE_SHARE, MARGIN_M, MotionValidator
+from deltaq_controllers.advisor.parting import parted
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.advisor.trees import Tree, connected
@@ -51,7 +52,8 @@ class PathPlanner:
         start: Array,
     ) -> None:
         self._problem, self._space, self._exact, self._generator = problem, space, exact, generator
-        self._start = start
+        self._way_out = parted(problem.robot, space, exact, start, FINE_SHARE * MARGIN_M)
+        self._start = self._way_out[-1]
         self._limits = problem.robot.lower[space.free], problem.robot.upper[space.free]
         self._trees: dict[float, Tree] = {}
 
@@ -63,7 +65,8 @@ class PathPlanner:
             go_on: asked now and then.
 
         Returns:
-            (P, n) configurations, neighbours no further apart than `FINE` in the free joints.
+            (P, n) configurations, neighbours no further apart than `FINE` in the free joints. Where the robot stands
+            close to a body, they begin with a way away from it.
 
         Raises:
             NoPathError: there is none, or none was found.
@@ -82,7 +85,7 @@ class PathPlanner:
                 raise NoPathError("no collision-free path was found within the search time")
             for path in _paths(ground, corners):
                 if ground.within(path, FINE_SHARE).all() and self._exact.keeps(path[::CHECKED], room_m):
-                    return path
+                    return np.concatenate([self._way_out[:-1], path])
         raise NoPathError("all paths found pass too close to limits or obstacles")
 
     def _tree(self, wider: float) -> Tree:

@@ -30,7 +30,7 @@ from deltaq_services.robot_server.snapshot import ServerMemory
 _HAIR = 1e-9
 """By which bounds are tighter, of a value and absolute: more than all that numbers are rounded by on the way."""
 
-Place = tuple[Array, Array]
+_Range = tuple[Array, Array]
 """Lower and upper bounds of the joints, each (n,) [rad or m]."""
 
 
@@ -58,7 +58,7 @@ class Preparation:
         self._ahead = RobotServer(cell, server.robot, server.process)
         self._units = axes.reported
         plausible = Plausibility.of(robot, cell.cycle_s)
-        self._possible: Place = np.array(plausible.lower), np.array(plausible.upper)
+        self._possible: _Range = np.array(plausible.lower), np.array(plausible.upper)
         self._reach = np.array(plausible.reach) + np.array(plausible.resolution)
         self._tolerance = robot.tracking_tolerance
         self._lag_cycles = math.ceil(cell.gate.servo_lag_s / cell.cycle_s)
@@ -109,12 +109,12 @@ class Preparation:
             reply,
         )
 
-    def _calm(self, memory: ServerMemory, q: Array) -> Place:
+    def _calm(self, memory: ServerMemory, q: Array) -> _Range:
         """Where joints that were at `q` (n,) make no difference to the reply."""
         lower, upper = zip(*self._places(memory, q), strict=True)
         return np.max(lower, axis=0), np.min(upper, axis=0)
 
-    def _places(self, memory: ServerMemory, q: Array) -> Iterator[Place]:
+    def _places(self, memory: ServerMemory, q: Array) -> Iterator[_Range]:
         yield self._possible
         yield q - self._reach, q + self._reach
         if memory.cycles_at_rest > self._lag_cycles:
