@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from crash_bench import PEER, PLAN, RECORDS, CrashSide
+from crash_bench import PEER, PLAN, RECORDS, TELEGRAMS, CrashSide
 from krc_side import CELL, FR, MAX_DV, XML
 
 from deltaq_protocol.brake import brake_cycles, brake_increment
@@ -65,14 +65,14 @@ def test_a_robot_that_rests_gets_the_stop_at_once():
 
 def test_without_a_stop_a_robot_that_rests_needs_nobody():
     krc = CrashSide().begin()
-    brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)))
+    brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
     assert brake.over
     assert krc.after(brake) is None
 
 
 def test_without_a_stop_it_ends_when_the_drives_have_caught_up(krc):
     n = krc.server.state.plan.brake_cycles
-    brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)))
+    brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
     while not brake.over:
         assert not krc.after(brake).outputs["stop"]
     assert brake.replies == n + PLAN.lag_cycles
@@ -206,7 +206,7 @@ def test_its_ipoc_goes_on_over_the_end_of_32_bit():
 def test_the_last_check_keeps_a_robot_where_it_is(krc):
     found = RECORDS.newest(bytes(krc.memory))
     leap = replace(found.record, plan_dq=tuple(100 * each for each in found.record.plan_dq))
-    brake, before = CrashBrake(PLAN, found._replace(record=leap)), krc.correction.copy()
+    brake, before = CrashBrake(PLAN, found._replace(record=leap), TELEGRAMS), krc.correction.copy()
     moved = moves(krc, brake) - before
     assert not moved.any()
     assert krc.stop

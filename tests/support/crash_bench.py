@@ -11,6 +11,7 @@ from deltaq_services.robot_server.shell import crash_plan
 
 PEER = ("192.0.2.17", 49152)
 PLAN = crash_plan(CELL, "fr", XML)
+TELEGRAMS = PLAN.telegrams()
 RECORDS = CrashRecords(len(PLAN.most), PLAN.outputs)
 
 
@@ -60,7 +61,7 @@ class CrashSide(KrcSide):
 
     def dead(self):
         """What brakes the robot now."""
-        return CrashBrake(PLAN, RECORDS.newest(bytes(self.memory)))
+        return CrashBrake(PLAN, RECORDS.newest(bytes(self.memory)), TELEGRAMS)
 
     def after(self, brake, *waiting, lost=False):
         """One cycle of the KRC after the death; its telegram comes behind those that wait.

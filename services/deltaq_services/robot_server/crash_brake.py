@@ -53,6 +53,10 @@ class CrashPlan:
     lag_cycles: int
     has_stop: bool
 
+    def telegrams(self) -> PlainTelegrams:
+        """What reads the robot's telegrams."""
+        return PlainTelegrams(self.pattern, self.elements, self.most_bytes)
+
     @classmethod
     def from_json(cls, text: str) -> Self:
         """The plan that was written with `json`."""
@@ -72,6 +76,7 @@ class CrashBrake:
     Args:
         plan: of the robot.
         found: what its Robot Server left.
+        telegrams: reads them; made beforehand, since that takes most of a cycle.
 
     Attributes:
         over: nobody needs an answer any more.
@@ -80,12 +85,12 @@ class CrashBrake:
         at_rest: whether the brake has been sent to its end.
     """
 
-    def __init__(self, plan: CrashPlan, found: Found) -> None:
+    def __init__(self, plan: CrashPlan, found: Found, telegrams: PlainTelegrams) -> None:
         record = found.record
         self.correction = record.correction
         self.replies = 0
         self._plan, self._record, self._peer = plan, record, found.peer
-        self._telegrams = PlainTelegrams(plan.pattern, plan.elements, plan.most_bytes)
+        self._telegrams = telegrams
         self._template = plan.template.encode()
         self._is_sent = found.was_sent
         self._time_s, self._ipoc, self._late = found.time_s, record.ipoc, record.late

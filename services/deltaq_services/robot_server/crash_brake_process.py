@@ -19,6 +19,7 @@ import time
 from deltaq_services.robot_server.crash_brake import CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_memory import CrashMemory
 from deltaq_services.robot_server.crash_record import Address, CrashRecords
+from deltaq_services.robot_server.plain_telegram import PlainTelegrams
 
 _MOST_WAITING = 1024
 """Datagrams drained before one is answered."""
@@ -32,7 +33,7 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)
     shared, listening = map(int, sys.argv[1:3])
     plan = CrashPlan.from_json(sys.stdin.read())
-    records = CrashRecords(len(plan.most), plan.outputs)
+    records, telegrams = CrashRecords(len(plan.most), plan.outputs), plan.telegrams()
     with mmap.mmap(shared, 0) as file, socket.socket(fileno=listening) as sock:
         memory = CrashMemory(file, records)
         gc.disable()
@@ -40,7 +41,7 @@ def main() -> int:
         ctypes.CDLL(None).mlockall(_LOCK_ALL)  # where the system allows it
         memory.armed = True
         memory.mutex.wait()
-        replies = 0 if memory.released else _brake(plan, memory, sock)
+        replies = 0 if memory.released else _brake(plan, memory, sock, telegrams)
         memory.close()
     if replies:
         with contextlib.suppress(OSError):  # whoever reads it may have ended, too
@@ -48,12 +49,12 @@ def main() -> int:
     return 0
 
 
-def _brake(plan: CrashPlan, memory: CrashMemory, sock: socket.socket) -> int:
+def _brake(plan: CrashPlan, memory: CrashMemory, sock: socket.socket, telegrams: PlainTelegrams) -> int:
     """Answer the KRC until nobody needs an answer; how many replies that were."""
     found = memory.newest()
     if found is None:
         return 0
-    brake = CrashBrake(plan, found)
+    brake = CrashBrake(plan, found, telegrams)
     brake.time_passed(time.monotonic())
     while not brake.over:
         left_s = max(0.0, brake.silent_s - time.monotonic())

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.robot_server.crash_brake import CrashPlan
 from deltaq_services.robot_server.crash_record import CrashRecord, CrashRecords
-from deltaq_services.robot_server.plain_telegram import PlainTelegrams
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 
@@ -21,7 +20,7 @@ class CrashRecordMaker:
     """
 
     def __init__(self, plan: CrashPlan, rsi: RsiDriver, outputs: tuple[str, ...]) -> None:
-        self._telegrams = PlainTelegrams(plan.pattern, plan.elements, plan.most_bytes)
+        self._telegrams = plan.telegrams()
         self._records = CrashRecords(len(plan.most), plan.outputs)
         self._rsi, self._outputs = rsi, outputs
 

@@ -73,6 +73,11 @@ class CrashWatch:
         self._file.close()
 
     @property
+    def pid(self) -> int:
+        """The process."""
+        return self._process.pid
+
+    @property
     def longest_s(self) -> float:
         """Longer than that no robot brakes: every cycle of a brake may come after all but a KRC's timeout."""
         return 10.0 * self._plan.silence_s + 1.0
