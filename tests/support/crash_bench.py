@@ -39,7 +39,7 @@ class CrashSide(KrcSide):
         """The record of the reply that was made last."""
         state = self.server.state
         return self._maker.body(
-            datagram, state.ipoc, self.driver.correction, self.server.outputs, self.server.motion
+            self._maker.of_last(datagram, state.ipoc, self.server.outputs, self.server.motion)
         )
 
     def leave(self, datagram, is_sent=True):

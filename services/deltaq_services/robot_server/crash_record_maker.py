@@ -24,15 +24,15 @@ class CrashRecordMaker:
         self._records = CrashRecords(len(plan.most), plan.outputs)
         self._rsi, self._outputs = rsi, outputs
 
-    def body(
+    def record(
         self,
         datagram: bytes,
         ipoc: int,
         correction: tuple[float, ...],
         outputs: Mapping[str, bool],
         motion: SetpointMotion,
-    ) -> bytes | None:
-        """The record of a reply, but for what is known only when its telegram has come.
+    ) -> CrashRecord | None:
+        """The record of a reply.
 
         Args:
             datagram: a telegram of the session, in which late replies and programmed position are those of the one that
@@ -49,18 +49,28 @@ class CrashRecordMaker:
         if telegram is None or ipoc_step is None:
             return None
         lower, upper = self._rsi.limits
-        return self._records.body(
-            CrashRecord(
-                ipoc=ipoc,
-                late=telegram.late,
-                programmed=telegram.programmed,
-                ipoc_step=ipoc_step,
-                outputs=tuple([bool(outputs.get(name)) for name in self._outputs]),
-                correction=correction,
-                plan_dq=tuple(motion.plan_dq.tolist()),
-                brake_cycles=motion.brake_cycles,
-                step=motion.step,
-                lower=lower,
-                upper=upper,
-            )
+        return CrashRecord(
+            ipoc=ipoc,
+            late=telegram.late,
+            programmed=telegram.programmed,
+            ipoc_step=ipoc_step,
+            outputs=tuple([bool(outputs.get(name)) for name in self._outputs]),
+            correction=correction,
+            plan_dq=tuple(motion.plan_dq.tolist()),
+            brake_cycles=motion.brake_cycles,
+            step=motion.step,
+            lower=lower,
+            upper=upper,
         )
+
+    def body(self, record: CrashRecord | None) -> bytes | None:
+        """All bytes of a record that are known before its telegram comes."""
+        return None if record is None else self._records.body(record)
+
+    def of_last(
+        self, datagram: bytes, ipoc: int, outputs: Mapping[str, bool], motion: SetpointMotion
+    ) -> CrashRecord | None:
+        """The record of the reply that the driver made last; arguments as of `record`."""
+        if self._rsi.fault is not None:
+            motion = SetpointMotion.at_rest(motion.q_cmd)  # the KRC gets its last correction again, and stays
+        return self.record(datagram, ipoc, self._rsi.correction, outputs, motion)

@@ -103,7 +103,8 @@ class Preparation:
         record = None
         if self._records is not None:
             motion = self._ahead.motion
-            record = self._records.body(datagram, ipoc, correction, setpoint.outputs, motion)
+            left = self._records.record(datagram, ipoc, correction, setpoint.outputs, motion)
+            record = self._records.body(left)
         order = list(telegrams.order)
         least, most = (lower * self._units)[order], (upper * self._units)[order]
         return PreparedReply(

@@ -17,7 +17,6 @@ import time
 from collections.abc import Mapping
 
 from deltaq_protocol.guarded import Admission, Supervision
-from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
 from deltaq_services.robot_server.ending import Ending
@@ -189,10 +188,7 @@ class RsiLoop:
         """The record to leave before a reply."""
         if self._records is None:
             return None
-        motion = self._server.motion
-        if self._rsi.fault is not None:
-            motion = SetpointMotion.at_rest(motion.q_cmd)  # the KRC gets its last correction again, and stays
-        return self._records.body(self._krc.newest, ipoc, self._rsi.correction, outputs, motion)
+        return self._records.body(self._records.of_last(self._krc.newest, ipoc, outputs, self._server.motion))
 
     def _disagree(self, prepared: PreparedReply) -> None:
         """Something else was decided than what was sent: hold where the robot was sent."""
