@@ -12,9 +12,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-from deltaq_services.robot_server.crash_record import Address, Found
+from deltaq_services.robot_server.crash_record import LastReply, PeerAddress
 from deltaq_services.robot_server.plain_telegram import MAX_IPOC, PlainTelegram, PlainTelegrams
 from deltaq_services.robot_server.reply_guard import reply_fault
+
+PORT_PATIENCE_S = 3.0
+"""How long a Robot Server waits for its port: the brake of one that died is over by then."""
 
 STOP_CYCLES = 3
 """Replies that carry the stop: one or two may be lost."""
@@ -85,7 +88,7 @@ class CrashBrake:
         at_rest: whether the brake has been sent to its end.
     """
 
-    def __init__(self, plan: CrashPlan, found: Found, telegrams: PlainTelegrams) -> None:
+    def __init__(self, plan: CrashPlan, found: LastReply, telegrams: PlainTelegrams) -> None:
         record = found.record
         self.correction = record.correction
         self.replies = 0
@@ -115,7 +118,7 @@ class CrashBrake:
         """A KRC that was silent for so long has held its last correction: what is left of a brake would move it."""
         self.over = self.over or not now_s < self.silent_s
 
-    def answer(self, waiting: Sequence[tuple[bytes, Address]], now_s: float) -> bytes | None:
+    def answer(self, waiting: Sequence[tuple[bytes, PeerAddress]], now_s: float) -> bytes | None:
         """The reply to the newest telegram of all that wait; older ones are past their time.
 
         Args:

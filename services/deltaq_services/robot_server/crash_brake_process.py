@@ -18,7 +18,7 @@ import time
 
 from deltaq_services.robot_server.crash_brake import CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_memory import CrashMemory
-from deltaq_services.robot_server.crash_record import Address, CrashRecords
+from deltaq_services.robot_server.crash_record import CrashRecords, PeerAddress
 from deltaq_services.robot_server.plain_telegram import PlainTelegrams
 
 _MOST_WAITING = 1024
@@ -68,8 +68,8 @@ def _brake(plan: CrashPlan, memory: CrashMemory, sock: socket.socket, telegrams:
     return brake.replies
 
 
-def _waiting(sock: socket.socket, most_bytes: int) -> list[tuple[bytes, Address]]:
-    waiting: list[tuple[bytes, Address]] = []
+def _waiting(sock: socket.socket, most_bytes: int) -> list[tuple[bytes, PeerAddress]]:
+    waiting: list[tuple[bytes, PeerAddress]] = []
     for _ in range(_MOST_WAITING):
         try:
             waiting.append(sock.recvfrom(most_bytes + 1, socket.MSG_DONTWAIT))

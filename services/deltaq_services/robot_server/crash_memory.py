@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 
-from deltaq_services.robot_server.crash_record import NOTHING, SENT, Address, CrashRecords, Found
+from deltaq_services.robot_server.crash_record import NOTHING, SENT, CrashRecords, LastReply, PeerAddress
 from deltaq_services.robot_server.owner_mutex import MUTEX_BYTES, OwnerMutex
 
 _FLAGS_BYTES = 8
@@ -51,7 +51,7 @@ class CrashMemory:
     def released(self, is_released: bool) -> None:
         self._file[self._flags + _RELEASED] = is_released
 
-    def write(self, body: bytes, peer: Address, time_s: float) -> None:
+    def write(self, body: bytes, peer: PeerAddress, time_s: float) -> None:
         """Leave a record; its reply is about to be sent. Arguments as of `CrashRecords.sealed`."""
         self._number += 1
         place, record = self._records.sealed(body, self._number, peer, time_s)
@@ -65,7 +65,7 @@ class CrashMemory:
         """Leave nothing: what is sent now cannot be gone on from."""
         self._file[: self._records.sent_at] = bytes(self._records.sent_at)
 
-    def newest(self) -> Found | None:
+    def newest(self) -> LastReply | None:
         """What the Robot Server left."""
         return self._records.newest(self._file[: self._records.total])
 

@@ -11,7 +11,7 @@ import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
 
-Address = tuple[str, int]
+PeerAddress = tuple[str, int]
 """Host, as four numbers with dots, and port."""
 
 _SUM = struct.Struct("=I")
@@ -56,7 +56,7 @@ class CrashRecord:
         return self.step >= self.brake_cycles
 
 
-class Found(NamedTuple):
+class LastReply(NamedTuple):
     """What a Robot Server left.
 
     Attributes:
@@ -67,7 +67,7 @@ class Found(NamedTuple):
     """
 
     record: CrashRecord
-    peer: Address
+    peer: PeerAddress
     time_s: float
     was_sent: bool
 
@@ -105,7 +105,7 @@ class CrashRecords:
         values = (*record.correction, *record.plan_dq, *record.lower, *record.upper, *record.outputs)
         return cycle + self._values.pack(*values)
 
-    def sealed(self, body: bytes, number: int, peer: Address, time_s: float) -> tuple[int, bytes]:
+    def sealed(self, body: bytes, number: int, peer: PeerAddress, time_s: float) -> tuple[int, bytes]:
         """Where a record belongs, and its bytes.
 
         Args:
@@ -118,7 +118,7 @@ class CrashRecords:
         rest = _HEAD.pack(number, time_s, bytes(map(int, host.split("."))), port) + body
         return (number & 1) * self.size, _SUM.pack(zlib.crc32(rest)) + rest
 
-    def newest(self, memory: bytes) -> Found | None:
+    def newest(self, memory: bytes) -> LastReply | None:
         """The newest whole record; None if there is none that can be trusted.
 
         A record whose follower was sent already says nothing of where the KRC is.
@@ -130,9 +130,9 @@ class CrashRecords:
         if not whole:
             return None
         number, record, peer, time_s = max(whole, key=lambda each: each[0])
-        return None if sent > number else Found(record, peer, time_s, sent == number)
+        return None if sent > number else LastReply(record, peer, time_s, sent == number)
 
-    def _unsealed(self, sealed: bytes) -> tuple[int, CrashRecord, Address, float] | None:
+    def _unsealed(self, sealed: bytes) -> tuple[int, CrashRecord, PeerAddress, float] | None:
         (checksum,) = _SUM.unpack_from(sealed)
         if zlib.crc32(sealed[_SUM.size :]) != checksum:
             return None

@@ -13,7 +13,7 @@ from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.crash_brake import CrashPlan
+from deltaq_services.robot_server.crash_brake import PORT_PATIENCE_S, CrashPlan
 from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
 from deltaq_services.robot_server.crash_watch import CrashWatch
 from deltaq_services.robot_server.ending import Ending
@@ -23,9 +23,6 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.rsi_loop import RsiLoop
-
-PORT_PATIENCE_S = 3.0
-"""How long a Robot Server waits for its port: the brake of one that died is over by then."""
 
 _REAL_TIME_PRIORITY = 20
 """Above the gate's, so that a telegram is answered while the gate decides."""

@@ -18,7 +18,7 @@ from deltaq_protocol.rsi import TelegramError
 from deltaq_services.outputs import ToRobot
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_brake import CrashBrake, CrashPlan
-from deltaq_services.robot_server.crash_record import Found
+from deltaq_services.robot_server.crash_record import LastReply
 from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
@@ -173,7 +173,7 @@ class KrcArm(VirtualArm):
             maker = CrashRecordMaker(self._plan, self._rsi, tuple(self.server.outputs))
             record = maker.of_last(*self._answered, self.server.outputs, self.server.motion)
             if record is not None:
-                found = Found(record, _KRC, self._heard_s, was_sent=True)
+                found = LastReply(record, _KRC, self._heard_s, was_sent=True)
                 self._crash_brake = CrashBrake(self._plan, found, self._telegrams)
         super().kill()
 
