@@ -1,5 +1,6 @@
 """The brake of a robot whose Robot Server has died: from its last record to rest, by the KRC's telegrams alone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from crash_bench import PEER, PLAN, RECORDS, TELEGRAMS, CrashSide
 from krc_side import CELL, FR, MAX_DV, XML
 
 from deltaq_protocol.brake import brake_cycles, brake_increment
-from deltaq_services.robot_server.crash_brake import STOP_CYCLES, CrashBrake
+from deltaq_services.robot_server.crash_brake import STOP_CYCLES, CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_record import SENT
 from deltaq_services.robot_server.shell import sensor_codec
 
@@ -226,3 +227,34 @@ def test_braked_cycles_are_as_many_as_the_certificate_says(krc):
     assert last + 2 == brake_cycles(dq, MAX_DV)
     steps = np.vstack([dq, moved])
     assert np.all(np.abs(np.diff(steps, axis=0)) <= MAX_DV * (1 + 1e-9) + 2 * ROUNDING)
+
+
+@pytest.mark.parametrize("digits", [b"9e99", b"-9e99", b"9999999999999999e99"])
+def test_no_count_of_late_replies_is_too_long_for_a_record(krc, digits):
+    datagram = re.sub(rb'<Delay D="[^"]*"', b'<Delay D="' + digits + b'"', krc.own())
+    krc.leave(datagram)
+    assert abs(RECORDS.newest(bytes(krc.memory)).record.late) == 2**62
+
+
+def test_of_a_brake_that_is_too_long_for_a_record_there_is_none(krc):
+    motion = replace(krc.server.motion, brake_cycles=2**32)
+    left = krc.maker.record(krc.own(), krc.ipoc, krc.driver.correction, {}, motion)
+    assert left is not None
+    assert krc.maker.body(left) is None
+
+
+def test_a_telegram_in_another_layout_leaves_no_record(krc):
+    assert krc.maker.record(b"<Rob/>", krc.ipoc, krc.driver.correction, {}, krc.server.motion) is None
+    assert krc.maker.body(None) is None
+
+
+def test_a_reply_that_the_last_check_refused_leaves_a_robot_that_rests(krc):
+    krc.driver.fault = "leaps"
+    left = krc.maker.of_last(krc.own(), krc.ipoc, {}, krc.server.motion)
+    assert left.rests
+    assert left.correction == krc.driver.correction
+    assert not any(left.plan_dq)
+
+
+def test_a_plan_is_read_as_it_was_written():
+    assert CrashPlan.from_json(PLAN.json()) == PLAN

@@ -30,7 +30,7 @@ class CrashSide(KrcSide):
         self.number = 0
         self.late = 0
         self.setpoints = [self.correction.copy()]
-        self._maker = CrashRecordMaker(PLAN, self.driver, tuple(FR.driver.outputs))
+        self.maker = CrashRecordMaker(PLAN, self.driver, tuple(FR.driver.outputs))
 
     def own(self, **changes):
         return super().own(**{"delay": self.late, **changes})
@@ -38,8 +38,8 @@ class CrashSide(KrcSide):
     def record(self, datagram):
         """The record of the reply that was made last."""
         state = self.server.state
-        return self._maker.body(
-            self._maker.of_last(datagram, state.ipoc, self.server.outputs, self.server.motion)
+        return self.maker.body(
+            self.maker.of_last(datagram, state.ipoc, self.server.outputs, self.server.motion)
         )
 
     def leave(self, datagram, is_sent=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 
 from deltaq_protocol.setpoint_motion import SetpointMotion
@@ -64,8 +65,11 @@ class CrashRecordMaker:
         )
 
     def body(self, record: CrashRecord | None) -> bytes | None:
-        """All bytes of a record that are known before its telegram comes."""
-        return None if record is None else self._records.body(record)
+        """All bytes of a record that are known before its telegram comes; None if a number does not fit into it."""
+        try:
+            return None if record is None else self._records.body(record)
+        except struct.error:
+            return None
 
     def of_last(
         self, datagram: bytes, ipoc: int, outputs: Mapping[str, bool], motion: SetpointMotion

@@ -13,6 +13,8 @@ from typing import NamedTuple
 MAX_IPOC = 2**32 - 1
 _IPOC, _IPOC_ENDS = b"<IPOC>", b"</IPOC>"
 _LATE = b'<Delay D="'
+_MOST_LATE = 2**62
+"""A count that fits into a record, however many digits it was written with."""
 
 
 class PlainTelegram(NamedTuple):
@@ -53,7 +55,11 @@ class PlainTelegrams:
         late, programmed = 0, 0
         if (place := datagram.find(_LATE)) >= 0:
             begins = place + len(_LATE)
-            late = int(float(datagram[begins : datagram.index(b'"', begins)]))
+            try:
+                late = int(float(datagram[begins : datagram.index(b'"', begins)]))
+            except ValueError:
+                return None
+            late = max(-_MOST_LATE, min(late, _MOST_LATE))
         for element in self._elements:
             begins = datagram.index(element)
             programmed = zlib.crc32(datagram[begins : datagram.index(b">", begins)], programmed)
