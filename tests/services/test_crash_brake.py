@@ -206,7 +206,7 @@ def test_its_ipoc_goes_on_over_the_end_of_32_bit():
 
 def test_the_last_check_keeps_a_robot_where_it_is(krc):
     found = RECORDS.newest(bytes(krc.memory))
-    leap = replace(found.record, plan_dq=tuple(100 * each for each in found.record.plan_dq))
+    leap = replace(found.record, plan_dq=tuple(2 * most for most in PLAN.most), brake_cycles=4)
     brake, before = CrashBrake(PLAN, found._replace(record=leap), TELEGRAMS), krc.correction.copy()
     moved = moves(krc, brake) - before
     assert not moved.any()
@@ -258,3 +258,27 @@ def test_a_reply_that_the_last_check_refused_leaves_a_robot_that_rests(krc):
 
 def test_a_plan_is_read_as_it_was_written():
     assert CrashPlan.from_json(PLAN.json()) == PLAN
+
+
+def test_a_reply_that_is_not_known_to_be_sent_is_sent_again_though_no_late_one_was_counted(krc):
+    SENT.pack_into(krc.memory, RECORDS.sent_at, krc.number - 1)
+    brake, sent = krc.dead(), krc.driver.correction
+    krc.after(brake)
+    assert brake.correction == sent
+    krc.after(brake)
+    assert brake.correction != sent
+
+
+def test_an_ipoc_may_run_three_cycles_ahead_of_the_time_and_no_more(krc):
+    brake = krc.dead()
+    krc.tick()
+    assert brake.answer([(ipoc_of(krc, krc.ipoc + 12 * 4), PEER)], krc.time_s) is None
+    assert brake.answer([(ipoc_of(krc, krc.ipoc + 12 * 3), PEER)], krc.time_s) is not None
+
+
+def test_an_ipoc_is_never_further_ahead_than_a_krc_may_be_silent(krc):
+    silence = round(PLAN.silence_s / PLAN.cycle_s)
+    brake, ipoc = krc.dead(), krc.ipoc
+    krc.tick(silence - 1)
+    assert brake.answer([(ipoc_of(krc, ipoc + 12 * (silence + 1)), PEER)], krc.time_s) is None
+    assert brake.answer([(ipoc_of(krc, ipoc + 12 * silence), PEER)], krc.time_s) is not None
