@@ -21,10 +21,12 @@ from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.guarded_key import KEY_FILE
+from deltaq_services.robot_server.crash_brake import PORT_PATIENCE_S
 
 SHOWN_LINES = 12
 GRACE_S = 5.0
 START_TIMEOUT_S = 60.0
+_LOOK_S = 0.02
 
 
 class LaunchError(DeltaqError):
@@ -119,7 +121,9 @@ class Launcher:
     def restart(self, name: str, timeout_s: float = START_TIMEOUT_S) -> None:
         """Start a service again that has ended; raises as `start` does."""
         self.stop_service(name)
-        self._start([service for service in self.services if service.name == name], timeout_s)
+        again = [service for service in self.services if service.name == name]
+        self._wait_for_ports(again)
+        self._start(again, timeout_s)
 
     def wait(self, timeout_s: float | None = None) -> LauncherEvent | None:
         """The next event, or None if there is none within `timeout_s`."""
@@ -220,6 +224,17 @@ class Launcher:
                         f"{', '.join(sorted(pending))} did not serve within {timeout_s:g} s"
                         + "".join(self._quote(name) for name in sorted(pending))
                     )
+
+    def _wait_for_ports(self, services: Sequence[Service]) -> None:
+        """Wait while a robot whose Robot Server has died is still braked, which keeps its port."""
+        end = time.monotonic() + PORT_PATIENCE_S
+        while time.monotonic() < end:
+            try:
+                check_ports(services)
+            except LaunchError:
+                time.sleep(_LOOK_S)
+            else:
+                return
 
     def _secrets_of(self, service: Service) -> dict[str, str]:
         """What a service's environment has of secrets, besides those that the user gave."""

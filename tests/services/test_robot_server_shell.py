@@ -2,6 +2,7 @@
 
 import re
 import socket
+import threading
 from collections import Counter
 from types import SimpleNamespace
 
@@ -239,3 +240,15 @@ def test_no_telegram_is_waited_for_longer_than_asked(bench):
     prepared = expected(bench)
     assert not bench.server.answer(prepared, lambda: False, 0.0)
     assert bench.server.read(0.048) is None
+
+
+def test_a_port_that_is_let_go_of_in_time_is_waited_for_and_one_line_says_so(bench, capsys):
+    driver = FR.driver.model_copy(update={"port": free_ports(1)[0]})
+    holder = socket.socket(type=socket.SOCK_DGRAM)
+    holder.bind((driver.address, driver.port))
+    freed = threading.Timer(0.1, holder.close)
+    freed.start()
+    with KrcSocket(driver, 0.25, bench.rsi, Counter(), patience_s=30.0):
+        freed.join()
+    told = f"waits for UDP {driver.address}:{driver.port}: a robot may still be braked there\n"
+    assert capsys.readouterr().out == told

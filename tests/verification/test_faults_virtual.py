@@ -1,6 +1,5 @@
 """Faults in virtual time: what they do to a robot at cruising speed, and what it takes to go on."""
 
-import math
 from pathlib import Path
 
 import pytest
@@ -110,13 +109,12 @@ def test_a_leap_of_the_controller_passes_no_limit(lab):
     assert row.kept.abrupt_cycles == 0
 
 
-def test_after_a_dead_robot_server_the_krc_holds_its_last_correction_without_a_brake(lab):
+def test_after_a_dead_robot_server_its_robot_is_braked_all_the_same(lab):
     row = run_fault(fault_named("robot-server-dead"), lab, "fr")
-    assert row.good  # explained by unanswered cycles, and by nothing else
-    assert row.motion.rest_after_s <= 0.03
-    assert row.motion.travel_rad <= math.radians(0.5)
-    assert row.kept.abrupt_cycles == 1
-    assert row.recovery == "restart of the robot-server, KRC: acknowledge and restart, reset"
+    assert row.good
+    assert 0.03 < row.motion.rest_after_s < 0.1
+    assert row.kept.abrupt_cycles == 0
+    assert row.recovery == "restart of the robot-server, KRC: restart, reset"
 
 
 def test_replies_that_are_lost_make_the_robot_stand_for_a_cycle_and_never_jump(lab):
@@ -149,7 +147,8 @@ def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
     arm.kill()
     cycle(10)
     arm.start()
-    cycle(20)
+    arm.krc.restart()  # the process beside the one that died has ended its motion
+    cycle(60)
     stack.stop()
     cycle(60)
     assert arm.state.phase == "held"  # nobody has reset it

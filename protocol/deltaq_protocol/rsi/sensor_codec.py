@@ -100,6 +100,14 @@ class SensorCodec:
         """Number of joints, the length of every vector taken or returned."""
         return len(self.axes.joints)
 
+    @property
+    def template(self) -> tuple[bytes, tuple[int, ...]]:
+        """A reply, and what belongs in each of its places.
+
+        That is an index into corrections [deg or mm], then outputs, then text, IPOC and stop.
+        """
+        return self._template, tuple(self._places)
+
     def _compile_decoder(self, inputs: Mapping[str, str]) -> None:
         by_name = {
             (field.group, field.attribute): field

@@ -27,6 +27,8 @@ class UsualTelegrams:
 
     Attributes:
         order: (n,) which joint each of those is that `joints` returns.
+        pattern: regular expression of a whole telegram.
+        programmed: beginnings of the elements that hold the programmed position; none if it is not sent.
     """
 
     def __init__(self, config: EthernetConfig, axes: AxisMap) -> None:
@@ -44,8 +46,10 @@ class UsualTelegrams:
 
         pattern = document("Rob", '(?i:Type)="KUKA"', send_fields(config), value, _GAP)
         pattern = f"{_GAP}{pattern.replace('%IPOC%', '[0-9]{1,10}+')}{_GAP}"
+        self.pattern = pattern
         self._match = re.compile(pattern.encode()).fullmatch
         self._steady = tuple(f"<{group} ".encode() for group in steady)
+        self.programmed = tuple(f"<{group} " for group in steady if group != "Delay")
         self.order = tuple(order)
 
     def joints(self, datagram: bytes) -> tuple[bytes, ...] | None:

@@ -83,6 +83,11 @@ class RobotServer:
         return self._state
 
     @property
+    def motion(self) -> SetpointMotion:
+        """What was sent last, and the brake that follows it."""
+        return self._motion
+
+    @property
     def at_rest(self) -> bool:
         """Whether the brake has ended, no probe is to be undone, and the drives have had the time to catch up."""
         return self._settling.at_rest and self._mode.idle

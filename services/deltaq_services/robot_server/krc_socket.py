@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
 import struct
@@ -17,6 +18,7 @@ from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
+from deltaq_services.robot_server.crash_watch import CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.prepared_reply import PreparedReply
@@ -24,6 +26,9 @@ from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 _DATAGRAM_BYTES = MAX_TELEGRAM_BYTES + 1
 """Read of a datagram: enough to see that it is too long."""
+
+_LOOK_S = 0.02
+"""Between two tries to have an address that is taken."""
 
 MOST_WAITING = 1024
 """Datagrams drained before one is answered: more than a socket holds, so that nothing but a flood is cut short."""
@@ -40,24 +45,32 @@ class KrcSocket:
         silence_s: after which the KRC may come from another port.
         rsi: reads telegrams.
         counters: where everything else is counted.
+        patience_s: to wait for the address: the brake after a Robot Server's death holds it until its robot rests.
 
     Attributes:
         peer: who is answered.
         newest: the datagram that was read last; empty if none was valid.
-        came_s: when `answer` had one, on the monotonic clock.
+        came_s: when it came, on the monotonic clock.
+        watch: where a record of every setpoint is left before it is sent; None if none is.
 
     Raises:
         ServiceUnreachableError: if the address cannot be had, or that of the KRC is not known.
     """
 
     def __init__(
-        self, driver: RsiDescription, silence_s: float, rsi: RsiDriver, counters: Counter[str]
+        self,
+        driver: RsiDescription,
+        silence_s: float,
+        rsi: RsiDriver,
+        counters: Counter[str],
+        patience_s: float = 0.0,
     ) -> None:
         self.peer = Peer(_resolved(driver.krc_address), silence_s)
         self._rsi = rsi
         self._counters = counters
         self.newest, self.came_s = b"", 0.0
-        self._sock = _bound(driver)
+        self.watch: CrashWatch | None = None
+        self._sock = _bound(driver, patience_s)
         self._sender: Address | None = None
         self._taken: tuple[bytes, Address] | None = None
         self._incoming = select.poll()
@@ -71,6 +84,11 @@ class KrcSocket:
     ) -> None:
         self._sock.close()
 
+    @property
+    def socket(self) -> socket.socket:
+        """The socket itself, for who shall answer the KRC after this process."""
+        return self._sock
+
     def wait(self, seconds: float) -> bool:
         """Wait so long for a datagram; whether there is one."""
         return bool(select.select([self._sock], [], [], max(0.0, seconds))[0])
@@ -80,7 +98,8 @@ class KrcSocket:
         """Details of the KRC, for people."""
         step = self._rsi.session.step
         ipoc = "" if step is None else f"IPOC grows by {step} a cycle"
-        return "; ".join(filter(None, (self._rsi.detail, self.peer.stranger, ipoc)))
+        watch = "" if self.watch is None else self.watch.detail
+        return "; ".join(filter(None, (watch, self._rsi.detail, self.peer.stranger, ipoc)))
 
     def answer(self, prepared: PreparedReply, is_void: Callable[[], bool], seconds: float) -> bool:
         """Wait for a datagram, and answer it if it is the telegram that a reply was prepared for.
@@ -116,7 +135,7 @@ class KrcSocket:
         if not self._rsi.allows(prepared.correction):
             return False
         self._sender = sender
-        self.send(prepared.reply)
+        self.send_setpoint(prepared.reply, prepared.record)
         return True
 
     def rehearse(self, prepared: PreparedReply) -> None:
@@ -135,7 +154,7 @@ class KrcSocket:
         Returns:
             What it measures; None if there is none to be answered with a setpoint, see `RsiDriver.read`.
         """
-        self._rsi.unmoved, self.newest = None, b""
+        self._rsi.unmoved, self.newest, self.came_s = None, b"", now_s
         waiting = self._drain(now_s, alone)
         while waiting:
             datagram, sender = waiting.pop()
@@ -153,6 +172,16 @@ class KrcSocket:
             self.peer.believed(sender, now_s)
             return measured
         return None
+
+    def send_setpoint(self, reply: bytes, record: bytes | None) -> None:
+        """Answer the telegram that was read last, and leave a record of it before; see `CrashWatch.write`."""
+        if self.watch is None:
+            self.send(reply)
+            return
+        assert self._sender is not None  # there is no reply without a telegram
+        self.watch.write(record, self._sender, self.came_s)
+        self.send(reply)
+        self.watch.sent()
 
     def send(self, reply: bytes) -> None:
         """Answer the telegram that was read last."""
@@ -208,17 +237,26 @@ def _resolved(address: str | None) -> str | None:
         ) from error
 
 
-def _bound(driver: RsiDescription) -> socket.socket:
+def _bound(driver: RsiDescription, patience_s: float) -> socket.socket:
+    place = f"UDP {driver.address}:{driver.port}"
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        sock.bind((driver.address, driver.port))
-    except OSError as error:
-        sock.close()
-        raise ServiceUnreachableError(
-            f"cannot listen for RSI on UDP {driver.address}:{driver.port}: {error.strerror}; "
-            "is another Robot Server running, or the address not this machine's?"
-        ) from error
-    return sock
+    end_s, told = time.monotonic() + patience_s, False
+    while True:
+        try:
+            sock.bind((driver.address, driver.port))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE and time.monotonic() < end_s:
+                if not told:
+                    print(f"waits for {place}: a robot may still be braked there", flush=True)
+                told = True
+                time.sleep(_LOOK_S)
+                continue
+            sock.close()
+            raise ServiceUnreachableError(
+                f"cannot listen for RSI on {place}: {error.strerror}; "
+                "is another Robot Server running, or the address not this machine's?"
+            ) from error
+        return sock
 
 
 def _timeval(seconds: float) -> bytes:

@@ -18,6 +18,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ADRIFT, ModeProbe
 from deltaq_services.robot_server.plausibility import Plausibility
@@ -43,6 +44,7 @@ class Preparation:
         rsi: its driver, which is only asked what it would send.
         telegrams: of its KRC.
         axes: its joints.
+        records: makes those that are left before replies; None if none are.
     """
 
     def __init__(
@@ -52,9 +54,10 @@ class Preparation:
         rsi: RsiDriver,
         telegrams: UsualTelegrams,
         axes: AxisMap,
+        records: CrashRecordMaker | None = None,
     ) -> None:
         robot = cell.robots[server.robot]
-        self._server, self._rsi, self._telegrams = server, rsi, telegrams
+        self._server, self._rsi, self._telegrams, self._records = server, rsi, telegrams, records
         self._ahead = RobotServer(cell, server.robot, server.process)
         self._units = axes.reported
         plausible = Plausibility.of(robot, cell.cycle_s)
@@ -97,6 +100,11 @@ class Preparation:
         if sent is None:
             return None
         reply, correction = sent
+        record = None
+        if self._records is not None:
+            motion = self._ahead.motion
+            left = self._records.record(datagram, ipoc, correction, setpoint.outputs, motion)
+            record = self._records.body(left)
         order = list(telegrams.order)
         least, most = (lower * self._units)[order], (upper * self._units)[order]
         return PreparedReply(
@@ -107,6 +115,7 @@ class Preparation:
             tuple((most - _HAIR * (1.0 + np.abs(most))).tolist()),
             correction,
             reply,
+            record,
         )
 
     def _calm(self, memory: ServerMemory, q: Array) -> _Range:

@@ -23,6 +23,7 @@ class PreparedReply:
             reply is this one.
         correction: (n,) of the reply [rad or m].
         reply: the bytes.
+        record: what to leave before it is sent, see `CrashRecordMaker`.
     """
 
     telegrams: UsualTelegrams
@@ -32,6 +33,7 @@ class PreparedReply:
     upper: tuple[float, ...]
     correction: tuple[float, ...]
     reply: bytes
+    record: bytes | None = None
 
     def is_for(self, datagram: bytes) -> bool:
         """Whether a datagram of the KRC is the telegram that was expected."""

@@ -184,6 +184,17 @@ class RsiDriver:
         assert self._sent is not None  # asked only after a reply
         return self._origin + self._sent
 
+    @property
+    def correction(self) -> tuple[float, ...]:
+        """(n,) correction that was sent last [rad or m]."""
+        assert self._sent is not None  # asked only after a reply
+        return tuple(self._sent.tolist())
+
+    @property
+    def limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Least and greatest correction of the session, (n,) each [rad or m]."""
+        return tuple(self._lower), tuple(self._upper)
+
     def snapshot(self) -> DriverMemory:
         """Snapshot of all that answers depend on, for `restore`."""
         session, earlier = self.session.snapshot(), tuple(self._earlier)

@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
@@ -66,6 +68,7 @@ class RsiLoop:
         preparation: of replies; None where none is prepared.
         cycle_s: sample time.
         silence_s: after which a KRC counts as silent.
+        records: makes those that are left before replies; None if none are.
     """
 
     def __init__(
@@ -78,10 +81,11 @@ class RsiLoop:
         preparation: Preparation | None,
         cycle_s: float,
         silence_s: float,
+        records: CrashRecordMaker | None = None,
     ) -> None:
         self._server, self._rsi, self._krc = server, rsi, krc
         self._link, self._ending, self._preparation = link, ending, preparation
-        self._cycle_s, self._silence_s = cycle_s, silence_s
+        self._cycle_s, self._silence_s, self._records = cycle_s, silence_s, records
         self._lead = Lead(cycle_s)
         self._silent_s = 0.0
         self._prepare_s = math.inf
@@ -161,7 +165,7 @@ class RsiLoop:
         stop = self._ending.stop or setpoint.motion_stop
         reply = self._rsi.reply(setpoint.q_cmd, setpoint.outputs, stop)
         if prepared is None:
-            self._krc.send(reply)
+            self._krc.send_setpoint(reply, self._recorded(measured.ipoc, setpoint.outputs))
         elif reply == prepared.reply:
             self._server.counters["prepared_replies"] += 1
         else:
@@ -169,6 +173,12 @@ class RsiLoop:
             return
         if self._rsi.fault is not None:
             self._server.reply_refused(self._rsi.q_sent)
+
+    def _recorded(self, ipoc: int, outputs: Mapping[str, bool]) -> bytes | None:
+        """The record to leave before a reply."""
+        if self._records is None:
+            return None
+        return self._records.body(self._records.of_last(self._krc.newest, ipoc, outputs, self._server.motion))
 
     def _disagree(self, prepared: PreparedReply) -> None:
         """Something else was decided than what was sent: hold where the robot was sent."""

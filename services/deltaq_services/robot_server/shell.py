@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
+from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.crash_brake import PORT_PATIENCE_S, CrashPlan
+from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_watch import CrashWatch
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket
@@ -55,23 +60,58 @@ def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> Senso
 
 
 def preparation(
-    cell: CellDescription, server: RobotServer, rsi: RsiDriver, ethernet_xml: Path
+    cell: CellDescription,
+    server: RobotServer,
+    rsi: RsiDriver,
+    ethernet_xml: Path,
+    records: CrashRecordMaker | None = None,
 ) -> Preparation:
     """What prepares the replies of a robot, from the file that its KRC has loaded."""
     description = cell.robots[server.robot]
     assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
     axes = AxisMap.of(description.joint_names, description.units, description.driver.krc)
-    return Preparation(cell, server, rsi, UsualTelegrams(load_ethernet_xml(ethernet_xml), axes), axes)
+    telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), axes)
+    return Preparation(cell, server, rsi, telegrams, axes, records)
+
+
+def crash_plan(cell: CellDescription, robot: str, ethernet_xml: Path) -> CrashPlan:
+    """What has to be known to brake a robot whose Robot Server has died, from the file that its KRC has loaded."""
+    description = cell.robots[robot]
+    driver = description.driver
+    assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
+    codec = sensor_codec(cell, robot, ethernet_xml)
+    telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), codec.axes)
+    template, places = codec.template
+    return CrashPlan(
+        pattern=telegrams.pattern,
+        elements=telegrams.programmed,
+        most_bytes=MAX_TELEGRAM_BYTES,
+        template=template.decode(),
+        places=places,
+        commanded=tuple(codec.axes.commanded.tolist()),
+        outputs=len(driver.outputs),
+        most=tuple((description.max_velocity * cell.cycle_s).tolist()),
+        cycle_s=cell.cycle_s,
+        silence_s=cell.gate.krc_timeout_s,
+        lag_cycles=math.ceil(cell.gate.servo_lag_s / cell.cycle_s),
+        has_stop=driver.stop is not None,
+    )
 
 
 def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescription, xml: Path) -> None:
     rsi = RsiDriver(sensor_codec(cell, server.robot, xml), cell, server.robot, server.counters)
-    prepares = preparation(cell, server, rsi, xml) if driver.prepared_replies else None
+    plan = crash_plan(cell, server.robot, xml)
+    records = CrashRecordMaker(plan, rsi, tuple(driver.outputs))
+    prepares = preparation(cell, server, rsi, xml, records) if driver.prepared_replies else None
     link = GuardedLink(cell, server.robot, server.counters)
     silence_s = cell.gate.krc_timeout_s
     try:
-        with KrcSocket(driver, silence_s, rsi, server.counters) as krc:
-            loop = RsiLoop(server, rsi, krc, link, Ending(server), prepares, cell.cycle_s, silence_s)
+        with (
+            KrcSocket(driver, silence_s, rsi, server.counters, PORT_PATIENCE_S) as krc,
+            CrashWatch(plan, krc.socket) as krc.watch,
+        ):
+            ending = Ending(server)
+            loop = RsiLoop(server, rsi, krc, link, ending, prepares, cell.cycle_s, silence_s, records)
             print(
                 f"ready: robot-server-{server.robot} waits for its KRC on {driver.address}:{driver.port}",
                 flush=True,

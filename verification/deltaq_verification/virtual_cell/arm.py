@@ -17,6 +17,9 @@ from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.outputs import ToRobot
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.crash_brake import CrashBrake, CrashPlan
+from deltaq_services.robot_server.crash_record import LastReply
+from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
@@ -113,7 +116,7 @@ class KrcArm(VirtualArm):
     Args:
         krc: the emulated controller.
         driver: makes the driver of a Robot Server's process.
-        krc_timeout_s: silence after which the Robot Server says so.
+        plan: of the brake after a Robot Server's death.
         seed: of the wire's random numbers.
 
     Attributes:
@@ -127,7 +130,7 @@ class KrcArm(VirtualArm):
         self,
         krc: Krc,
         driver: Callable[[RobotServer], RsiDriver],
-        krc_timeout_s: float,
+        plan: CrashPlan,
         seed: int,
         begin: Callable[[int], RobotServer],
         publish: Callable[[ServerState], None],
@@ -136,7 +139,8 @@ class KrcArm(VirtualArm):
         self.krc = krc
         self.to_pc, self.from_pc = FaultyLink(seed), FaultyLink(seed + 1)
         self.bombard: Callable[[bytes], tuple[bytes, Address]] | None = None
-        self._driver, self._krc_timeout_s = driver, krc_timeout_s
+        self._driver, self._plan, self._krc_timeout_s = driver, plan, plan.silence_s
+        self._telegrams = plan.telegrams()
         self._others: list[tuple[bytes, Address]] = []
         self._sent_s = 0.0
         super().__init__(begin, krc.sample.q, publish, now)
@@ -160,6 +164,18 @@ class KrcArm(VirtualArm):
         self._peer = Peer(None, self._krc_timeout_s)
         self._unanswered: bytes | None = None
         self._heard_s = self._now()
+        self._answered: tuple[bytes, int] | None = None
+        self._crash_brake: CrashBrake | None = None
+
+    def kill(self) -> None:
+        """End the Robot Server at once; the process beside it brakes the robot."""
+        if self.life is not Life.DEAD and self._answered is not None:
+            maker = CrashRecordMaker(self._plan, self._rsi, tuple(self.server.outputs))
+            record = maker.of_last(*self._answered, self.server.outputs, self.server.motion)
+            if record is not None:
+                found = LastReply(record, _KRC, self._heard_s, was_sent=True)
+                self._crash_brake = CrashBrake(self._plan, found, self._telegrams)
+        super().kill()
 
     def thaw(self) -> None:
         """Let the Robot Server go on; of the telegrams that came meanwhile it answers the newest."""
@@ -187,6 +203,11 @@ class KrcArm(VirtualArm):
         if self.life is Life.RUNNING:
             for datagram, sender in [*((own, _KRC) for own in arrived), *others]:
                 self._read(datagram, now_s, sender)
+        elif self.life is Life.DEAD and self._crash_brake is not None:
+            waiting = [*((own, _KRC) for own in arrived), *others]
+            reply = self._crash_brake.answer(waiting, now_s)
+            if reply is not None:
+                self.from_pc.put(now_s, reply)
         for datagram in self.from_pc.take(now_s):
             self.krc.receive(datagram, now_s - self._sent_s)
 
@@ -215,6 +236,7 @@ class KrcArm(VirtualArm):
             return
         self._heard_s = now_s
         setpoint = self._answer(measured, now_s)
+        self._answered = datagram, measured.ipoc
         self.from_pc.put(now_s, self._rsi.reply(setpoint.q_cmd, setpoint.outputs, setpoint.motion_stop))
         if self._rsi.fault is not None:
             self.server.reply_refused(self._rsi.q_sent)

@@ -20,6 +20,7 @@ from deltaq_protocol.messages import Message, ResetRequest, RobotState, Status, 
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
 from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
+from deltaq_services.robot_server.shell import crash_plan
 from deltaq_services.sim.core import Sim
 from deltaq_verification.virtual_cell.arm import KrcArm, VirtualArm
 from deltaq_verification.virtual_cell.clients import (
@@ -315,5 +316,5 @@ class VirtualCell:
         if xml is None:
             return VirtualArm(begin, q, self._publish, lambda: self.now_s)
         krc, driver = self._loaded.krc(name, q, xml), partial(self._loaded.driver, xml)
-        silence_s = self.cell.description.gate.krc_timeout_s
-        return KrcArm(krc, driver, silence_s, seed, begin, self._publish, lambda: self.now_s)
+        plan = crash_plan(self.cell.description, name, xml)
+        return KrcArm(krc, driver, plan, seed, begin, self._publish, lambda: self.now_s)

@@ -1,0 +1,161 @@
+"""The record that a Robot Server leaves in shared memory before each reply: what follows it should the process die.
+
+There are two places, written in turn. A kill may tear the one that is being written; its checksum tells, and the one
+before it counts. Behind them stands the number of the record whose reply was handed to the network.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import NamedTuple
+
+PeerAddress = tuple[str, int]
+"""Host, as four numbers with dots, and port."""
+
+_SUM = struct.Struct("=I")
+_HEAD = struct.Struct("=Qd4sH")
+_CYCLE = struct.Struct("=IIqIII")
+SENT = struct.Struct("@Q")
+"""Number of the record whose reply was sent last."""
+NOTHING = 0
+"""No record has this number."""
+
+
+@dataclass(frozen=True, slots=True)
+class CrashRecord:
+    """One reply, and the brake that follows it.
+
+    Attributes:
+        ipoc, late, programmed: of the telegram that it answers, see `PlainTelegram`.
+        ipoc_step: by which the IPOC grows.
+        outputs: digital outputs, in the order of the cell.
+        correction: (n,) of the reply [rad or m].
+        plan_dq: (n,) increment that was admitted last [rad or m].
+        brake_cycles: length of the brake that follows it.
+        step: of that brake, as in the reply.
+        lower, upper: (n,) bounds of a correction in this session [rad or m].
+    """
+
+    ipoc: int
+    late: int
+    programmed: int
+    ipoc_step: int
+    outputs: tuple[bool, ...]
+    correction: tuple[float, ...]
+    plan_dq: tuple[float, ...]
+    brake_cycles: int
+    step: int
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing moves any more."""
+        return self.step >= self.brake_cycles
+
+
+class LastReply(NamedTuple):
+    """What a Robot Server left.
+
+    Attributes:
+        record: of its last reply.
+        peer: who was answered.
+        time_s: when its telegram came, on the monotonic clock.
+        was_sent: whether the reply is known to have been handed to the network; it may have been if not.
+    """
+
+    record: CrashRecord
+    peer: PeerAddress
+    time_s: float
+    was_sent: bool
+
+
+class CrashRecords:
+    """The layout of one robot's records.
+
+    Args:
+        joints: number of joints.
+        outputs: number of digital outputs.
+
+    Attributes:
+        size: bytes of a record.
+        total: bytes of all that lies in memory.
+    """
+
+    def __init__(self, joints: int, outputs: int) -> None:
+        self._joints, self._outputs = joints, outputs
+        self._values = struct.Struct(f"={4 * joints}d{outputs}?")
+        self._bytes = _SUM.size + _HEAD.size + _CYCLE.size + self._values.size
+        self.size = -(-self._bytes // SENT.size) * SENT.size
+        self.sent_at = 2 * self.size
+        self.total = self.sent_at + SENT.size
+
+    def body(self, record: CrashRecord) -> bytes:
+        """All of a record that is known before its telegram comes."""
+        cycle = _CYCLE.pack(
+            record.ipoc,
+            record.ipoc_step,
+            record.late,
+            record.programmed,
+            record.brake_cycles,
+            record.step,
+        )
+        values = (*record.correction, *record.plan_dq, *record.lower, *record.upper, *record.outputs)
+        return cycle + self._values.pack(*values)
+
+    def sealed(self, body: bytes, number: int, peer: PeerAddress, time_s: float) -> tuple[int, bytes]:
+        """Where a record belongs, and its bytes.
+
+        Args:
+            body: of the record.
+            number: one more than that of the record before.
+            peer: who is answered.
+            time_s: when the telegram came.
+        """
+        host, port = peer
+        rest = _HEAD.pack(number, time_s, bytes(map(int, host.split("."))), port) + body
+        return (number & 1) * self.size, _SUM.pack(zlib.crc32(rest)) + rest
+
+    def newest(self, memory: bytes) -> LastReply | None:
+        """The newest whole record; None if there is none that can be trusted.
+
+        A record whose follower was sent already says nothing of where the KRC is.
+        """
+        (sent,) = SENT.unpack_from(memory, self.sent_at)
+        whole = [
+            found for place in (0, self.size) if (found := self._unsealed(memory[place:][: self._bytes]))
+        ]
+        if not whole:
+            return None
+        number, record, peer, time_s = max(whole, key=lambda each: each[0])
+        return None if sent > number else LastReply(record, peer, time_s, sent == number)
+
+    def _unsealed(self, sealed: bytes) -> tuple[int, CrashRecord, PeerAddress, float] | None:
+        (checksum,) = _SUM.unpack_from(sealed)
+        if zlib.crc32(sealed[_SUM.size :]) != checksum:
+            return None
+        number, time_s, host, port = _HEAD.unpack_from(sealed, _SUM.size)
+        if number == NOTHING:
+            return None
+        begins = _SUM.size + _HEAD.size
+        ipoc, ipoc_step, late, programmed, brake_cycles, step = _CYCLE.unpack_from(sealed, begins)
+        values = self._values.unpack_from(sealed, begins + _CYCLE.size)
+        n = self._joints
+        correction, plan_dq, lower, upper = (values[k * n : (k + 1) * n] for k in range(4))
+        outputs = values[4 * n :]
+        record = CrashRecord(
+            ipoc,
+            late,
+            programmed,
+            ipoc_step,
+            outputs,
+            correction,
+            plan_dq,
+            brake_cycles,
+            step,
+            lower,
+            upper,
+        )
+        return number, record, (".".join(map(str, host)), port), time_s

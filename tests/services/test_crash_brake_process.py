@@ -1,0 +1,180 @@
+"""The process that brakes a robot whose Robot Server has died: real processes, a real socket, no cell."""
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from crash_bench import PLAN, CrashSide
+
+from deltaq_protocol.brake import brake_increment
+
+SUPPORT = Path(__file__).parents[1] / "support"
+WAITS_S = 20.0
+ROUNDING = 2e-8
+
+
+class Beside:
+    """A server in motion, the process beside it, and the KRC that both speak to."""
+
+    def __init__(self, krc, sock, server):
+        self.krc, self.sock, self.server = krc, sock, server
+        port, self.pid = map(int, server.stdout.readline().split())
+        self.place = ("127.0.0.1", port)
+        self.descriptor = os.pidfd_open(self.pid)
+
+    def ask(self):
+        """One telegram of the KRC, and the reply to it."""
+        self.krc.tick()
+        self.sock.sendto(self.krc.own(), self.place)
+        told = self.krc.codec.decode(self.sock.recv(4096))
+        assert told.ipoc == self.krc.ipoc
+        return told
+
+    def has_ended(self, seconds=WAITS_S):
+        """Whether the process beside it ends within so long."""
+        return bool(select.select([self.descriptor], [], [], seconds)[0])
+
+    def assert_brakes(self):
+        """It sends the brake, and the stop in the end, and ends."""
+        state = self.krc.server.state
+        dq, n = np.array(state.plan.dq), state.plan.brake_cycles
+        expected = np.array(self.krc.driver.correction)
+        for step in range(1, n + 1 + PLAN.lag_cycles):
+            told = self.ask()
+            expected = expected + brake_increment(dq, n, step)
+            assert told.correction == pytest.approx(expected, abs=ROUNDING)
+            assert not told.outputs["stop"]
+        for _ in range(3):
+            told = self.ask()
+            assert told.correction == pytest.approx(expected, abs=ROUNDING)
+            assert told.outputs["stop"]
+        assert self.has_ended()
+
+    def assert_port_is_free(self):
+        with socket.socket(type=socket.SOCK_DGRAM) as free:
+            free.bind(self.place)
+
+
+@contextmanager
+def beside(krc=None):
+    krc = krc or CrashSide().begin().run_up(4)
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(WAITS_S)
+        body = krc.record(krc.own()).hex()
+        path = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
+        with subprocess.Popen(
+            [sys.executable, str(SUPPORT / "dying_server.py"), body, str(sock.getsockname()[1])],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=os.environ | {"PYTHONPATH": path},
+            start_new_session=True,
+            text=True,
+        ) as server:
+            beside = Beside(krc, sock, server)
+            try:
+                yield beside
+            finally:
+                server.kill()
+                assert beside.has_ended()
+                os.close(beside.descriptor)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGABRT])
+def test_a_server_that_is_killed_leaves_a_robot_that_is_braked(number):
+    with beside() as both:
+        both.server.send_signal(number)
+        both.assert_brakes()
+        both.assert_port_is_free()
+        assert "its robot was braked" in both.server.stdout.read()
+
+
+def test_a_kill_of_its_process_group_and_signals_to_end_do_not_reach_it():
+    with beside() as both:
+        for ending in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            os.kill(both.pid, ending)
+        os.killpg(both.server.pid, signal.SIGKILL)
+        for ending in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            os.kill(both.pid, ending)
+        both.assert_brakes()
+
+
+def test_a_server_that_fails_has_its_robot_braked_before_it_ends():
+    with beside() as both:
+        both.server.stdin.write("fail\n")
+        both.server.stdin.flush()
+        both.assert_brakes()
+        assert "ended" in both.server.stdout.read()
+        assert both.server.wait(WAITS_S) == 1
+        both.assert_port_is_free()
+
+
+def test_a_server_that_ends_as_it_should_takes_it_along():
+    with beside() as both:
+        both.server.terminate()
+        assert both.server.wait(WAITS_S) == 0
+        assert both.has_ended(0)
+        assert both.server.stdout.read() == "ended\n"
+
+
+def test_without_a_krc_it_ends_by_itself():
+    with beside() as both:
+        both.server.kill()
+        assert both.has_ended()
+
+
+def test_while_the_server_lives_it_answers_nobody():
+    with beside() as both:
+        both.krc.tick()
+        both.sock.sendto(both.krc.own(), both.place)
+        both.sock.settimeout(5 * PLAN.cycle_s)
+        with pytest.raises(TimeoutError):
+            both.sock.recv(4096)
+
+
+def test_it_loads_no_library_of_the_cell():
+    with beside() as both:
+        mapped = Path(f"/proc/{both.pid}/maps").read_text(encoding="utf-8")
+    assert not [name for name in ("numpy", "zenoh", "pinocchio", "openblas") if name in mapped]
+
+
+def test_its_server_dumps_no_core_for_which_it_would_have_to_wait():
+    with beside() as both:
+        limits = Path(f"/proc/{both.server.pid}/limits").read_text(encoding="utf-8")
+    line = next(line for line in limits.splitlines() if line.startswith("Max core file size"))
+    assert line.split()[4] in ("0", "1")
+
+
+def test_who_is_asked_for_the_krc_is_the_one_of_the_record():
+    with beside() as both, socket.socket(type=socket.SOCK_DGRAM) as other:
+        both.server.kill()
+        other.bind(("127.0.0.1", 0))
+        both.krc.tick()
+        other.sendto(both.krc.own(), both.place)
+        both.krc.ipoc -= 12
+        both.assert_brakes()
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            other.recv(4096)
+
+
+def test_it_is_there_long_before_a_cycle_is_over():
+    """From the kill until its reply: what is measured is told, and judged by a KRC's timeout alone."""
+    with beside() as both:
+        both.krc.tick()
+        both.sock.sendto(both.krc.own(), both.place)
+        begin = time.perf_counter()
+        both.server.kill()
+        both.sock.recv(4096)
+        took = time.perf_counter() - begin
+    print(f"answered {took * 1e3:.2f} ms after the kill")
+    assert took < PLAN.silence_s
