@@ -203,6 +203,43 @@ def test_a_reply_to_a_telegram_of_an_earlier_session_does_not_end_a_trial():
     steps = np.diff(np.concatenate([np.zeros((1, 6)), PULSES, np.zeros((1, 6))]), axis=0)
     assert not pulses.explains(-steps[0])
     assert all(pulses.explains(step) for step in steps)
-    pulses.begin()
+    assert not pulses.begin(np.zeros(6))
     assert all(pulses.explains(-step) for step in steps)
     assert not pulses.explains(-steps[0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_pulse_goes_on_however_often_sessions_change_within_it(sign):
+    pulses = Pulses(PULSES, 2 * ROUNDING)
+    steps = np.diff(np.concatenate([PULSES, np.zeros((1, 6))]), axis=0)
+    for offset, step in zip(PULSES, steps, strict=True):
+        assert pulses.begin(sign * offset)
+        assert pulses.begin(sign * offset)
+        assert pulses.explains(sign * step)
+    assert not pulses.begin(np.zeros(6))
+    assert not pulses.begin(2.0 * PULSES.max() * np.ones(6))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_replies_to_another_session_in_the_middle_of_a_pulse_are_a_probe_s_and_more_than_that_is_nobody_s(
+    sign,
+):
+    wire = Wire()
+    krc, codec = wire.krc, wire.krc.driver._codec
+    here, there = krc.q, krc.q + 0.01
+    amplitude = sign * PULSES[len(PULSES) // 2]
+
+    def answered(programmed, correction):
+        krc.tick()
+        wire.passed.append((DatagramOrigin.TELEGRAM, telegram(krc.ipoc, programmed, programmed)))
+        wire.passed.append((DatagramOrigin.REPLY, codec.encode(krc.ipoc, correction, {})))
+
+    for programmed in (here, there, here, there, here):
+        answered(programmed, np.zeros(6))
+        answered(programmed, np.zeros(6))
+    for programmed in (there, here, there):
+        answered(programmed, amplitude)
+    assert wire.judge()["by a probe"] == probed + 3
+    answered(here, amplitude + 1e-4)
+    with pytest.raises(UnexplainedError):
+        wire.judge()

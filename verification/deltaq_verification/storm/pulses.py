@@ -16,6 +16,7 @@ class Pulses:
     """
 
     def __init__(self, offsets: Array, within: float) -> None:
+        self._offsets = offsets
         rest = np.zeros((1, offsets.shape[1]))
         self._steps = np.diff(np.concatenate([rest, offsets, rest]), axis=0)
         self._within = within
@@ -23,13 +24,23 @@ class Pulses:
         self._away = np.zeros(offsets.shape[1])
         self._sign = 1.0
 
-    def begin(self) -> None:
-        """Nothing is added now: a session begins, or a telegram of an earlier one is answered within a trial.
+    def begin(self, correction: Array) -> bool:
+        """A session begins, or a telegram of another one is answered in the middle of a trial.
 
-        So the negative pulse may still follow.
+        Args:
+            correction: (n,) of the first reply.
+
+        Returns:
+            Whether a pulse is under way there, which then goes on: either may be, however often sessions change.
         """
-        self._next = []
-        self._away = np.zeros_like(self._away)
+        for sign in (1.0, -1.0):
+            for done, offset in enumerate(self._offsets, 1):
+                if np.any(offset) and self._near(correction, sign * offset):
+                    self._away, self._sign = sign * offset, -sign
+                    self._next = [sign * step for step in self._steps[done:]]
+                    return True
+        self._end()
+        return False
 
     def explains(self, moved: Array) -> bool:
         """Whether the pulse goes on with a step (n,), ends early with it, or begins with it at rest."""
@@ -38,7 +49,7 @@ class Pulses:
                 self._step(self._next)
                 return True
             if self._near(moved, -self._away):  # a mode that is refused ends its trial
-                self.begin()
+                self._end()
                 return True
         for sign in dict.fromkeys(
             (self._sign, 1.0)
@@ -50,6 +61,10 @@ class Pulses:
                 self._sign = -sign
                 return True
         return False
+
+    def _end(self) -> None:
+        self._next = []
+        self._away = np.zeros_like(self._away)
 
     def _step(self, steps: list[Array]) -> None:
         self._away = self._away + steps[0]

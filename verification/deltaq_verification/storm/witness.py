@@ -121,7 +121,10 @@ class Witness:
             # another session of the KRC's program, which begins without a correction
             self.counts["sessions"] += 1
             self._origin, self._correction, self._course = origin, np.zeros_like(reply.correction), []
-            self._pulses.begin()
+            if self._pulses.begin(reply.correction):
+                self._correction = reply.correction
+                self.counts["by a probe"] += 1
+                return
         moved = reply.correction - self._correction
         setpoint = self._correction if origin is None else np.array(origin) + self._correction
         self._correction = reply.correction
