@@ -222,9 +222,10 @@ def test_a_pulse_goes_on_however_often_sessions_change_within_it(sign):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_replies_to_another_session_in_the_middle_of_a_pulse_are_a_probe_s_and_more_than_that_is_nobody_s(
-    sign,
+    wire, sign
 ):
-    wire = Wire()
+    wire.drive()
+    probed = wire.judge()["by a probe"]
     krc, codec = wire.krc, wire.krc.driver._codec
     here, there = krc.q, krc.q + 0.01
     amplitude = sign * PULSES[len(PULSES) // 2]
