@@ -21,7 +21,7 @@ from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.guarded_key import KEY_FILE
-from deltaq_services.robot_server.crash_brake import PORT_PATIENCE_S
+from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 
 SHOWN_LINES = 12
 GRACE_S = 5.0

@@ -9,8 +9,8 @@ from crash_bench import PEER, PLAN, RECORDS, TELEGRAMS, CrashSide
 from krc_side import CELL, FR, MAX_DV, XML
 
 from deltaq_protocol.brake import brake_cycles, brake_increment
-from deltaq_services.robot_server.crash_brake import STOP_CYCLES, CrashBrake, CrashPlan
-from deltaq_services.robot_server.crash_record import SENT
+from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES, CrashBrake, CrashPlan
+from deltaq_services.robot_server.crash_brake.record import SENT
 from deltaq_services.robot_server.shell import sensor_codec
 
 ROUNDING = 2e-8

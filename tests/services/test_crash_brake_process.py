@@ -94,6 +94,7 @@ def test_a_server_that_is_killed_leaves_a_robot_that_is_braked(number):
     with beside() as both:
         both.server.send_signal(number)
         both.assert_brakes()
+        assert both.server.wait(WAITS_S) == -number  # the kernel may still be taking its memory away
         both.assert_port_is_free()
         assert "its robot was braked" in both.server.stdout.read()
 

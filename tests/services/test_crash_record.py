@@ -7,7 +7,7 @@ from crash_bench import PEER, RECORDS, CrashSide
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_services.robot_server.crash_record import SENT, CrashRecord, CrashRecords
+from deltaq_services.robot_server.crash_brake.record import SENT, CrashRecord, CrashRecords
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 

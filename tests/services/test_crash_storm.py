@@ -13,7 +13,7 @@ import pytest
 from crash_bench import PEER, CrashSide
 from krc_side import FR, MAX_DV
 
-from deltaq_services.robot_server.crash_brake import STOP_CYCLES
+from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES
 
 ROUNDING = 2e-8
 _MOST = FR.max_velocity * 0.012

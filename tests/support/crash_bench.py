@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from krc_side import CELL, FR, XML, KrcSide
 
-from deltaq_services.robot_server.crash_brake import CrashBrake
-from deltaq_services.robot_server.crash_record import SENT, CrashRecords
-from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_brake.core import CrashBrake
+from deltaq_services.robot_server.crash_brake.record import SENT, CrashRecords
+from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
 from deltaq_services.robot_server.shell import crash_plan
 
 PEER = ("192.0.2.17", 49152)

@@ -11,7 +11,7 @@ import time
 
 from crash_bench import PLAN
 
-from deltaq_services.robot_server.crash_watch import CrashWatch
+from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 
 
 def main() -> None:

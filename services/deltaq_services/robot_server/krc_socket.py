@@ -18,7 +18,7 @@ from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.rsi import TelegramError
 from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
-from deltaq_services.robot_server.crash_watch import CrashWatch
+from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.prepared_reply import PreparedReply

@@ -18,7 +18,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.rsi import AxisMap
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ADRIFT, ModeProbe
 from deltaq_services.robot_server.plausibility import Plausibility

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 
 from deltaq_protocol.guarded import Admission, Supervision
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket

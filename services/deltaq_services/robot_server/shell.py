@@ -13,9 +13,9 @@ from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.crash_brake import PORT_PATIENCE_S, CrashPlan
-from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
-from deltaq_services.robot_server.crash_watch import CrashWatch
+from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S, CrashPlan
+from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
 from deltaq_services.robot_server.krc_socket import KrcSocket

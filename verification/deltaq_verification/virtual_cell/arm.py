@@ -17,9 +17,9 @@ from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.outputs import ToRobot
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.crash_brake import CrashBrake, CrashPlan
-from deltaq_services.robot_server.crash_record import LastReply
-from deltaq_services.robot_server.crash_record_maker import CrashRecordMaker
+from deltaq_services.robot_server.crash_brake.core import CrashBrake, CrashPlan
+from deltaq_services.robot_server.crash_brake.record import LastReply
+from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver

@@ -16,10 +16,10 @@ import socket
 import sys
 import time
 
-from deltaq_services.robot_server.crash_brake import CrashBrake, CrashPlan
-from deltaq_services.robot_server.crash_memory import CrashMemory
-from deltaq_services.robot_server.crash_record import CrashRecords, PeerAddress
-from deltaq_services.robot_server.plain_telegram import PlainTelegrams
+from deltaq_services.robot_server.crash_brake.core import CrashBrake, CrashPlan
+from deltaq_services.robot_server.crash_brake.memory import CrashMemory
+from deltaq_services.robot_server.crash_brake.plain_telegram import PlainTelegrams
+from deltaq_services.robot_server.crash_brake.record import CrashRecords, PeerAddress
 
 _MOST_WAITING = 1024
 """Datagrams drained before one is answered."""

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-from deltaq_services.robot_server.crash_record import LastReply, PeerAddress
-from deltaq_services.robot_server.plain_telegram import MAX_IPOC, PlainTelegram, PlainTelegrams
+from deltaq_services.robot_server.crash_brake.plain_telegram import MAX_IPOC, PlainTelegram, PlainTelegrams
+from deltaq_services.robot_server.crash_brake.record import LastReply, PeerAddress
 from deltaq_services.robot_server.reply_guard import reply_fault
 
 PORT_PATIENCE_S = 3.0

@@ -6,8 +6,8 @@ import struct
 from collections.abc import Mapping
 
 from deltaq_protocol.setpoint_motion import SetpointMotion
-from deltaq_services.robot_server.crash_brake import CrashPlan
-from deltaq_services.robot_server.crash_record import CrashRecord, CrashRecords
+from deltaq_services.robot_server.crash_brake.core import CrashPlan
+from deltaq_services.robot_server.crash_brake.record import CrashRecord, CrashRecords
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 
 

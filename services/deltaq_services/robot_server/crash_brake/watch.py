@@ -13,11 +13,11 @@ from types import TracebackType
 from typing import Self
 
 from deltaq_protocol.endpoint import Address
-from deltaq_services.robot_server.crash_brake import CrashPlan
-from deltaq_services.robot_server.crash_memory import CrashMemory
-from deltaq_services.robot_server.crash_record import CrashRecords
+from deltaq_services.robot_server.crash_brake.core import CrashPlan
+from deltaq_services.robot_server.crash_brake.memory import CrashMemory
+from deltaq_services.robot_server.crash_brake.record import CrashRecords
 
-_PROCESS = "deltaq_services.robot_server.crash_brake_process"
+_PROCESS = "deltaq_services.robot_server.crash_brake.process"
 
 
 class CrashWatch:

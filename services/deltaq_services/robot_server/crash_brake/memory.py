@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import mmap
 
-from deltaq_services.robot_server.crash_record import NOTHING, SENT, CrashRecords, LastReply, PeerAddress
-from deltaq_services.robot_server.owner_mutex import MUTEX_BYTES, OwnerMutex
+from deltaq_services.robot_server.crash_brake.owner_mutex import MUTEX_BYTES, OwnerMutex
+from deltaq_services.robot_server.crash_brake.record import (
+    NOTHING,
+    SENT,
+    CrashRecords,
+    LastReply,
+    PeerAddress,
+)
 
 _FLAGS_BYTES = 8
 _ARMED, _RELEASED = 0, 1
