@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 import os
 import queue
 import signal
@@ -26,6 +28,8 @@ from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 SHOWN_LINES = 12
 GRACE_S = 5.0
 START_TIMEOUT_S = 60.0
+HEED_S = 0.5
+"""After which a signal is heeded at the latest."""
 _LOOK_S = 0.02
 
 
@@ -127,16 +131,22 @@ class Launcher:
 
     def wait(self, timeout_s: float | None = None) -> LauncherEvent | None:
         """The next event, or None if there is none within `timeout_s`."""
-        try:
-            event = self._events.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
+        event = self._next_event(math.inf if timeout_s is None else time.monotonic() + timeout_s)
         match event:
             case Ready(name):
                 self.ready.add(name)
             case Exited(name):
                 self.ready.discard(name)
         return event
+
+    def _next_event(self, until_s: float) -> LauncherEvent | None:
+        # a signal that comes right before this thread falls asleep is heeded when it wakes, so it wakes now and then
+        while True:
+            left_s = until_s - time.monotonic()
+            with contextlib.suppress(queue.Empty):
+                return self._events.get(timeout=min(max(left_s, 0.0), HEED_S))
+            if left_s <= HEED_S:
+                return None
 
     def stop_service(self, name: str) -> None:
         """End one service; its output can still be read."""

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import textwrap
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -236,3 +237,12 @@ def test_ready_is_the_line_that_begins_so() -> None:
     with Launcher([service("sim", code)], nothing) as launcher:
         launcher.start()
         assert launcher.last_lines("sim") == ["not ready: yet", "ready: here"]
+
+
+def test_a_signal_that_does_not_wake_the_launcher_is_heeded_all_the_same() -> None:
+    # as one that comes right before it falls asleep: the handler is due, and nothing interrupts the wait
+    with Launcher((), lambda *_: None) as launcher:
+        elsewhere = threading.Timer(0.2, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGTERM))
+        elsewhere.start()
+        assert launcher.wait(30.0) == Interrupted(signal.SIGTERM)
+        elsewhere.join()
