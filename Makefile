@@ -57,9 +57,8 @@ test: $(INSTALLED) ## lint, types, rooms, tests
 test-live: $(INSTALLED) $(COMPILED)
 	$(BIN)/pytest -m live
 
-# three at a time: some wait for a process or for a silence
 test-rest: $(INSTALLED) $(COMPILED)
-	nice -n 10 $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not live'
+	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live'
 
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take no time
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not long'

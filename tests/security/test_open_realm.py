@@ -243,7 +243,7 @@ async def test_a_lease_over_tcp_is_good_for_its_connection_alone(running: Runnin
             assert not reply["granted"]
         io = await thief.ask("io", type="io", robot="fr", outputs={"x": True}, lease=token)
         assert io["type"] == "error"
-        line["cycle"] = running.peer.cycle
+        line["cycle"] = await running.peer.turn()  # a state of now, however long the above took
         assert (await holder.ask("verdict", seq=2, **line))["outcome"] == "admitted"
 
 
