@@ -132,7 +132,9 @@ class Death:
         return self.krc.own(programmed=FR.home + draw.uniform(0.001, 1.0)), PEER
 
 
-@pytest.mark.parametrize("block", range(8))
+@pytest.mark.parametrize(
+    "block", [0, *(pytest.param(block, marks=pytest.mark.nightly) for block in range(1, 8))]
+)
 def test_whatever_the_wire_does_the_robot_stays_on_the_line_of_its_brake_and_comes_to_rest(block):
     rested = 0
     for seed in range(100 * block, 100 * block + 100):
