@@ -189,6 +189,24 @@ def test_a_session_that_begins_anew_has_no_correction(wire):
         wire.judge()
 
 
+def test_a_forgery_with_an_ipoc_of_an_earlier_session_is_answered_in_the_one_that_it_repeats():
+    wire = Wire()
+    krc, codec = wire.krc, wire.krc.driver._codec
+    earlier, elsewhere = krc.ipoc, FR.home + 0.01
+    wire.passed.append((DatagramOrigin.TELEGRAM, telegram(earlier, elsewhere, elsewhere)))
+    wire.passed.append((DatagramOrigin.REPLY, codec.encode(earlier, np.zeros(6), {})))
+    krc.tick(40)
+    wire.begin().drive()
+    assert krc.correction.any()
+    sessions = wire.judge()["sessions"]
+    wire.passed.append((DatagramOrigin.FORGERY, telegram(earlier, krc.q, krc.q_programmed)))
+    wire.passed.append((DatagramOrigin.REPLY, codec.encode(earlier, krc.correction, {})))
+    assert wire.judge()["sessions"] == sessions
+    wire.move_last(1e-4)
+    with pytest.raises(UnexplainedError):
+        wire.judge()
+
+
 def test_the_forger_makes_every_kind_and_most_of_them_seem_to_be_somebody_else_s():
     forger = Forger(0)
     assert forger.forge() is None

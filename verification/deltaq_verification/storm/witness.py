@@ -64,7 +64,7 @@ class Witness:
         self.counts: Counter[str] = Counter()
         self._of_krc, self._of_server = of_krc, of_server
         self._pulses = Pulses(pulses, 2 * ROUNDING)
-        self._programmed: OrderedDict[int, Origin] = OrderedDict()
+        self._programmed: OrderedDict[int, tuple[Origin, ...]] = OrderedDict()
         self._origins: set[Origin] = set()
         self._origin: Origin | None = None
         self._correction = np.zeros(of_krc.joints)
@@ -95,7 +95,7 @@ class Witness:
         if telegram.q_programmed is not None:
             origin = tuple(telegram.q_programmed.tolist())
             self._origins.add(origin)
-            self._remember(telegram.ipoc, origin)
+            self._remember(telegram.ipoc, (origin,))
 
     def _forgery(self, datagram: bytes) -> None:
         """What is forged may be answered, in the session whose programmed position it repeats."""
@@ -103,20 +103,21 @@ class Witness:
             telegram = self._of_krc.decode(datagram)
         except TelegramError:
             return
-        if telegram.q_programmed is not None and telegram.ipoc not in self._programmed:
+        if telegram.q_programmed is not None:
             origin = tuple(telegram.q_programmed.tolist())
-            if origin in self._origins:
-                self._remember(telegram.ipoc, origin)
+            known = self._programmed.get(telegram.ipoc, ())
+            if origin in self._origins and origin not in known:
+                self._remember(telegram.ipoc, (*known, origin))
 
-    def _remember(self, ipoc: int, origin: Origin) -> None:
-        self._programmed[ipoc] = origin
+    def _remember(self, ipoc: int, origins: tuple[Origin, ...]) -> None:
+        self._programmed[ipoc] = origins
         while len(self._programmed) > _REMEMBERED:
             self._programmed.popitem(last=False)
 
     def _reply(self, datagram: bytes, admitted: Admitted) -> None:
         reply = self._of_server.decode(datagram)
         self.counts["replies"] += 1
-        origin = self._programmed.get(reply.ipoc, self._origin)
+        origin = self._answered_in(reply.ipoc)
         if origin != self._origin:
             # another session of the KRC's program, which begins without a correction
             self.counts["sessions"] += 1
@@ -130,6 +131,11 @@ class Witness:
         self._correction = reply.correction
         if not self._is_at_rest(moved):
             self._step(setpoint, moved, admitted)
+
+    def _answered_in(self, ipoc: int) -> Origin | None:
+        """The session of the telegram that is answered: the present one, unless no telegram of that IPOC was of it."""
+        origins = self._programmed.get(ipoc, ())
+        return self._origin if self._origin in origins or not origins else origins[-1]
 
     def _is_at_rest(self, moved: Array) -> bool:
         if not (np.abs(moved) <= ROUNDING).all() or (self._course and _near(moved, self._course[0])):
