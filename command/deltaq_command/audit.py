@@ -53,7 +53,7 @@ def audit(
     if torn[0]:
         console_of_errors = console(typer.get_text_stream("stderr"))
         console_of_errors.print(
-            f"{torn[0]} lines are no entries: a crash tore them, or another version wrote them"
+            f"lines that are no entries: {torn[0]}; a crash tore them, or another version wrote them"
         )
 
 

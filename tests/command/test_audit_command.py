@@ -48,7 +48,7 @@ def test_it_shows_the_newest_over_rotated_files_and_passes_over_torn_lines(tmp_p
     log.write_bytes(entry(4, "chief", "fr") + b'{"half')
     done = deltaq("audit", str(log), "--json", "--lines", "3")
     assert [json.loads(line)["time_s"] for line in done.stdout.splitlines()] == [2.0, 3.0, 4.0]
-    assert done.stderr.startswith("2 lines are no entries")
+    assert done.stderr.startswith("lines that are no entries: 2;")
     done = deltaq("audit", str(log), "--json", "--client", "mallory", "--robot", "fr")
     assert [json.loads(line)["time_s"] for line in done.stdout.splitlines()] == [3.0]
     table = deltaq("audit", str(log)).stdout

@@ -7,7 +7,7 @@ from collections import Counter
 from types import SimpleNamespace
 
 import pytest
-from krc_side import CELL, FR, XML, telegram
+from krc_side import CELL, FR, XML, preparing, telegram
 from private_cell import free_ports
 
 from deltaq_protocol.errors import ServiceUnreachableError
@@ -161,7 +161,7 @@ def expected(bench):
     bench.believe()
     server = RobotServer(CELL, "fr", process=1)
     server.take(Measurement(1036, FR.home, FR.home), 0.036)
-    prepared = preparation(CELL, server, bench.rsi, XML).after(bench.server.newest, False, 0.04)
+    prepared = preparation(preparing(), server, bench.rsi, XML).after(bench.server.newest, False, 0.04)
     assert b"<IPOC>1048</IPOC>" in prepared.reply
     bench.krc.settimeout(WAITS_S)
     return prepared
@@ -169,6 +169,10 @@ def expected(bench):
 
 def answer(bench, prepared, is_void=False):
     return bench.server.answer(prepared, lambda: is_void, WAITS_S)
+
+
+def test_nothing_is_prepared_unless_the_cell_wants_it(bench):
+    assert preparation(CELL, RobotServer(CELL, "fr", process=1), bench.rsi, XML) is None
 
 
 def test_the_expected_telegram_is_answered_with_the_prepared_reply_and_read_after(bench):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from krc_side import CELL, FR, KRC, XML, telegram
+from krc_side import CELL, FR, KRC, XML, preparing, telegram
 from private_cell import free_ports
 
 from deltaq_cell.identity import content_identity
@@ -39,7 +39,7 @@ class Rig:
         self.rsi = RsiDriver(sensor_codec(cell, "fr", XML), cell, "fr", self.server.counters)
         self.link = GuardedLink(cell, "fr", self.server.counters)
         self.socket = KrcSocket(driver, 0.25, self.rsi, self.server.counters)
-        prepares = preparation(cell, self.server, self.rsi, XML)
+        prepares = preparation(preparing(cell), self.server, self.rsi, XML)
         self.loop = RsiLoop(
             self.server, self.rsi, self.socket, self.link, Ending(self.server), prepares, cell.cycle_s, 0.25
         )

@@ -5,21 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from leasing_client import LeasingClient
 
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.in_flight import Ahead, InFlight
-from deltaq_protocol.messages import (
-    Increment,
-    LeaseAction,
-    LeaseReply,
-    LeaseRequest,
-    Message,
-    RobotState,
-    Verdict,
-)
+from deltaq_protocol.messages import Message, RobotState, Verdict
 
 
-class AnsweringClient:
+class AnsweringClient(LeasingClient):
     """Answers the states of a robot without waiting for verdicts, or with waiting for the one before.
 
     Args:
@@ -29,7 +22,6 @@ class AnsweringClient:
         waits: for the verdict on each increment before it answers another state, for up to four cycles.
 
     Attributes:
-        answers: whether it answers states; a controller that gets no processor time does not.
         hears: is asked of each verdict whether it comes to the controller.
         expected: by cycle, the setpoint (n,) that it reckoned with last [rad or m].
         counted: first verdicts that came, by outcome, and `given up`.
@@ -42,30 +34,18 @@ class AnsweringClient:
         increment: Callable[[Ahead], Array],
         waits: bool = False,
     ) -> None:
-        self.robot, self.token = robot, None
-        self.answers = False
+        super().__init__(say, robot)
         self.hears: Callable[[Verdict], bool] = lambda _: True
         self.in_flight = InFlight()
         self.expected: dict[int, Array] = {}
         self.counted: dict[str, int] = {}
-        self._say, self._increment, self._waits = say, increment, waits
-        self._seq = 0
+        self._increment, self._waits = increment, waits
         self._awaited: tuple[int, int] | None = None
         self._unanswered: RobotState | None = None
 
-    def acquire(self) -> None:
-        """Ask for the lease."""
-        self._say(LeaseRequest(robot=self.robot, action=LeaseAction.ACQUIRE, client="answering"))
-
-    def take(self, message: Message) -> None:
-        """The HLI has said something."""
-        if isinstance(message, LeaseReply):
-            self.token = message.lease
-        elif isinstance(message, Verdict):
-            if self.hears(message):
-                self.tell(message)
-        elif isinstance(message, RobotState) and self.answers:
-            self._answer(message)
+    def take_verdict(self, verdict: Verdict) -> None:
+        if self.hears(verdict):
+            self.tell(verdict)
 
     def tell(self, verdict: Verdict) -> None:
         """A verdict comes to the controller."""
@@ -74,9 +54,9 @@ class AnsweringClient:
         if self.in_flight.take(verdict):
             self._count(verdict.outcome.value)
         if self._waits and self._unanswered is not None:
-            self._answer(self._unanswered)
+            self.take_state(self._unanswered)
 
-    def _answer(self, state: RobotState) -> None:
+    def take_state(self, state: RobotState) -> None:
         self._unanswered = state
         if self._waits and self._awaited is not None and state.cycle < self._awaited[1] + 4:
             return
@@ -90,8 +70,7 @@ class AnsweringClient:
             # before it is sent: on a perfect wire the verdict comes while it is
             self.in_flight.sent(self._seq, dq, cycle)
             self._awaited = self._seq, state.cycle
-            asked = tuple(dq.tolist())
-            self._say(Increment(robot=self.robot, seq=self._seq, cycle=cycle, dq=asked, lease=self.token))
+            self.ask(cycle, tuple(dq.tolist()))
         for _ in range(self.in_flight.take_given_up()):
             self._count("given up")
 

@@ -5,16 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from leasing_client import LeasingClient
+
 from deltaq_emulator.faults import FaultyLink, LinkFaults
-from deltaq_protocol.messages import (
-    Increment,
-    LeaseAction,
-    LeaseReply,
-    LeaseRequest,
-    Message,
-    RobotState,
-    Verdict,
-)
+from deltaq_protocol.messages import Message, RobotState, Verdict
 from deltaq_verification.virtual_cell.wires import MessageWire
 
 
@@ -54,32 +48,23 @@ class DelayedWire(MessageWire):
         return messages
 
 
-class JitteryClient:
+class JitteryClient(LeasingClient):
     """Answers each state of a robot with the same increment, and keeps the verdicts.
 
     Args:
         say: sends to the HLI.
+        robot: that it drives.
         dq: the increment [rad or m].
     """
 
     def __init__(self, say: Callable[[Message], None], robot: str, dq: tuple[float, ...]) -> None:
-        self.robot, self.token = robot, None
-        self.answers = False
+        super().__init__(say, robot)
         self.verdicts: list[Verdict] = []
-        self._say, self._dq, self._seq = say, dq, 0
+        self._dq = dq
 
-    def acquire(self) -> None:
-        """Ask for the lease."""
-        self._say(LeaseRequest(robot=self.robot, action=LeaseAction.ACQUIRE, client="jittery"))
+    def take_verdict(self, verdict: Verdict) -> None:
+        self.verdicts.append(verdict)
 
-    def take(self, message: Message) -> None:
-        """The HLI has said something."""
-        if isinstance(message, LeaseReply):
-            self.token = message.lease
-        elif isinstance(message, Verdict):
-            self.verdicts.append(message)
-        elif isinstance(message, RobotState) and self.answers:
-            self._seq += 1
-            self._say(
-                Increment(robot=self.robot, seq=self._seq, cycle=message.cycle, dq=self._dq, lease=self.token)
-            )
+    def take_state(self, state: RobotState) -> None:
+        self._seq += 1
+        self.ask(state.cycle, self._dq)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import telegram_storm
-from krc_side import AXES, CELL, EPOCH, FR, XML, KrcSide, telegram
+from krc_side import AXES, EPOCH, FR, XML, KrcSide, preparing, telegram
 from telegram_storm import Storm
 
 from deltaq_protocol.guarded import Supervision
@@ -69,7 +69,7 @@ class PreparedKrcSide(DecidedKrcSide):
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
-        self.preparation = preparation(CELL, self.server, self.driver, XML)
+        self.preparation = preparation(preparing(), self.server, self.driver, XML)
         self.newest = b""
         self.prompt = 0
 

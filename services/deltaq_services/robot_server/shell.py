@@ -65,10 +65,12 @@ def preparation(
     rsi: RsiDriver,
     ethernet_xml: Path,
     records: CrashRecordMaker | None = None,
-) -> Preparation:
-    """What prepares the replies of a robot, from the file that its KRC has loaded."""
+) -> Preparation | None:
+    """What prepares a robot's replies, from the file that its KRC has loaded; None if its cell does not want it."""
     description = cell.robots[server.robot]
     assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
+    if not description.driver.prepared_replies:
+        return None
     axes = AxisMap.of(description.joint_names, description.units, description.driver.krc)
     telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), axes)
     return Preparation(cell, server, rsi, telegrams, axes, records)
@@ -102,7 +104,7 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
     rsi = RsiDriver(sensor_codec(cell, server.robot, xml), cell, server.robot, server.counters)
     plan = crash_plan(cell, server.robot, xml)
     records = CrashRecordMaker(plan, rsi, tuple(driver.outputs))
-    prepares = preparation(cell, server, rsi, xml, records) if driver.prepared_replies else None
+    prepares = preparation(cell, server, rsi, xml, records)
     link = GuardedLink(cell, server.robot, server.counters)
     silence_s = cell.gate.krc_timeout_s
     try:
