@@ -76,9 +76,10 @@ nightly: $(INSTALLED) ## the long proofs
 mutation: $(INSTALLED) ## change gate and guards in small ways, and see each change fail a test; takes a while
 	$(BIN)/python tests/mutation/judge_mutants.py $(JOBS) $(MODULES)
 
-docs: $(INSTALLED) ## write docs/reference, and in deploy compose.yaml, foxglove and grafana, anew from the code
+docs: $(INSTALLED) ## write docs/reference, and in deploy compose files, systemd, foxglove and grafana, anew from the code
 	$(BIN)/python -m deltaq_command.reference
 	$(BIN)/python -m deltaq_launch.compose
+	$(BIN)/python -m deltaq_launch.systemd
 	$(BIN)/python -m deltaq_deploy.foxglove
 	$(BIN)/python -m deltaq_deploy.grafana
 
@@ -91,7 +92,7 @@ wheels: $(INSTALLED) ## the wheels that the image installs, so that its build ne
 	  --no-build-isolation -w build/wheels '.[all]'
 
 image: wheels ## build the container image deltaq
-	docker build --build-arg BASE=$(BASE) -f deploy/Dockerfile -t deltaq .
+	docker build --build-arg BASE=$(BASE) --build-arg WHEELS=build/wheels -f deploy/Dockerfile -t deltaq .
 
 container-test: image ## bring the stack up on a real engine and move a robot from outside
 	$(BIN)/pytest -m container --timeout 600

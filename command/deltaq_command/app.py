@@ -16,6 +16,7 @@ from deltaq_command import (
     drive,
     fault,
     installation,
+    keys,
     krc,
     metrics,
     operate,
@@ -42,6 +43,7 @@ app = typer.Typer(
 app.command(rich_help_panel=RUN)(up.up)
 app.command(rich_help_panel=RUN)(demo.demo)
 app.command(rich_help_panel=RUN)(installation.key)
+app.command(rich_help_panel=RUN)(keys.keys)
 app.command(rich_help_panel=WATCH)(watch.status)
 app.command(rich_help_panel=WATCH)(watch.top)
 app.command(rich_help_panel=WATCH)(streams.echo)

@@ -15,7 +15,18 @@ if TYPE_CHECKING:
 
     from deltaq_protocol.audit import AuditEntry
 
-_COLUMNS = ("time (UTC)", "count", "what", "outcome", "robot", "client", "address", "role", "told")
+_COLUMNS = (
+    "time (UTC)",
+    "count",
+    "what",
+    "outcome",
+    "robot",
+    "client",
+    "identity",
+    "address",
+    "role",
+    "told",
+)
 
 
 def audit(
@@ -25,7 +36,9 @@ def audit(
     cell: CellOption = "lab",
     lines: Annotated[int, typer.Option(min=1, help="So many of the newest entries.")] = 40,
     robot: Annotated[str | None, typer.Option(help="Only entries of this robot.")] = None,
-    client: Annotated[str | None, typer.Option(help="Only entries of clients of this name.")] = None,
+    client: Annotated[
+        str | None, typer.Option(help="Only entries of clients of this name, said or proved.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Show who did what: leases, stops, resets, outputs, contacts, and every refused attempt."""
@@ -42,7 +55,7 @@ def audit(
         entry
         for part in (path, *older(path))
         for entry in reversed(list(_entries(part, torn)))
-        if robot in (None, entry.robot) and client in (None, entry.client)
+        if robot in (None, entry.robot) and client in (None, entry.client, entry.identity)
     )
     shown = list(islice(newest_first, lines))[::-1]
     if json:
@@ -77,5 +90,5 @@ def _row(entry: AuditEntry) -> tuple[object, ...]:
     told = f"{entry.code}: {entry.text}" if entry.code else entry.text
     return (
         entry.time_utc.removesuffix("+00:00"), entry.count, entry.what, entry.outcome, entry.robot,
-        entry.client, entry.address, entry.role, told,
+        entry.client, entry.identity, entry.address, entry.role, told,
     )  # fmt: skip

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from deltaq_launch.services import Service
+
 PIPE_WIDTH = 160
 """A pipe has no width of its own; a table may be this wide."""
 _COLOURS = ("cyan", "green", "magenta", "yellow", "blue", "bright_red", "bright_cyan", "bright_green")
@@ -68,6 +70,23 @@ def prefixed_log(target: Console, names: Iterable[str]) -> Callable[[str, str], 
 
     def show(name: str, line: str) -> None:
         target.print(Text.assemble((f"{name:<{width}} │ ", colours.get(name, "white")), line))
+
+    return show
+
+
+def json_log(services: Iterable[Service]) -> Callable[[str, str], None]:
+    """A function that prints a service's line as JSON: as it is, or around what somebody else's code printed."""
+    from deltaq_protocol.log import json_line, read_json_line
+
+    known = {service.name: service for service in services}
+
+    def show(name: str, line: str) -> None:
+        if read_json_line(line) is None:
+            service = known.get(name)
+            kind, robot = (name, None) if service is None else (str(service.role), service.robot)
+            line = json_line(kind, line, robot=robot)
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
 
     return show
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from deltaq_command.errors import BAD
 from deltaq_command.options import CellOption, JsonOption
+
+if TYPE_CHECKING:
+    from deltaq_cell.check import CheckReport
 
 
 def check(
@@ -23,7 +26,7 @@ def check(
     from deltaq_cell.never_checked import Why
     from deltaq_command.console import print_json
 
-    report = check_cell(cell)
+    report = _with_identity(check_cell(cell))
     if json:
         print_json(report.as_dict())
     else:
@@ -44,6 +47,25 @@ def check(
                 typer.echo(f"{robot}: never checked, since {why}: {', '.join(named)}")
     if not report.ok:
         raise typer.Exit(BAD)
+
+
+def _with_identity(report: CheckReport) -> CheckReport:
+    """The same with what is wrong with the identity that the environment names, if it names one."""
+    import os
+    from dataclasses import replace
+
+    from deltaq_cell.load import load_cell
+    from deltaq_cell.problems import Problem
+    from deltaq_protocol.certified.names import IDENTITY
+
+    named = os.environ.get(IDENTITY)
+    if not named or not report.ok:
+        return report
+    from deltaq_services.service_identity import identity_faults
+
+    faults = identity_faults(load_cell(report.cell), Path(named))
+    found = [Problem(IDENTITY, 0, "", text, severity=severity) for severity, text in faults]
+    return replace(report, problems=(*report.problems, *found))
 
 
 def schema(
@@ -88,7 +110,10 @@ def key(
     file: Annotated[Path, typer.Argument(help="File to write.")],
     keep: Annotated[bool, typer.Option("--keep", help="Leave a key that is there already as it is.")] = False,
 ) -> None:
-    """Make a key for services on several machines, or started one by one, in a file that only its owner may read."""
+    """Make one key for services that are started one by one, in a file that only its owner may read.
+
+    On several machines give each service an identity of its own instead: `deltaq keys`.
+    """
     from deltaq_services.guarded_key import KEY_FILE, write_new_key
 
     write_new_key(file, keep=keep)

@@ -23,8 +23,10 @@ def metrics(
 
     from deltaq_launch.cell_connection import Where
     from deltaq_protocol.errors import ServiceUnreachableError
+    from deltaq_protocol.log import configure
     from deltaq_services.metrics.shell import Exporter
 
+    configure("metrics")
     exporter = Exporter(Where.of(cell, url).hli)
     with contextlib.suppress(KeyboardInterrupt):
         try:

@@ -33,6 +33,14 @@ def up(
         ),
     ] = "",
     no_audit: Annotated[bool, typer.Option("--no-audit", help="Write no audit log.")] = False,
+    log_format: Annotated[
+        str,
+        typer.Option(
+            metavar="text|json",
+            envvar="DELTAQ_LOG_FORMAT",
+            help="How services log: lines to read, or one JSON object a line.",
+        ),
+    ] = "text",
 ) -> None:
     """Start the services of a cell on this machine, one process each; Ctrl-C brings the robots to rest."""
     from contextlib import nullcontext
@@ -40,7 +48,7 @@ def up(
 
     from deltaq_cell.find import find_cell
     from deltaq_cell.load import load_cell
-    from deltaq_command.console import console, prefixed_log
+    from deltaq_command.console import console, json_log, prefixed_log
     from deltaq_command.progress import shown_compiled_ahead
     from deltaq_launch.bring_to_rest import bring_to_rest
     from deltaq_launch.launcher import Launcher
@@ -53,10 +61,13 @@ def up(
         recorder,
         select,
     )
+    from deltaq_protocol.log import FORMAT, LogFormat, log_format_named
     from deltaq_services.hli.client_tokens import client_roles
     from deltaq_services.hli.line_encryption import line_encryption
     from deltaq_services.process import AUDIT_FILE
 
+    chosen = log_format_named(log_format)
+    os.environ[FORMAT] = chosen  # the services inherit it
     description = load_cell(cell)
     audit_file, why_none = (None, "") if no_audit else audit_file_of(audit, description.cell)
     os.environ.pop(AUDIT_FILE, None)  # the HLI is told by its arguments, or not at all
@@ -77,8 +88,8 @@ def up(
         # refuse an open realm that other machines reach, and tokens in the clear
         client_roles(description)
         line_encryption(description)
-    output = console()
-    log = prefixed_log(output, [service.name for service in services])
+    names = [service.name for service in services]
+    log = json_log(services) if chosen is LogFormat.JSON else prefixed_log(console(), names)
     launcher = Launcher(services, log, partial(bring_to_rest, description, "deltaq up"))
     has_gate = any(service.role is Role.SIM for service in services)
     with shown_compiled_ahead([]) if has_gate else nullcontext(), launcher:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import logging
 import math
 from functools import partial
 from typing import Any
@@ -21,6 +22,8 @@ from deltaq_controllers.live import cell_model, drive, model_of, run
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
+
+_log = logging.getLogger(__name__)
 
 
 class FollowerProcess:
@@ -49,7 +52,7 @@ class FollowerProcess:
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
-            print(f"ready: {options.robot} follows {options.leader}", flush=True)
+            _log.info("ready: %s follows %s", options.robot, options.leader)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
@@ -70,6 +73,11 @@ class FollowerProcess:
         settled = view.own.time_s - self._began_s >= options.settle_s
         self._angle.add(angle, settled)
         self._distance.add(distance, settled)
+
+    @property
+    def robot(self) -> str:
+        """The robot with the camera."""
+        return str(self._options.robot)
 
     def summary(self) -> dict[str, Any]:
         """The figures as one JSON object."""
@@ -126,7 +134,7 @@ def main() -> int:
         help="start-up that rms and max leave out (default: %(default)s)",
     )
     process = FollowerProcess(parser.parse_args())
-    return run(process.follow(), process.summary)
+    return run(process.follow(), process.summary, "follower", process.robot)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import json
+import logging
 import signal
 import sys
 from collections.abc import Callable, Coroutine, Mapping
@@ -19,10 +19,13 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.answers import Answers
 from deltaq_controllers.interface import Controller, ControllerError, View
 from deltaq_controllers.statistics import ControlStatistics
+from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Description
+
+_log = logging.getLogger(__name__)
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses: refused, wrong usage, unreachable."""
@@ -103,22 +106,32 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def run(controller: Coroutine[Any, Any, None], summary: Callable[[], dict[str, Any]]) -> int:
+def run(
+    controller: Coroutine[Any, Any, None], summary: Callable[[], dict[str, Any]], name: str, robot: str
+) -> int:
     """Run a controller's process to its end, print one JSON line, and return the exit status.
 
     Args:
         controller: the coroutine; SIGTERM and SIGINT cancel it, which brings the robot to rest.
         summary: what to print when it has ended.
+        name: of the controller, for what it logs.
+        robot: that it moves.
     """
+    try:
+        log.configure(name, robot)
+    except log.LogFormatError as error:
+        controller.close()
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return USAGE
     try:
         asyncio.run(_until_told(controller))
     except DeltaqError as error:
-        print(f"error: {error}", file=sys.stderr, flush=True)
-        print(json.dumps(summary()), flush=True)
+        _log.error("%s", error)
+        log.say_result(summary())
         if isinstance(error, ServiceUnreachableError):
             return UNREACHABLE
         return REFUSED if isinstance(error, RefusedError) else USAGE
-    print(json.dumps(summary()), flush=True)
+    log.say_result(summary())
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import logging
 import signal
 import sys
 from collections.abc import Sequence
@@ -18,12 +19,16 @@ from deltaq_emulator.context import NOTHING, Context, read_context
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
+from deltaq_emulator.record_folder import RecordFolder
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
 from deltaq_emulator.shell import Emulator
+from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap, load_ethernet_xml
+
+_log = logging.getLogger(__name__)
 
 
 def _address(text: str) -> Address:
@@ -40,6 +45,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--cell", required=True, help="name of a cell, or path of its YAML file")
     parser.add_argument("--robot", required=True, help="name of the robot in the cell")
     parser.add_argument("--record", type=Path, metavar="FILE.csv", help="write every cycle to this file")
+    parser.add_argument(
+        "--records", type=Path, metavar="FOLDER", help="let the panel begin records in this folder"
+    )
     parser.add_argument(
         "--settings", type=Path, default=SHIPPED, metavar="FILE.yaml", help="of the controller"
     )
@@ -116,13 +124,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda received, _frame: stop_signals.append(received))
     try:
+        log.configure("emulator", arguments.robot)
         settings, context = KrcSettings.load(arguments.settings), read_context(arguments.context)
         krc, driver = build(arguments.cell, arguments.robot, settings, context)
         server = arguments.server or (driver.address, driver.port)
         panel = arguments.panel
         if panel is None and driver.control_port is not None:
             panel = (driver.address, driver.control_port)
-        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed, arguments.address)
+        records = None if arguments.records is None else RecordFolder(arguments.records)
+        emulator = Emulator(arguments.robot, krc, server, panel, arguments.seed, arguments.address, records)
         try:
             if arguments.record is not None:
                 emulator.recorder.start(arguments.record)
@@ -136,15 +146,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         finally:
             emulator.close()
     except DeltaqError as error:
-        print(f"error: {error}", file=sys.stderr)
+        _log.error("%s", error)
         return 2
     return 0
 
 
 def _announce(robot: str, krc: Krc, server: Address, real_time: bool) -> None:
-    print(f"ready: {robot} sends to {server[0]}:{server[1]} every {krc.cycle_s * 1e3:g} ms", flush=True)
+    _log.info("ready: %s sends to %s:%s every %g ms", robot, *server, krc.cycle_s * 1e3)
     if not real_time:
-        print("no real-time priority: the system does not allow it to this user", flush=True)
+        _log.warning("no real-time priority: the system does not allow it to this user")
 
 
 if __name__ == "__main__":

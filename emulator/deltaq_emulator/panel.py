@@ -14,7 +14,7 @@
 | `{"op": "fault", "correction": "relative"}` | RSI adds corrections up from now on, or no longer: `"absolute"` |
 | `{"op": "fault", "forge": [{"ipoc_shift": 7000}, {"offset_deg": 1.4}]}` | others send, after each telegram, these |
 | `{"op": "fault"}` | no more faults |
-| `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record |
+| `{"op": "record", "path": "run.csv"}`, `{"op": "record"}` | begin and end a record, a new file in `--records` |
 | `{"op": "await", "state": "stopped", "at_rest": true, "cycles": 5, "within_s": 10}` | answer once all this holds |
 
 The answer is the status with `"ok": true`, or `{"ok": false, "error": …}`. It comes at once, except to `await`.
@@ -246,7 +246,7 @@ class Panel:
             case _Fault():
                 self._inject(request)
             case _Record(path=str(path)):
-                self._recorder.start(path)
+                self._recorder.start_in_folder(path)
             case _Record():
                 self._recorder.stop()
 

@@ -17,10 +17,12 @@ from functools import partial
 from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import Krc
 from deltaq_emulator.panel import Panel
+from deltaq_emulator.record_folder import RecordFolder
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.strangers import Strangers
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.heartbeat import Heartbeat
 
 MAX_READ = 64
 """Datagrams read in one go, so that a flood cannot hold up the cycle."""
@@ -43,6 +45,7 @@ class Emulator:
         panel: where the operator's requests are taken, or None.
         seed: of the network's faults.
         address: of the controller itself, which telegrams come from; None: as the system chooses.
+        records: folder in which the operator may begin records; None: nowhere.
 
     Raises:
         SocketError: if an address cannot be resolved or is taken.
@@ -56,15 +59,17 @@ class Emulator:
         panel: Address | None = None,
         seed: int = 0,
         address: str | None = None,
+        records: RecordFolder | None = None,
     ) -> None:
         self._krc = krc
         self._to_pc, self._from_pc = FaultyLink(seed), FaultyLink(seed + 1)
-        self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q))
+        self.recorder = CsvRecorder(krc.cycle_s, len(krc.sample.q), records)
         self.counts = {"slipped": 0, "late_starts": 0, "latest_start_us": 0, "send_errors": 0}
         """Cycles that were lost because the machine held up this process; cycles that began late, and the largest delay
         [µs]; telegrams that could not be sent."""
         self._panel = Panel(robot, krc, self._to_pc, self._from_pc, self.recorder, self._all_counts)
         self._sent_at = 0.0
+        self._heartbeat = Heartbeat()
         self._link = _udp_socket()
         self._strangers = Strangers(server)
         self._panel_socket = None if panel is None else _udp_socket()
@@ -90,6 +95,7 @@ class Emulator:
     def close(self) -> None:
         """Close sockets and the record."""
         self._link.close()
+        self._heartbeat.close()
         self._strangers.close()
         if self._panel_socket is not None:
             self._panel_socket.close()
@@ -117,6 +123,8 @@ class Emulator:
                 self._strangers.send(self._krc, self._panel.forgeries)
             self.recorder.row(self._krc.sample)
             self._panel.cycle_passed()
+            if self._heartbeat.is_due(now):
+                self._heartbeat.beat(now, detail=str(self._krc.message or self._krc.state))
             if first:
                 first = False
                 ready()

@@ -30,6 +30,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from playwright.sync_api import Page, ViewportSize, WebSocket, sync_playwright
+from playwright.sync_api import TimeoutError as BrowserTimeoutError
 from websockets.sync.client import connect as open_websocket
 
 from deltaq_cell.load import load_cell
@@ -39,7 +40,7 @@ from deltaq_launch.cell_connection import connect
 from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import cell_services, console_service, demo_controllers
 from deltaq_protocol.blocking import BlockingCell
-from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotState
 
 DRIVEN = "gr"
@@ -276,10 +277,16 @@ def main() -> None:
     options = parser.parse_args()
     if options.chromium is None:
         parser.error("Chromium is not installed; name it with --chromium")
-    if options.admission:
-        print(json.dumps({"admitted": admission(options.cell, options.chromium)}, indent=2))
-    else:
-        print(json.dumps(figures(options.cell, options.chromium, options.presses), indent=2))
+    try:
+        if options.admission:
+            found: dict[str, object] = {"admitted": admission(options.cell, options.chromium)}
+        else:
+            found = dict(figures(options.cell, options.chromium, options.presses))
+    except (DeltaqError, BrowserTimeoutError) as error:
+        raise SystemExit(
+            f"{error}\nnothing was measured: is the machine too busy to draw and to move robots?"
+        ) from error
+    print(json.dumps(found, indent=2))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from deltaq_protocol.errors import DeltaqError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 WIDTH_IN, PANEL_IN = 7.0, 2.1
 MARK_COLOURS = ("tab:red", "tab:purple", "tab:brown")
@@ -34,6 +35,15 @@ def draw(panels: Sequence[FigurePanel], title: str, file: str | Path) -> None:
     for letter, panel, ax in zip("abcdef", panels, axes[:, 0], strict=False):
         _draw_panel(ax, f"({letter}) {panel.caption}", panel)
     axes[-1, 0].set_xlabel("time [s]")
+    save(figure, file)
+
+
+def save(figure: Figure, file: str | Path) -> None:
+    """Write a figure that was drawn; the ending of the file's name says in which format.
+
+    Raises:
+        DeltaqError: the file cannot be written, or its format is none.
+    """
     try:
         # no dates and no program's name: the same run gives the same file
         figure.savefig(file, metadata={"Software": None} if str(file).endswith(".png") else {})

@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from deltaq_protocol.log import message_of
+
 READY = "ready:"
 """Beginning of the line that a service prints once it serves."""
 
@@ -132,7 +134,7 @@ class Child:
                 text = line.rstrip("\n")
                 self.lines.append(text)
                 self._on_line(self.name, text)
-                if not ready and text.startswith(READY):
+                if not ready and message_of(text).startswith(READY):
                     ready = True
                     self._on_event(Ready(self.name, text))
 

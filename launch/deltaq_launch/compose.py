@@ -1,18 +1,22 @@
-"""Writes `deploy/compose.yaml` from the table of services: `python -m deltaq_launch.compose`.
+"""Writes `deploy/compose.yaml` and `deploy/compose.tokens.yaml` from the table of services: `make docs`.
 
-With the name or the file of a cell it prints that cell's instead.
+`python -m deltaq_launch.compose CELL` prints the file of another cell, by its name or path, with all in one.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from deltaq_cell.description import CellDescription
 from deltaq_cell.find import find_cell
 from deltaq_cell.load import load_cell
+from deltaq_cell.open_realm import is_loopback
+from deltaq_launch.container import HARDENED, container
 from deltaq_launch.services import (
     GUARDED_ROLES,
     Role,
@@ -22,84 +26,162 @@ from deltaq_launch.services import (
     demo_controllers,
     metrics_exporter,
 )
+from deltaq_protocol.errors import DeltaqError
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 from deltaq_services.hli.audit_file import audit_file_name
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE
+from deltaq_services.hli.line_encryption import KEY_FILE as LINES_KEY_FILE
 from deltaq_services.process import AUDIT_FILE
 
-FILE = Path(__file__).parents[2] / "deploy" / "compose.yaml"
+DEPLOY = Path(__file__).parents[2] / "deploy"
+FILE = DEPLOY / "compose.yaml"
+TOKENS_FILE = DEPLOY / "compose.tokens.yaml"
 CELL = "lab"
 HEADER = """\
 # The lab cell in containers: the services of `deltaq up`, with `--profile demo` the controllers of `deltaq demo`,
 # with `--profile metrics` what Prometheus reads. Written by `make docs` from deltaq_launch.services; do not edit.
 #
-#   make image                                              build the image
-#   docker compose -f deploy/compose.yaml up --wait         the emulated cell
-#   docker compose -f deploy/compose.yaml up --wait hli     the same without emulators: real robots
+#   docker compose -f deploy/compose.yaml up --build --wait   build the image, and the emulated cell
+#   docker compose -f deploy/compose.yaml up --wait hli       the same without emulators: real robots
+"""
+TOKENS_HEADER = """\
+# Tokens for the lab cell in containers, as secrets. Written by `make docs`; do not edit.
+#
+#   docker compose -f deploy/compose.yaml -f deploy/compose.tokens.yaml up --wait
 """
 
-
 CONSOLE_TOKEN = "DELTAQ_CONSOLE_TOKEN"
-_SECRET = "deltaq-guarded-key"
 KEY_MAKER = "guarded-key"
 """The service that makes the guarded realm's key for the others, if it is not there yet."""
+ADDRESS = "address"
+"""The service of the demonstration that prints where the console is."""
 _KEY_VOLUME, _KEY_FOLDER = "guarded", "/run/deltaq"
 _AUDIT_VOLUME, _AUDIT_FOLDER = "audit", "/var/lib/deltaq"
+_BUILD = {"context": "..", "dockerfile": "deploy/Dockerfile"}
+
+_TOKENS = {
+    Role.HLI: (f"{OPERATOR_TOKEN}_FILE", f"{CONTROLLER_TOKEN}_FILE"),
+    Role.CONSOLE: (f"{CONSOLE_TOKEN}_FILE", f"{OPERATOR_TOKEN}_FILE"),
+}
+_MAKES_TOKEN = "name a file with a token"
+_MAKES = {
+    KEY_FILE: "name a file made with `deltaq key`",
+    CERTIFICATE_FILE: "name a certificate",
+    LINES_KEY_FILE: "name the private key of the certificate",
+}
 
 
 def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     """The compose document of a cell: one container a service.
 
     Those that speak in the guarded realm share its key. On the loopback the first container makes it, in a volume of
-    theirs; where the realm leaves the loopback, it is a secret that the user gives.
+    theirs; where the realm leaves the loopback, it is a secret that the user gives. So are tokens and the certificate
+    of the lines, where the cell needs them.
     """
     cell = load_cell(cell_name)
-    services = cell_services(cell, cell_name)
-    services = (*services, console_service(cell, cell_name, services))
-    document: dict[str, Any] = {service.name: _container(service, cell_name) for service in services}
+    services = _services(cell, cell_name)
+    document: dict[str, Any] = {service.name: container(service, cell_name) for service in services}
+    document[ADDRESS] = _address(services[-1])
+    # `up --wait` fails on a container that ends, unless another waits for its end
+    told = {ADDRESS: {"condition": "service_completed_successfully"}}
     for controller in demo_controllers(cell):
-        # numba writes to the folder in which it finds machine code
-        demo = {"profiles": ["demo"], "tmpfs": ["/tmp"]}
-        document[controller.name] = _container(controller, cell_name) | demo
+        one = container(controller, cell_name) | {"profiles": ["demo"]}
+        document[controller.name] = one | {"depends_on": one["depends_on"] | told}
     exporter = metrics_exporter(cell_name)
-    document[exporter.name] = _container(exporter, cell_name) | {"profiles": ["metrics"]}
+    document[exporter.name] = container(exporter, cell_name) | {"profiles": ["metrics"]}
     hli = document["hli"]
     hli["environment"][AUDIT_FILE] = f"{_AUDIT_FOLDER}/{audit_file_name(cell.cell)}"
     hli["volumes"] = [*hli.get("volumes", []), f"{_AUDIT_VOLUME}:{_AUDIT_FOLDER}"]
-    guarded = [document[service.name] for service in services if service.role in GUARDED_ROLES]
+    volumes: dict[str, Any] = {_AUDIT_VOLUME: {}}
+    guarded = [service for service in services if service.role in GUARDED_ROLES]
     if off_loopback(cell) is None:
         file = f"{_KEY_FOLDER}/guarded.key"
-        for container in guarded:
-            container["environment"] = container.get("environment", {}) | {KEY_FILE: file}
-            container["volumes"] = [*container.get("volumes", []), f"{_KEY_VOLUME}:{_KEY_FOLDER}:ro"]
+        for one in (document[service.name] for service in guarded):
+            one["environment"][KEY_FILE] = file
+            one["volumes"] = [*one.get("volumes", []), f"{_KEY_VOLUME}:{_KEY_FOLDER}:ro"]
             made = {KEY_MAKER: {"condition": "service_completed_successfully"}}
-            container["depends_on"] = made | container.get("depends_on", {})
-        maker = _HARDENED | {
-            "command": ["deltaq", "key", file, "--keep"],
-            "network_mode": "none",
-            "volumes": [f"{_KEY_VOLUME}:{_KEY_FOLDER}"],
-        }
-        return {
-            "name": "deltaq",
-            "services": {KEY_MAKER: maker} | document,
-            "volumes": {_KEY_VOLUME: {}, _AUDIT_VOLUME: {}},
-        }
-    for container in guarded:
-        container["environment"] = container.get("environment", {}) | {KEY_FILE: f"/run/secrets/{_SECRET}"}
-        container["secrets"] = [_SECRET]
-    needed = f"name a file made with `deltaq key` in {KEY_FILE}"
-    secret = {"file": f"${{{KEY_FILE}:?{needed}}}"}  # compose refuses to start anything without it
-    return {
-        "name": "deltaq",
-        "services": document,
-        "volumes": {_AUDIT_VOLUME: {}},
-        "secrets": {_SECRET: secret},
-    }
+            one["depends_on"] = made | one.get("depends_on", {})
+        document = {KEY_MAKER: _key_maker(file)} | document
+        volumes = {_KEY_VOLUME: {}} | volumes
+    given: dict[str, Any] = {}
+    if off_loopback(cell) is not None:
+        for service in guarded:
+            _give(document[service.name], given, KEY_FILE)
+    if cell.clients_need_tokens:
+        for service in services:
+            _give(document[service.name], given, *_TOKENS.get(service.role, ()))
+        if not is_loopback(cell.tcp_address):
+            _give(hli, given, CERTIFICATE_FILE, LINES_KEY_FILE)
+    elif not is_loopback(cell.console_address):
+        _give(document["console"], given, f"{CONSOLE_TOKEN}_FILE")
+    # all others wait for the first, directly or not, and find its image
+    first = next(iter(document))
+    document[first] = {"build": _BUILD} | document[first]
+    return {"name": "deltaq", "services": document, "volumes": volumes} | (
+        {"secrets": given} if given else {}
+    )
+
+
+def tokens_document(cell_name: str = CELL) -> dict[str, Any]:
+    """What a second compose file adds to a cell that runs without tokens: all of them, as secrets."""
+    document: dict[str, Any] = {}
+    given: dict[str, Any] = {}
+    for service in _services(load_cell(cell_name), cell_name):
+        if names := _TOKENS.get(service.role):
+            document[service.name] = {"environment": {}}
+            _give(document[service.name], given, *names)
+    return {"services": document, "secrets": given}
 
 
 def compose_text(cell_name: str = CELL) -> str:
-    """The same as YAML, with its header."""
-    return HEADER + yaml.dump(compose_document(cell_name), Dumper=_Indented, sort_keys=False)
+    """The compose document as YAML, with its header."""
+    return HEADER + _yaml(compose_document(cell_name))
+
+
+def tokens_text() -> str:
+    """The document of the tokens as YAML, with its header."""
+    return TOKENS_HEADER + _yaml(tokens_document())
+
+
+def _services(cell: CellDescription, cell_name: str) -> tuple[Service, ...]:
+    services = cell_services(cell, cell_name)
+    return (*services, console_service(cell, cell_name, services))
+
+
+def _give(one: dict[str, Any], given: dict[str, Any], *variables: str) -> None:
+    """Give a container secrets, each in a file that the variable names: inside, and outside for who starts compose."""
+    for variable in variables:
+        secret = variable.lower().removesuffix("_file").replace("_", "-")
+        one["environment"][variable] = f"/run/secrets/{secret}"
+        one["secrets"] = [*one.get("secrets", []), secret]
+        needed = f"{_MAKES.get(variable, _MAKES_TOKEN)} in {variable}"
+        given[secret] = {"file": f"${{{variable}:?{needed}}}"}  # compose refuses to start anything without it
+
+
+def _key_maker(file: str) -> dict[str, Any]:
+    return HARDENED | {
+        "command": ["deltaq", "key", file, "--keep"],
+        "network_mode": "none",
+        "mem_limit": "384m",
+        "pids_limit": 32,
+        "volumes": [f"{_KEY_VOLUME}:{_KEY_FOLDER}"],
+    }
+
+
+def _address(console: Service) -> dict[str, Any]:
+    return HARDENED | {
+        "command": ["echo", f"the console is at {console.endpoint}"],
+        "network_mode": "none",
+        "mem_limit": "32m",
+        "pids_limit": 8,
+        "depends_on": {console.name: {"condition": "service_healthy"}},
+        "profiles": ["demo"],
+    }
+
+
+def _yaml(document: dict[str, Any]) -> str:
+    return yaml.dump(document, Dumper=_Indented, sort_keys=False, width=120)
 
 
 class _Indented(yaml.SafeDumper):
@@ -112,54 +194,22 @@ class _Indented(yaml.SafeDumper):
         return True
 
 
-_HARDENED: dict[str, Any] = {
-    "image": "deltaq",
-    "pull_policy": "never",  # `make image` makes it
-    "read_only": True,
-    "cap_drop": ["ALL"],
-    "security_opt": ["no-new-privileges:true"],
-}
-
-
-def _container(service: Service, cell_name: str) -> dict[str, Any]:
-    container = _HARDENED | {
-        "command": ["python", *service.arguments],
-        # RSI counts single milliseconds, and a KRC on the plant's network sends to this host's address
-        "network_mode": "host",
-        "restart": "unless-stopped",
-    }
-    if Path(cell_name).is_absolute():
-        container["volumes"] = [f"{cell_name}:{cell_name}:ro"]
-    if service.role in (Role.EMULATOR, Role.ROBOT_SERVER, Role.SIM, Role.HLI):
-        container["cap_add"] = ["SYS_NICE"]  # for real-time priority
-    if service.needs:
-        container["depends_on"] = {name: {"condition": "service_healthy"} for name in service.needs}
-    if service.probe is not None:
-        container["healthcheck"] = {
-            "test": ["CMD", "deltaq", "health", service.name, "--cell", cell_name],
-            # each costs half a second of a core
-            "interval": "10s",
-            "timeout": "10s",
-            "retries": 3,
-            "start_period": "60s",
-        }
-    if service.role is Role.HLI:
-        container["environment"] = {
-            OPERATOR_TOKEN: f"${{{OPERATOR_TOKEN}:-}}",
-            CONTROLLER_TOKEN: f"${{{CONTROLLER_TOKEN}:-}}",
-        }
-    if service.role is Role.CONSOLE:
-        # numba writes to the folder in which it finds machine code
-        container["tmpfs"] = ["/tmp"]
-        container["environment"] = {
-            CONSOLE_TOKEN: f"${{{CONSOLE_TOKEN}:-}}",
-            OPERATOR_TOKEN: f"${{{OPERATOR_TOKEN}:-}}",
-        }
-    return container
+def main(argv: Sequence[str] | None = None) -> None:
+    """Print the document of a cell, or write those that are shipped."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_launch.compose", description="compose file of a cell"
+    )
+    parser.add_argument("cell", nargs="?", help="name or YAML file of the cell, whose document is printed")
+    given = parser.parse_args(argv)
+    if given.cell is None:
+        FILE.write_text(compose_text(), encoding="utf-8")
+        TOKENS_FILE.write_text(tokens_text(), encoding="utf-8")
+        return
+    try:
+        print(compose_text(str(find_cell(given.cell).resolve())), end="")
+    except DeltaqError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        print(compose_text(str(find_cell(sys.argv[1]).resolve())), end="")
-    else:
-        FILE.write_text(compose_text(), encoding="utf-8")
+    main()

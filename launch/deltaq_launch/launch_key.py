@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from deltaq_services.guarded_key import GuardedKeyError, faults_of_secret, key_file_of_launch, new_key
+from deltaq_protocol.secret_file import faults_of_secret
+from deltaq_services.guarded_key import GuardedKeyError, key_file_of_launch, new_key
 
 
 class LaunchKey:
@@ -38,7 +39,7 @@ class LaunchKey:
                 self._descriptor = os.open(self.file, flags, 0o600)
             except OSError as error:
                 raise GuardedKeyError(f"{self.file} cannot be written: {error.strerror}") from error
-            if faults := faults_of_secret(os.fstat(self._descriptor), self.file):
+            if faults := faults_of_secret(os.fstat(self._descriptor), self.file, "deltaq up"):
                 os.close(self._descriptor)
                 raise GuardedKeyError(f"{self.file} {faults[0]}")
             if self._is_alone():

@@ -21,7 +21,9 @@ from deltaq_launch.child_process import Child, Exited, Ready
 from deltaq_launch.launch_key import LaunchKey
 from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
+from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.log import RESULT, read_json_line
 from deltaq_services.guarded_key import KEY_FILE
 from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 
@@ -185,6 +187,8 @@ class Launcher:
                 data = json.loads(line)
             except ValueError:
                 continue
+            if (told := read_json_line(line)) is not None:
+                data = told["fields"] if told["message"] == RESULT else None
             if isinstance(data, dict):
                 return data
         return None
@@ -248,7 +252,7 @@ class Launcher:
 
     def _secrets_of(self, service: Service) -> dict[str, str]:
         """What a service's environment has of secrets, besides those that the user gave."""
-        if service.realm is None or os.environ.get(KEY_FILE):
+        if service.realm is None or os.environ.get(KEY_FILE) or os.environ.get(IDENTITY):
             return {}
         if service.realm not in self._keys:
             self._keys[service.realm] = LaunchKey(service.realm)

@@ -17,7 +17,6 @@ from deltaq_protocol.codec import unpack
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.guarded import Health
-from deltaq_protocol.session import open_session
 
 TIMEOUT_S = 3.0
 
@@ -76,9 +75,10 @@ def _ask_health_topic(name: str, endpoint: str, cell: CellDescription) -> ProbeA
     import zenoh
 
     from deltaq_services.guarded_key import guarded_seal
+    from deltaq_services.guarded_session import open_watching_session
 
-    seal = guarded_seal(cell)
-    session = open_session(connect=[endpoint], must_connect=True)
+    seal = guarded_seal(cell, watched=name)
+    session = open_watching_session(cell, [endpoint], watched=name)
     try:
         key = topics.HEALTH.key(cell.cell, service=name)
         with session.declare_subscriber(key, zenoh.handlers.FifoChannel(4)) as subscriber:

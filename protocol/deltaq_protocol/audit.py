@@ -52,9 +52,10 @@ class AuditEntry(Message):
     """One line of the audit log, written by the HLI.
 
     `time_utc` is the wall clock's time in ISO 8601, `time_s` the HLI's monotonic one [s]. `client` is the name that the
-    client gives itself. `address` is HOST:PORT of a TCP connection, or `zenoh`, which does not tell. `role` is what was
-    proved (`observer`, `controller`, `operator`); empty where nobody asked. `text` is what the client was told. `count`
-    is how many equal ones the entry stands for; client, address and text are then those of the newest.
+    client gives itself, `identity` the one that its certificate proved (`operator-NAME`, `controller-NAME`). `address`
+    is HOST:PORT of a TCP connection, or `zenoh`, which does not tell. `role` is what was proved (`observer`,
+    `controller`, `operator`); empty where nobody asked. `text` is what the client was told. `count` is how many equal
+    ones the entry stands for; client, address and text are then those of the newest.
     """
 
     time_utc: str
@@ -65,6 +66,7 @@ class AuditEntry(Message):
     client: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
     address: Annotated[str, Field(max_length=LONGEST_ADDRESS)] = ""
     role: str = ""
+    identity: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
     code: ReasonCode | None = None
     text: Annotated[str, Field(max_length=LONGEST_TEXT)] = ""
     count: Count = 1

@@ -16,6 +16,7 @@ In a notebook, `cell = connect().open()` and `robot = cell.lease("fr").open()` l
 from __future__ import annotations
 
 import atexit
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
@@ -213,25 +214,32 @@ class BlockingCell:
 
 
 def connect(
-    address: str = asynchronous.DEFAULT_ADDRESS, client: str = "python", token: str | None = None
+    address: str = asynchronous.DEFAULT_ADDRESS,
+    client: str = "python",
+    token: str | None = None,
+    identity: str | os.PathLike[str] | None = None,
 ) -> BlockingOpening[BlockingCell]:
     """Connect to a running cell for the length of a block, or from `open` to `close`.
 
     See `deltaq_protocol.client.connect`.
     """
     opening: BlockingOpening[BlockingCell] = BlockingOpening(
-        _connected(address, client, token, close=lambda: opening.close())
+        _connected(address, client, token, identity, close=lambda: opening.close())
     )
     return opening
 
 
 @contextmanager
 def _connected(
-    address: str, client: str, token: str | None, close: Callable[[], None]
+    address: str,
+    client: str,
+    token: str | None,
+    identity: str | os.PathLike[str] | None,
+    close: Callable[[], None],
 ) -> Iterator[BlockingCell]:
     background = Background()
     try:
-        with background.entered(asynchronous.connect(address, client, token)) as cell:
+        with background.entered(asynchronous.connect(address, client, token, identity)) as cell:
             yield BlockingCell(cell, background, close)
     finally:
         background.close()

@@ -22,13 +22,16 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import TypeVar
+from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
 from deltaq_protocol import topics
+from deltaq_protocol.certified.names import CLIENT_IDENTITY
+from deltaq_protocol.certified.prover import identity_prover
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.describing import described
 from deltaq_protocol.errors import RefusedError
@@ -72,6 +75,13 @@ SILENCE_S = 1.0
 _VERDICTS_WAITING = 1024
 
 
+class RoleProver(Protocol):
+    """Shows a client's role, and with an identity its name."""
+
+    def prove(self, key: str, message: bytes, nonce: bytes) -> bytes:
+        """A proof for a message under a zenoh key, in answer to a challenge."""
+
+
 class Cell:
     """A connection to a running cell; `connect` returns it.
 
@@ -81,13 +91,13 @@ class Cell:
         counters: messages of the server that could not be understood.
     """
 
-    def __init__(self, wire: Wire, description: Description, client: str, token: str | None) -> None:
+    def __init__(self, wire: Wire, description: Description, client: str, role: RoleProver | None) -> None:
         self.description = description
         self.robots: dict[str, RobotSummary] = description.robots
         self.counters: Counter[str] = Counter()
         self._wire = wire
         self._client = client
-        self._role = None if token is None else Prover(token)
+        self._role = role
         self._newest: dict[str, StateHolder] = {name: self._subscribed(name) for name in self.robots}
         self._verdict_listeners: dict[str, set[Callable[[Verdict], None]]] = {}
         self._leases: set[LeasedRobot] = set()
@@ -165,7 +175,7 @@ class Cell:
             ServiceUnreachableError: no answer in time.
         """
         request = ResetRequest(robot=self._known(robot), client=self._client)
-        return unpack(Done, await self._ask_with_token(topics.RESET, request))
+        return unpack(Done, await self._ask_with_role(topics.RESET, request))
 
     async def dry_run(self, robot: str, dq: ArrayLike) -> Verdict:
         """The gate's verdict on an increment if it came now; nothing moves.
@@ -190,7 +200,7 @@ class Cell:
             ServiceUnreachableError: no answer in time.
         """
         request = ContactRequest(contact=contact, allowed=allowed, client=self._client)
-        return unpack(Done, await self._ask_with_token(topics.CONTACT, request))
+        return unpack(Done, await self._ask_with_role(topics.CONTACT, request))
 
     async def status(self) -> Status:
         """The running cell: phases, leases, ages, counters.
@@ -220,7 +230,7 @@ class Cell:
         action = LeaseAction.TAKE if take else LeaseAction.ACQUIRE
         request = LeaseRequest(robot=self._known(robot), action=action, client=client or self._client)
         listeners = self._listeners(robot)  # before the lease, so that no verdict on it is missed
-        payload = await self._ask_with_token(topics.LEASE, request, robot)
+        payload = await self._ask_with_role(topics.LEASE, request, robot)
         reply = unpack(LeaseReply, payload)
         if not reply.granted:
             raise _not_granted(reply)
@@ -258,8 +268,8 @@ class Cell:
             leased.release_now()
         self._wire.close()
 
-    async def _ask_with_token(self, topic: Topic, request: Message, robot: str = "") -> bytes:
-        """Ask for what a role may; the token, where there is one, answers a challenge and is not sent."""
+    async def _ask_with_role(self, topic: Topic, request: Message, robot: str = "") -> bytes:
+        """Ask for what a role may; the token or identity, where there is one, answers a challenge and is not sent."""
         cell, prove = self.description.cell, None
         if self._role is not None:
             asked = await self._wire.ask(topics.CHALLENGE, cell, ChallengeRequest())
@@ -310,7 +320,10 @@ class Cell:
 
 
 def connect(
-    address: str = DEFAULT_ADDRESS, client: str = "python", token: str | None = None
+    address: str = DEFAULT_ADDRESS,
+    client: str = "python",
+    token: str | None = None,
+    identity: str | os.PathLike[str] | None = None,
 ) -> Opening[Cell]:
     """Connect to a running cell for the length of a block, or from `open` to `close`.
 
@@ -322,20 +335,31 @@ def connect(
         client: name that others see.
         token: the operator's or the controller's, where the server asks for one; it is not sent. None: what the
             environment holds in `DELTAQ_CLIENT_TOKEN`, if anything.
+        identity: folder of an operator's or a controller's identity, which goes before a token; None: what the
+            environment names in `DELTAQ_CLIENT_IDENTITY`, if anything.
 
     Raises:
+        IdentityError: the identity is missing, not valid, or a service's.
         ServiceUnreachableError: nobody answers there.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
-    return Opening(_connected(address, client, token or os.environ.get(TOKEN_VARIABLE) or None))
+    return Opening(_connected(address, client, _role_prover(token, identity)))
+
+
+def _role_prover(token: str | None, identity: str | os.PathLike[str] | None) -> RoleProver | None:
+    """What shows a client's role; None: nothing does."""
+    if folder := identity or os.environ.get(CLIENT_IDENTITY):
+        return identity_prover(Path(folder))
+    known = token or os.environ.get(TOKEN_VARIABLE)
+    return Prover(known) if known else None
 
 
 @asynccontextmanager
-async def _connected(address: str, client: str, token: str | None) -> AsyncIterator[Cell]:
+async def _connected(address: str, client: str, role: RoleProver | None) -> AsyncIterator[Cell]:
     session = await asyncio.to_thread(open_session, connect=[address], must_connect=True)
     wire = Wire(session, asyncio.get_running_loop())
     try:
-        cell = Cell(wire, await described(wire, address), client, token)
+        cell = Cell(wire, await described(wire, address), client, role)
     except BaseException:
         await asyncio.to_thread(wire.close)
         raise

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.messages import Message
+from deltaq_protocol.quoting import place, quoted
 from deltaq_protocol.reasons import ReasonCode
 
 M = TypeVar("M", bound=Message)
@@ -87,19 +88,19 @@ def from_map(message_type: type[M], data: object) -> M:
     """Validate a decoded map as a message.
 
     Raises:
-        InvalidMessageError: naming the first field that is wrong, its value and what is allowed.
+        InvalidMessageError: naming the first field that is wrong, what is allowed, and its value unless that may be
+            a secret.
     """
     try:
         # encoded data has lists where a message has tuples, and names where it has enumerations
         return message_type.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in first["loc"]) or message_type.__name__
-        shown = repr(first["input"])
-        if len(shown) > 80:
-            shown = shown[:77] + "..."
+        text = f"{place(first['loc'], message_type.__name__)}: {first['msg']}"
+        if first["type"] != "missing":  # its input would be all that is there
+            text += f", got {quoted(first['input'], str(next(iter(first['loc']), '')), message_type)}"
         raise InvalidMessageError(
-            f"{field}: {first['msg']}, got {shown}",
+            text,
             _code_of(first["loc"], first["type"], first["input"]),
             data if isinstance(data, dict) else None,
         ) from error

@@ -1,4 +1,4 @@
-"""The address of a listener, as cells and commands write it: `tcp/HOST:PORT` or `udp/HOST:PORT`."""
+"""The address of a listener, as cells and commands write it: `tcp/HOST:PORT`, `tls/HOST:PORT` or `udp/HOST:PORT`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Literal, cast
 
 from deltaq_protocol.errors import DeltaqError
 
+Transport = Literal["tcp", "tls", "udp"]
 Address = tuple[str, int]
 """Host and port, as a socket has them."""
 
-_FORM = re.compile(r"(tcp|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
+_FORM = re.compile(r"(tcp|tls|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
 
 
 class InvalidEndpointError(DeltaqError):
@@ -23,7 +24,7 @@ class InvalidEndpointError(DeltaqError):
 class Endpoint:
     """A transport, a host by name or number, and a port."""
 
-    transport: Literal["tcp", "udp"]
+    transport: Transport
     host: str
     port: int
 
@@ -43,7 +44,7 @@ class Endpoint:
                 f"{text!r} is no endpoint; write tcp/HOST:PORT or udp/HOST:PORT with a port of 1 to 65535, "
                 "e.g. tcp/127.0.0.1:7447"
             )
-        return cls(cast(Literal["tcp", "udp"], found[1]), found[2] or found[3], int(found[4]))
+        return cls(cast(Transport, found[1]), found[2] or found[3], int(found[4]))
 
     @property
     def address(self) -> Address:

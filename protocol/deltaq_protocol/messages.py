@@ -23,12 +23,17 @@ Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+Secret = Annotated[str | None, Field(repr=False)]
+"""A token: neither shown nor quoted, see `deltaq_protocol.quoting`."""
 
 
 class Message(BaseModel):
-    """Base of all messages: immutable, and a field that is not known is an error."""
+    """Base of all messages: immutable, and a field that is not known is an error.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    Neither its errors nor its `repr` show what may be a secret.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
 
 
 class Phase(StrEnum):
@@ -104,7 +109,7 @@ class Increment(Message):
     seq: Count
     cycle: Count
     dq: Joints
-    lease: str | None = None
+    lease: Secret = None
 
 
 class Verdict(Message):
@@ -157,8 +162,8 @@ class LeaseRequest(Message):
     robot: Name
     action: LeaseAction
     client: str | None = Field(default=None, max_length=64)
-    lease: str | None = None
-    token: str | None = None
+    lease: Secret = None
+    token: Secret = None
 
 
 class LeaseReply(Message):
@@ -172,7 +177,7 @@ class LeaseReply(Message):
     granted: bool
     holder: str | None = None
     expires_s: FiniteFloat | None = None
-    lease: str | None = None
+    lease: Secret = None
     code: ReasonCode | None = None
 
 
@@ -192,7 +197,7 @@ class ResetRequest(Message):
     type: Literal["reset"] = "reset"
     robot: Name
     client: str | None = Field(default=None, max_length=64)
-    token: str | None = None
+    token: Secret = None
 
 
 class DryRunRequest(Message):
@@ -221,7 +226,7 @@ class ContactRequest(Message):
     contact: Name
     allowed: bool
     client: str | None = Field(default=None, max_length=64)
-    token: str | None = None
+    token: Secret = None
 
 
 class ChallengeRequest(Message):
@@ -234,7 +239,7 @@ class Challenge(Message):
     """A challenge: nonce of the proof beside one request of the operator, in hexadecimal digits; good once."""
 
     type: Literal["challenge"] = "challenge"
-    challenge: Annotated[str, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$")]
+    challenge: Annotated[str, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$", repr=False)]
 
 
 class Done(Message):
@@ -258,7 +263,7 @@ class IoRequest(Message):
     type: Literal["io"] = "io"
     robot: Name
     outputs: dict[str, bool] = Field(default_factory=dict, max_length=64)
-    lease: str | None = None
+    lease: Secret = None
 
 
 class IoReply(Message):
@@ -276,7 +281,7 @@ class Hello(Message):
     type: Literal["hello"] = "hello"
     protocol: int
     client: str = Field(min_length=1, max_length=64)
-    token: str | None = None
+    token: Secret = None
 
 
 class DescribeRequest(Message):

@@ -1,8 +1,10 @@
 """Seals on the messages of the guarded realm: who made a message, as which of its messages, and for which processes.
 
-A sealed message is `MAC (32 bytes) | sender (8) | number (8) | count (1) | receivers (8 each) | message`. The MAC is
-BLAKE2b keyed with the realm's key (RFC 7693, 2.9) over the zenoh key and all that follows it, so that a message is
-invalid under another zenoh key; fields of the message itself bind it to gate epoch, lease epoch, sequence and cycle.
+A sealed message is `MACs (32 bytes each) | sender (8) | number (8) | count (1) | receivers (8 each) | message`. A MAC
+is BLAKE2b (RFC 7693, 2.9) over the zenoh key and all that follows the MACs, so that a message is invalid under another
+zenoh key; fields of the message itself bind it to gate epoch, lease epoch, sequence and cycle. With one key for the
+realm there is one MAC; with an identity for each service there is one for each listener, in the order of the table of
+who says what (`deltaq_protocol.sayings`), with the key of its speaker and that listener (`deltaq_protocol.seal_keys`).
 
 Sender and receivers are processes, each by a random number of its own. A process acts only upon what names it as a
 receiver: a message that was recorded before it began cannot. It learns of the others by what they send, and tells them
@@ -19,13 +21,14 @@ from hashlib import blake2b
 from hmac import compare_digest
 
 from deltaq_protocol.errors import ProtocolError
+from deltaq_protocol.seal_keys import SealKeys
 
-KEY_BYTES = 32
-_MAC_BYTES = 32
+MAC_BYTES = 32
 _LENGTH_BYTES = 8
 _PROCESS_BYTES = 8
 _NUMBER_BYTES = 8
-_NUMBER = _MAC_BYTES + _PROCESS_BYTES
+# places behind the MACs
+_NUMBER = _PROCESS_BYTES
 _COUNT = _NUMBER + _NUMBER_BYTES
 _RECEIVERS = _COUNT + 1
 _MOST_RECEIVERS = 255
@@ -40,7 +43,7 @@ class ForgedMessageError(ProtocolError):
 
 
 class UnboundMessageError(ProtocolError):
-    """A message that holders of the key made, but not for this process: its sender has not heard of it, or is gone."""
+    """A message that its speaker made, but not for this process: its sender has not heard of it, or is gone."""
 
 
 class _Link:
@@ -57,13 +60,11 @@ class Seal:
     """Seals what a process publishes and opens what it receives; one for each process, used by one thread.
 
     Args:
-        key: the realm's, `KEY_BYTES` long.
+        keys: of this process.
     """
 
-    def __init__(self, key: bytes) -> None:
-        if len(key) != KEY_BYTES:
-            raise ValueError(f"the key has {len(key)} bytes; it must have {KEY_BYTES}")
-        self._key = key
+    def __init__(self, keys: SealKeys) -> None:
+        self._keys = keys
         self._process = secrets.token_bytes(_PROCESS_BYTES)
         self._number = 0
         self._links: dict[str, _Link] = {}
@@ -74,27 +75,29 @@ class Seal:
         self._number += 1
         number = self._number.to_bytes(_NUMBER_BYTES, "big")
         sealed = b"".join((self._process, number, self._receivers, message))
-        return self._mac(zenoh_key, sealed) + sealed
+        text = _text(zenoh_key, sealed)
+        return b"".join([_mac(key, text) for key in self._keys.said(zenoh_key)]) + sealed
 
     def open(self, zenoh_key: str, sealed: bytes) -> bytes:
         """The message that came under `zenoh_key`, to be acted upon.
 
         Raises:
-            ForgedMessageError: if no holder of the key published it there, or it is not newer than the last, or of a
-                process whose successor was heard.
+            ForgedMessageError: if nobody published it there who may, or it is not newer than the last, or of a process
+                whose successor was heard.
             UnboundMessageError: if it was not made for this process; a greeting tells its sender of it.
         """
-        message = self.read(zenoh_key, sealed)
+        opened = self._opened(zenoh_key, sealed)
+        message = _message(opened)
         link = self._links.get(zenoh_key) or self._links.setdefault(zenoh_key, _Link())
-        sender = sealed[_MAC_BYTES:_NUMBER]
+        sender = opened[:_NUMBER]
         if sender in link.ended:
             raise ForgedMessageError(f"{zenoh_key}: from a process that another has taken the place of")
-        if not self._is_receiver(sealed):
+        if not self._is_receiver(opened):
             if sender != link.sender and sender not in link.newcomers:
                 link.newcomers.append(sender)
                 self._address_all()
             raise UnboundMessageError(f"{zenoh_key}: not made for this process, but for another or before it")
-        number = int.from_bytes(sealed[_NUMBER:_COUNT], "big")
+        number = int.from_bytes(opened[_NUMBER:_COUNT], "big")
         if sender != link.sender:
             if link.sender:
                 link.ended.add(link.sender)
@@ -118,22 +121,32 @@ class Seal:
             self.open(zenoh_key, sealed)
 
     def read(self, zenoh_key: str, sealed: bytes) -> bytes:
-        """The message, for who only watches: it may be old, and another's. Any thread may call this.
+        """The message, for who only watches: it may be old, and another process's. Any thread may call this.
 
         Raises:
-            ForgedMessageError: if no holder of the key published it under `zenoh_key`, or it is too long.
+            ForgedMessageError: if nobody published it under `zenoh_key` who may, or it is too long; under an identity
+                also if nothing that is said there is said to it.
         """
+        return _message(self._opened(zenoh_key, sealed))
+
+    def _opened(self, zenoh_key: str, sealed: bytes) -> bytes:
+        """What lies behind the MACs, of which the one for this process is right."""
         if len(sealed) > MAX_SEALED_BYTES:
             raise ForgedMessageError(
                 f"{zenoh_key}: {len(sealed)} bytes, at most {MAX_SEALED_BYTES} are sealed"
             )
-        mac, rest = sealed[:_MAC_BYTES], sealed[_MAC_BYTES:]
-        if len(sealed) < _RECEIVERS or not compare_digest(mac, self._mac(zenoh_key, rest)):
-            raise ForgedMessageError(f"{zenoh_key}: {len(sealed)} bytes without the seal of this realm's key")
-        return sealed[_RECEIVERS + _PROCESS_BYTES * sealed[_COUNT] :]
+        heard = self._keys.heard(zenoh_key)
+        if heard is None:
+            raise ForgedMessageError(f"{zenoh_key}: nothing is said there to this identity")
+        at, behind = heard.place * MAC_BYTES, heard.macs * MAC_BYTES
+        opened = sealed[behind:]
+        mac = sealed[at : at + MAC_BYTES]
+        if len(opened) < _RECEIVERS or not compare_digest(mac, _mac(heard.key, _text(zenoh_key, opened))):
+            raise ForgedMessageError(f"{zenoh_key}: {len(sealed)} bytes without the seal of {heard.speaker}")
+        return opened
 
-    def _is_receiver(self, sealed: bytes) -> bool:
-        at = sealed.find(self._process, _RECEIVERS, _RECEIVERS + _PROCESS_BYTES * sealed[_COUNT])
+    def _is_receiver(self, opened: bytes) -> bool:
+        at = opened.find(self._process, _RECEIVERS, _RECEIVERS + _PROCESS_BYTES * opened[_COUNT])
         return at >= 0 and (at - _RECEIVERS) % _PROCESS_BYTES == 0
 
     def _address_all(self) -> None:
@@ -142,8 +155,16 @@ class Seal:
         receivers = sorted(known - {b""})[:_MOST_RECEIVERS]
         self._receivers = bytes([len(receivers)]) + b"".join(receivers)
 
-    def _mac(self, zenoh_key: str, sealed: bytes) -> bytes:
-        name = zenoh_key.encode()
-        # its length first, so that no byte can pass from the key into the message
-        text = b"".join((len(name).to_bytes(_LENGTH_BYTES, "big"), name, sealed))
-        return blake2b(text, digest_size=_MAC_BYTES, key=self._key, person=b"deltaq guarded").digest()
+
+def _message(opened: bytes) -> bytes:
+    return opened[_RECEIVERS + _PROCESS_BYTES * opened[_COUNT] :]
+
+
+def _text(zenoh_key: str, opened: bytes) -> bytes:
+    name = zenoh_key.encode()
+    # its length first, so that no byte can pass from the key into the message
+    return b"".join((len(name).to_bytes(_LENGTH_BYTES, "big"), name, opened))
+
+
+def _mac(key: bytes, text: bytes) -> bytes:
+    return blake2b(text, digest_size=MAC_BYTES, key=key, person=b"deltaq guarded").digest()

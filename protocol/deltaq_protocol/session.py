@@ -33,6 +33,7 @@ def open_session(
     connect: Sequence[str] = (),
     must_connect: bool = False,
     access: Mapping[str, Any] | None = None,
+    tls: Mapping[str, Any] | None = None,
 ) -> Any:
     """Open a zenoh session.
 
@@ -41,6 +42,7 @@ def open_session(
         connect: endpoints to connect to, and to connect to again whenever they are lost.
         must_connect: fail at once if an endpoint cannot be reached, instead of trying for ever.
         access: who may say what here, as `deltaq_protocol.access` has it; None: whoever is there, anything.
+        tls: certificates of `tls/` endpoints, as zenoh's configuration has them.
 
     Raises:
         ServiceUnreachableError: if an endpoint can neither be listened on nor, with `must_connect`, reached.
@@ -61,6 +63,8 @@ def open_session(
         "transport/unicast/max_sessions": MAX_SESSIONS,
         "transport/unicast/accept_timeout": _ACCEPT_MS,
     }
+    if tls is not None:
+        settings["transport/link/tls"] = tls
     if access is not None:
         settings["access_control"] = access
     config = zenoh.Config()
@@ -106,7 +110,7 @@ def declare_publisher(
     priority: Priority = Priority.URGENT,
     to_itself: bool = True,
 ) -> Any:
-    """A publisher for small messages, dropped when blocked.
+    """A publisher for small messages, dropped when blocked. What is sealed is for others, and not heard by oneself.
 
     Args:
         session: an open zenoh session.
@@ -115,10 +119,11 @@ def declare_publisher(
         priority: what its row of the table of topics says; what is urgent is sent at once.
         to_itself: whether subscribers of the same session count.
     """
+    is_local = to_itself and seal is None
     publisher = session.declare_publisher(
         key,
         congestion_control=zenoh.CongestionControl.DROP,
-        allowed_destination=zenoh.Locality.ANY if to_itself else zenoh.Locality.REMOTE,
+        allowed_destination=zenoh.Locality.ANY if is_local else zenoh.Locality.REMOTE,
         **sending(priority),
     )
     return publisher if seal is None else SealedPublisher(publisher, key, seal)

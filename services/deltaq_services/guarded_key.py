@@ -1,43 +1,60 @@
-"""The key of the guarded realm: without one HLI, SIM and Robot Servers do not start.
+"""What seals the guarded realm: without it HLI, SIM and Robot Servers do not start.
 
-Whoever starts a cell's services makes a key for them, see `deltaq_launch.launch_key`; the user gives one only where
-services of one cell run on several machines, or are started one by one.
+Whoever starts a cell's services on one machine makes a key for them, see `deltaq_launch.launch_key`. The user gives one
+only where they are started one by one, and an identity for each where they run on several machines: see
+`deltaq_services.service_identity`.
 """
 
 from __future__ import annotations
 
 import os
 import secrets
-import stat
-from collections.abc import Sequence
 from hashlib import blake2b
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription
+from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.seal import KEY_BYTES, Seal
+from deltaq_protocol.seal import Seal
+from deltaq_protocol.seal_keys import KEY_BYTES, RealmKey
+from deltaq_protocol.secret_file import contents, faults_of_secret
 from deltaq_services.runtime_folder import runtime_folder
 
 KEY_FILE = "DELTAQ_GUARDED_KEY_FILE"
 """Environment variable: path of the file that holds the key, in hexadecimal."""
 
-_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+_MAKES = "deltaq key FILE"
 
 
 class GuardedKeyError(DeltaqError):
     """A key that is missing, invalid, or not a secret."""
 
 
-def guarded_seal(cell: CellDescription) -> Seal:
+def guarded_seal(cell: CellDescription, service: str = "", watched: str = "") -> Seal:
     """A seal of a cell's guarded messages, for this process.
 
-    The key is that of the file which the environment names; on the loopback also that of a launch of the same user.
+    The keys are those of the identity that the environment names, or the one key of the file that it names; on the
+    loopback also that of a launch of the same user.
+
+    Args:
+        cell: the cell.
+        service: whose seal it is; empty for who only watches.
+        watched: whose messages such a one reads, best with the identity of that service.
 
     Raises:
-        GuardedKeyError: if there is none, or it is not this user's secret.
+        GuardedKeyError: if there is no key, or it is not this user's secret.
+        IdentityError: the same of an identity, or it is another's.
     """
-    return Seal(_key_in(_file_of(cell)))
+    if not os.environ.get(IDENTITY):
+        return Seal(RealmKey(_key_in(_file_of(cell))))
+    if os.environ.get(KEY_FILE):
+        raise GuardedKeyError(
+            f"{IDENTITY} and {KEY_FILE} are both set, and a realm has either identities or one key; unset one of them"
+        )
+    from deltaq_services.service_identity import pair_keys
+
+    return Seal(pair_keys(cell, Path(os.environ[IDENTITY]), service, watched))
 
 
 def realm_of(cell: CellDescription) -> str | None:
@@ -99,34 +116,15 @@ def write_new_key(file: Path, *, keep: bool = False) -> None:
         key.write(new_key())
 
 
-def faults_of_secret(about: os.stat_result, file: Path) -> Sequence[str]:
-    """Why a file is not this user's secret, with what to do; empty if it is."""
-    faults = []
-    if not stat.S_ISREG(about.st_mode):
-        faults.append("is no regular file; name one that `deltaq key FILE` made")
-    if about.st_uid != os.geteuid():
-        faults.append(
-            f"belongs to user {about.st_uid}, and this is user {os.geteuid()}; `sudo chown {os.geteuid()} {file}`, "
-            "or make one of your own with `deltaq key FILE`"
-        )
-    mode = stat.S_IMODE(about.st_mode)
-    if mode & _OTHERS:
-        faults.append(
-            f"has mode {mode:04o}, and others than its owner may use it; at most 0600 is allowed: `chmod 600 {file}`, "
-            "or a new key if somebody may have read it"
-        )
-    return faults
-
-
 def _file_of(cell: CellDescription) -> Path:
     if file := os.environ.get(KEY_FILE):
         return Path(file)
     realm = realm_of(cell)
     if realm is None:
         raise GuardedKeyError(
-            f"{off_loopback(cell)} of cell {cell.cell} can be reached from outside this machine, and {KEY_FILE} names "
-            "no key; make one with `deltaq key FILE`, give the same file to HLI, SIM and every Robot Server, or "
-            "listen on 127.0.0.1"
+            f"{off_loopback(cell)} of cell {cell.cell} can be reached from outside this machine, and neither "
+            f"{IDENTITY} names an identity nor {KEY_FILE} a key; make identities with `deltaq keys CELL --to FOLDER`, "
+            "or one key with `deltaq key FILE` for HLI, SIM and every Robot Server, or listen on 127.0.0.1"
         )
     launched = key_file_of_launch(realm)
     if launched.exists():
@@ -140,12 +138,10 @@ def _file_of(cell: CellDescription) -> Path:
 
 def _key_in(file: Path) -> bytes:
     try:
-        with file.open("rb") as opened:
-            about = os.fstat(opened.fileno())
-            text = opened.read(4 * KEY_BYTES)
+        about, text = contents(file)
     except OSError as error:
         raise GuardedKeyError(f"{KEY_FILE}: {file} cannot be read: {error.strerror}") from error
-    if faults := faults_of_secret(about, file):
+    if faults := faults_of_secret(about, file, _MAKES):
         raise GuardedKeyError(f"{KEY_FILE}: {file} {faults[0]}")
     try:
         key = bytes.fromhex(text.decode("ascii"))

@@ -19,11 +19,13 @@ class ClientOrigin:
         client: the name that it gives itself.
         address: HOST:PORT of its connection, or `zenoh`; empty for the server itself.
         role: that it has proved; empty where nobody asked.
+        identity: the name that its certificate proved; empty without one.
     """
 
     client: str = ""
     address: str = ""
     role: str = ""
+    identity: str = ""
 
 
 NOBODY = ClientOrigin()

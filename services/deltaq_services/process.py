@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import logging
 import os
 import signal
 import sys
@@ -13,7 +14,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Never, Self
 
+from deltaq_protocol import log
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
+
+_log = logging.getLogger(__name__)
 
 AUDIT_FILE = "DELTAQ_AUDIT_FILE"
 """Environment variable: file of the audit log, where no argument names one."""
@@ -36,14 +40,15 @@ def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = 
     return parser.parse_args()
 
 
-def run(serve: Callable[[], None]) -> None:
-    """Run a service until SIGTERM or Ctrl-C.
+def run(serve: Callable[[], None], service: str) -> None:
+    """Run a service until SIGTERM or Ctrl-C; what it logs is of this name.
 
     A user's mistake becomes one line and exit status 2; an address that is not available, exit status 3.
     """
     signal.signal(signal.SIGTERM, end_on_interrupt)
     gc.freeze()  # objects loaded by now stay: the collector need not visit them in every cycle
     try:
+        log.configure(service)
         serve()
     except (ServiceUnreachableError, OSError) as error:
         _fail(3, error)
@@ -65,7 +70,7 @@ def ask_for_real_time(priority: int) -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
-        print("no real-time priority: the system does not allow it to this user", flush=True)
+        _log.warning("no real-time priority: the system does not allow it to this user")
 
 
 def end_on_interrupt(_signal: int, _frame: FrameType | None) -> Never:
@@ -103,5 +108,8 @@ class HeldInterrupts:
 
 
 def _fail(status: int, error: Exception) -> Never:
-    print(f"error: {error}", file=sys.stderr, flush=True)
+    if isinstance(error, log.LogFormatError):
+        print(f"error: {error}", file=sys.stderr, flush=True)
+    else:
+        _log.error("%s", error)
     raise SystemExit(status)

@@ -38,7 +38,7 @@ class Socket {
 function connected(t) {
   mock.timers.enable({ apis: ["setInterval", "setTimeout", "Date"], now: 1_000_000 });
   const connection = new Connection("ws://cell/live", { Socket, now: () => Date.now() }).open();
-  Socket.last.says({ type: "hello", client: "anna", operator: true, token_needed: false, server_ms: 0 });
+  Socket.last.says({ type: "hello", client: "desk", operator: true, token_needed: false, server_ms: 0 });
   t.after(() => {
     connection.close();
     mock.timers.reset();
@@ -90,7 +90,7 @@ test("a command on a line that is down is not sent, then or later", async (t) =>
   Socket.last.close();
   assert.equal((await connection.send("mode", { robot: "fr" })).outcome, "not_sent");
   pass(10_000);
-  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
   assert.deepEqual(Socket.last.commands("mode"), []);
 });
 
@@ -151,7 +151,7 @@ test("STOP without a line says that it is not sent, and is given up after ten se
   stop.press();
   assert.equal(stop.state, "not_sent");
   for (let k = 0; k < 105; k++) pass(100);
-  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
   pass(500);
   assert.equal(connection.isUp, true);
   assert.deepEqual(Socket.last.commands("stop"), []);
@@ -170,7 +170,7 @@ test("nine seconds without a network: nothing that was held goes on, and a STOP 
   assert.equal(stop.state, "not_sent");
   pass(7000);
   assert.equal(stop.state, "not_sent");
-  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
   pass(120);
   assert.notEqual(Socket.last, socket);
   assert.ok(Socket.last.commands("stop").length >= 1);
@@ -365,7 +365,7 @@ test("a line that comes back while a recording is shown is told so", (t) => {
   live.showReplay(replay());
   Socket.last.close();
   pass(400);
-  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
   assert.deepEqual(Socket.last.commands("replay").map(({ shown }) => shown), [true]);
 });
 
@@ -412,7 +412,7 @@ test("a line that brings pictures and never a greeting is given up, and another 
   }
   assert.notEqual(Socket.last, half);
   assert.equal(connection.isUp, false);
-  Socket.last.says({ type: "hello", client: "anna", operator: true, server_ms: 0 });
+  Socket.last.says({ type: "hello", client: "desk", operator: true, server_ms: 0 });
   assert.equal(connection.isUp, true);
 });
 

@@ -6,13 +6,15 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from uncompiled import uncompiled
 
 from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.hull import hull_corners, hull_shape
 from deltaq_cell.kernel.arrays import PlacedBody
-from deltaq_cell.kernel.gap import ROUNDING_M, body_at, farthest, gap
-from deltaq_cell.kernel.simplex import towards_origin
+from deltaq_cell.kernel.gap import ROUNDING_M
 
+body_at, farthest, gap = (getattr(uncompiled("gap"), name) for name in ("body_at", "farthest", "gap"))
+towards_origin = uncompiled("simplex").towards_origin
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
 
 

@@ -43,13 +43,13 @@ def test_without_a_log_it_says_so(tmp_path: Path) -> None:
 
 def test_it_shows_the_newest_over_rotated_files_and_passes_over_torn_lines(tmp_path: Path) -> None:
     log = tmp_path / "audit.jsonl"
-    (tmp_path / "audit.jsonl.2").write_bytes(entry(1, "first") + entry(2, "mallory"))
-    (tmp_path / "audit.jsonl.1").write_bytes(b'{"torn\n' + entry(3, "mallory", "fr"))
+    (tmp_path / "audit.jsonl.2").write_bytes(entry(1, "first") + entry(2, "stranger"))
+    (tmp_path / "audit.jsonl.1").write_bytes(b'{"torn\n' + entry(3, "stranger", "fr"))
     log.write_bytes(entry(4, "chief", "fr") + b'{"half')
     done = deltaq("audit", str(log), "--json", "--lines", "3")
     assert [json.loads(line)["time_s"] for line in done.stdout.splitlines()] == [2.0, 3.0, 4.0]
     assert done.stderr.startswith("lines that are no entries: 2;")
-    done = deltaq("audit", str(log), "--json", "--client", "mallory", "--robot", "fr")
+    done = deltaq("audit", str(log), "--json", "--client", "stranger", "--robot", "fr")
     assert [json.loads(line)["time_s"] for line in done.stdout.splitlines()] == [3.0]
     table = deltaq("audit", str(log)).stdout
     assert "10.0.0.9:4711" in table

@@ -61,7 +61,8 @@ class Running:
 
 @pytest.fixture
 async def running() -> AsyncIterator[Running]:
-    description = small_cell(gate={"lookahead_cycles": 3})
+    # who is slow here is the machine, and not the holder of a lease
+    description = small_cell(gate={"lookahead_cycles": 3}, lease_s=20.0)
     async with (
         guarded_peer(description) as peer,
         Hli(description, told(description), tool_pose) as hli,
@@ -104,7 +105,8 @@ async def test_a_lost_lease_ends_it(running: Running) -> None:
 
 
 async def test_an_hli_that_is_gone_ends_it() -> None:
-    description = small_cell(gate={"lookahead_cycles": 3})
+    # who is slow here is the machine, and not the holder of a lease
+    description = small_cell(gate={"lookahead_cycles": 3}, lease_s=20.0)
     async with guarded_peer(description) as peer:
         hli = Hli(description, told(description), tool_pose)
         await hli.__aenter__()

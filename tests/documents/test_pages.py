@@ -48,12 +48,22 @@ NOT_RUN = {
     "ask-the-advisor.md": ["takes many minutes"],
     "console.md": ["needs Chromium"],
     "measure.md": ["needs Chromium"],
-    "observe.md": ["needs Prometheus", "needs Prometheus"],
+    "observe.md": ["needs Prometheus", "needs Prometheus", "a line of a log; tests/protocol/test_log.py"],
     "containers.md": [
         "needs a container engine; tests/launch/test_containers.py",
         "needs a container engine; tests/launch/test_containers.py",
-        "needs two machines; tests/live/test_sealed_realm.py runs a cell off the loopback",
+        "needs a container engine; tests/launch/test_compose.py",
         "needs a container engine; tests/launch/test_containers.py",
+    ],
+    "several-machines.md": [
+        "needs two machines; tests/live/test_sealed_realm.py runs a cell off the loopback",
+        "needs two machines; tests/security/test_identified_clients.py connects the same way",
+    ],
+    "systemd.md": ["needs root, and systemd"],
+    "two-sites.md": [
+        "a picture",
+        *["needs two machines; tests/live/test_two_sites.py"] * 4,
+        "takes a minute; tests/experiments/test_far_controllers.py runs shorter ones",
     ],
     "drive-by-hand.md": [
         "waits for keys; tests/command/test_drive.py drives a terminal",

@@ -16,13 +16,14 @@ from deltaq_emulator.faults import FaultyLink
 from deltaq_emulator.krc import START_CYCLES
 from deltaq_emulator.panel import MAX_AWAITED, Panel
 from deltaq_emulator.profiles import profile_for
+from deltaq_emulator.record_folder import RecordFolder
 from deltaq_emulator.recorder import CsvRecorder
 from deltaq_emulator.settings import KrcSettings, OperatingMode, SettingsError
 from deltaq_emulator.states import TRANSITIONS, KrcEvent, KrcState, NotNowError, after
 
 
-def make_panel(bench: Bench) -> Panel:
-    return Panel("fr", bench.krc, FaultyLink(1), FaultyLink(2), CsvRecorder(0.012, bench.n))
+def make_panel(bench: Bench, records: RecordFolder | None = None) -> Panel:
+    return Panel("fr", bench.krc, FaultyLink(1), FaultyLink(2), CsvRecorder(0.012, bench.n, records))
 
 
 def answers(panel: Panel, request_bytes: bytes) -> list[dict[str, Any]]:
@@ -178,7 +179,7 @@ def test_the_time_stamp_can_be_made_to_jump(shift_ms: int) -> None:
 
 def test_the_panel_shows_everything_and_does_what_the_operator_says(tmp_path: Path) -> None:
     bench = Bench(late_budget=1)
-    panel = make_panel(bench)
+    panel = make_panel(bench, RecordFolder(tmp_path))
     bench.cycle(0.001)
     bench.krc.tick()
     status = ask(panel, op="status")
@@ -194,7 +195,7 @@ def test_the_panel_shows_everything_and_does_what_the_operator_says(tmp_path: Pa
     assert ask(panel, op="restart")["ok"] is True
     assert bench.silent(START_CYCLES) is not None
     path = tmp_path / "run.csv"
-    assert ask(panel, op="record", path=str(path))["record"] == str(path)
+    assert ask(panel, op="record", path="run.csv")["record"] == str(path)
     assert path.read_text().startswith("cycle,time_s,q_1,")
     assert ask(panel, op="record")["record"] is None
 
@@ -310,7 +311,7 @@ def test_more_waiting_than_there_is_room_for_is_refused() -> None:
         (b'{"op": "confirm"}', "'confirm' is not possible while RSI running"),
         (b'{"op": "fault", "dropp": 1}', "Extra inputs are not permitted"),
         (b'{"op": "input", "name": "door", "value": true}', "no digital input 'door'; this robot has closed"),
-        (b'{"op": "record", "path": "/nowhere/at/all.csv"}', "cannot be written"),
+        (b'{"op": "record", "path": "run.csv"}', "start the emulator with `--records FOLDER`"),
         (b" " * 5000, "at most 4096 bytes"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from deltaq_experiments.bench.braked import BrakeCause, causes
 from deltaq_experiments.bench.hop_reference import HopTimes
 from deltaq_experiments.bench.journeys import OF_ADMISSION, OF_DECISION, RobotStamps, by_robot, journeys
 from deltaq_experiments.bench.live_figures import LiveRow, bounded_rows, robot_figures
+from deltaq_experiments.bench.processor_time import machine_time
 from deltaq_experiments.bench.quantiles import Quantiles, ratio
 from deltaq_protocol.stamps import CycleOutcome, StampStation, WrittenStamps
 
@@ -309,12 +311,26 @@ def test_what_is_promised_depends_on_the_cycle(
     stamp(stamps, 4)
     times = hop_times([[0, 1, 2, 3, 4, 5]], cycle_s)
     robots = {"fr": robot_figures(stamps, 0, ns(10), times)}
-    rate, longest, processor = bounded_rows(robots, {"sim": 300.0, "hli": 100.0}, times, 4.0)
+    rate, longest, processor, stolen = bounded_rows(robots, {"sim": 300.0, "hli": 100.0}, times, 4.0, 0.25)
     assert (rate.at_least, longest.at_most) == (at_least, at_most)
     assert (rate.value, rate.kept) == (100.0, True)
     assert longest.value is None
     assert longest.kept is (False if at_most else None)
     assert (processor.value, processor.ratio, processor.kept) == (400.0, 100.0, None)
+    assert (stolen.value, stolen.kept) == (25.0, None)
+
+
+def test_what_a_host_gave_to_others_is_told_of_the_window_alone(tmp_path: Path) -> None:
+    stat = tmp_path / "stat"
+    times = []
+    for user, idle, stolen in ((100, 900, 50), (130, 920, 100)):
+        stat.write_text(
+            f"cpu  {user} 0 0 {idle} 0 0 0 {stolen} 7 7\ncpu0 1 1 1 1 1 1 1 1 1 1\n", encoding="ascii"
+        )
+        times.append(machine_time(stat))
+    before, after = times
+    assert after.stolen_share_since(before) == pytest.approx(0.5)
+    assert before.stolen_share_since(before) is None
 
 
 def test_a_bound_that_is_missed_by_a_little_is_missed() -> None:

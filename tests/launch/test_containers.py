@@ -63,4 +63,5 @@ def test_the_demonstration_s_controllers_are_not_started_unasked(seconds_to_heal
         "emulator-gr",
         "sim",
         "hli",
+        "console",
     }

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import queue
 import select
@@ -14,10 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_command.console import json_log
 from deltaq_launch.child_process import NICENESS, Exited
 from deltaq_launch.launcher import Interrupted, Launcher, LaunchError, LaunchInterruptedError
 from deltaq_launch.services import ListeningSocket, Role, Service
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.log import json_line
 
 SERVES = "import signal; print('ready: here', flush=True); signal.pause()"
 STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);" + SERVES
@@ -237,6 +240,38 @@ def test_ready_is_the_line_that_begins_so() -> None:
     with Launcher([service("sim", code)], nothing) as launcher:
         launcher.start()
         assert launcher.last_lines("sim") == ["not ready: yet", "ready: here"]
+
+
+LOGS_JSON = (
+    "from deltaq_protocol import log; import logging; log.configure('sim'); log.say_result({'cycles': 3});"
+    "logging.getLogger('deltaq_services').info('ready: here'); import signal; signal.pause()"
+)
+
+
+def test_services_that_log_as_json_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DELTAQ_LOG_FORMAT", "json")
+    with Launcher([service("sim", LOGS_JSON)], nothing) as launcher:
+        launcher.start()
+        assert launcher.last_json("sim") == {"cycles": 3}
+
+
+def test_every_line_of_a_launch_that_logs_as_json_is_an_object(capsys: pytest.CaptureFixture[str]) -> None:
+    server = replace(service("robot-server-fr", ""), role=Role.ROBOT_SERVER, robot="fr")
+    said = json_line("robot-server", "ready: here", robot="fr")
+    log = json_log([server])
+    for line in (
+        (server.name, said),
+        (server.name, 'a library \x1b[31m"says" so'),
+        ("deltaq", "cell lab is up"),
+    ):
+        log(*line)
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert told[0] == json.loads(said)
+    named = [(one["service"], one["robot"], one["message"]) for one in told[1:]]
+    assert named == [
+        ("robot-server", "fr", 'a library \x1b[31m"says" so'),
+        ("deltaq", None, "cell lab is up"),
+    ]
 
 
 def test_a_signal_that_does_not_wake_the_launcher_is_heeded_all_the_same() -> None:

@@ -55,8 +55,10 @@ def judge(run: dict[str, Any]) -> None:
         "gr: admission rate",
         "gr: longest cycle of its controller",
         "processor time of a cycle, all processes",
+        "processor time that the host gave to others",
     ]
-    assert [row["kept"] is None for row in run["rows"]] == [False, False, False, False, True]
+    assert [row["kept"] is None for row in run["rows"]] == [False, False, False, False, True, True]
+    assert 0.0 <= run["rows"][-1]["value"] <= 100.0
 
 
 def test_every_station_of_a_running_cell_is_stamped(tmp_path: Path) -> None:

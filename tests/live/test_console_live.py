@@ -109,46 +109,46 @@ def at_rest_and_free(robot):
 
 
 def test_a_stop_in_motion_ends_at_rest_and_a_reset_ends_it(cell):
-    with browser(cell, "anna") as anna:
-        anna.moves(cell)
-        anna.does("stop")
-        anna.until(lambda: anna.status["stop"] == "at_rest")
+    with browser(cell, "desk") as desk:
+        desk.moves(cell)
+        desk.does("stop")
+        desk.until(lambda: desk.status["stop"] == "at_rest")
         q = cell.q()
         assert cell.robot().phase is Phase.HELD
-        assert (anna.status["wanted_by"], anna.robot()["reason"]) == ("anna", "operator_stop")
+        assert (desk.status["wanted_by"], desk.robot()["reason"]) == ("desk", "operator_stop")
         for robot in ("fr", "gr"):
-            anna.does("reset", robot=robot)
-        anna.until(lambda: anna.status["stop"] == "none")
+            desk.does("reset", robot=robot)
+        desk.until(lambda: desk.status["stop"] == "none")
         assert cell.q() == pytest.approx(q, abs=1e-4)
-        anna.does("lease", robot="fr", action="release")
+        desk.does("lease", robot="fr", action="release")
     cell.until(at_rest_and_free)
 
 
 def test_a_page_that_goes_in_motion_leaves_the_robot_at_rest_and_free(cell):
-    with browser(cell, "anna") as anna:
-        anna.moves(cell)
-        anna.socket.socket.shutdown(socket.SHUT_RDWR)
+    with browser(cell, "desk") as desk:
+        desk.moves(cell)
+        desk.socket.socket.shutdown(socket.SHUT_RDWR)
     cell.until(at_rest_and_free)
-    with browser(cell, "bo") as bo:
-        bo.does("lease", robot="fr", action="take")
-        assert cell.robot().lease.holder == "bo (console)"
+    with browser(cell, "tower") as tower:
+        tower.does("lease", robot="fr", action="take")
+        assert cell.robot().lease.holder == "tower (console)"
 
 
 def test_the_hli_goes_and_comes_back_and_the_console_stays(cell):
-    with browser(cell, "anna") as anna:
+    with browser(cell, "desk") as desk:
         os.killpg(cell.launcher.children["hli"].pid, signal.SIGKILL)
         # a query may fail before the newest state has become old
-        anna.until(lambda: not anna.status["hli"] and "old" in anna.robot()["text"])
+        desk.until(lambda: not desk.status["hli"] and "old" in desk.robot()["text"])
         cell.launcher.restart("hli")
-        anna.until(lambda: anna.status["hli"] and "old" not in anna.robot()["text"])
-        if anna.robot()["phase"] == "held":
-            anna.does("reset", robot="fr")
-        anna.moves(cell)
+        desk.until(lambda: desk.status["hli"] and "old" not in desk.robot()["text"])
+        if desk.robot()["phase"] == "held":
+            desk.does("reset", robot="fr")
+        desk.moves(cell)
 
 
 def test_a_console_that_is_killed_in_motion_leaves_the_robot_at_rest_and_free(cell):
     cell.until(at_rest_and_free)
-    with browser(cell, "anna") as anna:
-        anna.moves(cell)
+    with browser(cell, "desk") as desk:
+        desk.moves(cell)
         os.killpg(cell.launcher.children["console"].pid, signal.SIGKILL)
         cell.until(at_rest_and_free)

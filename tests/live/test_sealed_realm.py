@@ -1,19 +1,24 @@
 """A guarded realm off the loopback: who has the key moves the robot, who has not is counted and ignored."""
 
 import pytest
+from identities import make
 from live_stack import live_stack
 
+from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.probes import probe
 from deltaq_launch.services import cell_services
 from deltaq_protocol import topics
+from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Command, Supervision
 from deltaq_protocol.messages import Phase
-from deltaq_protocol.seal import KEY_BYTES, Seal
+from deltaq_protocol.seal import Seal
+from deltaq_protocol.seal_keys import KEY_BYTES, RealmKey
 from deltaq_protocol.session import open_session
 from deltaq_services.guarded_key import KEY_FILE, write_new_key
 from deltaq_services.phases import MAY_MOVE
+from deltaq_services.recorder.shell import Recorder
 
 pytestmark = pytest.mark.live
 
@@ -60,7 +65,36 @@ def publish_forged_stops(stranger):
     supervision = topics.SUPERVISION.key("lab", robot="fr")
     stop = pack(Command(id=2**60, kind="stop"))
     order = pack(Supervision(robot="fr", epoch=1, cycle=1, stop="operator_stop"))
-    guessed = Seal(bytes(KEY_BYTES))
+    guessed = Seal(RealmKey(bytes(KEY_BYTES)))
     for close in (lambda _, message: message, guessed.close):
         stranger.put(command, close(command, stop))
         stranger.put(supervision, close(supervision, order))
+
+
+@pytest.mark.parametrize("transport", ["tcp", "tls"])
+def test_services_under_identities_move_a_robot_and_one_of_another_authority_is_not_heard(
+    tmp_path, monkeypatch, transport
+):
+    cell = load_cell("lab")
+    folder, other = (make(tmp_path / name, cell.cell) for name in ("identities", "others"))
+    monkeypatch.delenv(KEY_FILE)
+    monkeypatch.setenv(IDENTITY, str(folder))
+    with live_stack(tmp_path, moving=True, guarded="0.0.0.0", transport=transport) as stack:
+        for service in cell_services(stack.cell, "lab"):
+            assert probe(service, stack.cell).healthy
+        with connect(stack.cell, "test") as running:
+            status = running.status()
+        assert status.gate.get("forged_messages", 0) == 0
+        assert status.hli.get("forged_guarded", 0) == 0
+        with Recorder(stack.cell, tmp_path / "run.mcap") as recorder:
+            while not recorder.writer.gate_messages:
+                recorder.run(0.1)
+
+        monkeypatch.setenv(IDENTITY, str(other))
+        stack.launcher.restart("hli")
+        stack.wait_until_at_rest()  # the gate hears no HLI any more
+        with connect(stack.cell, "test") as running:
+            # over TLS it is not let in, and there is nothing to be counted
+            while transport == "tcp" and not running.status().hli.get("forged_guarded"):
+                stack.wait_cycles(4)
+            assert running.status().robots["fr"].phase is Phase.OFFLINE

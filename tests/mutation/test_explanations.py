@@ -23,7 +23,6 @@ def test_there_are_explanations() -> None:
     assert len(EXPLAINED) > 10
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     "mutant", EXPLAINED, ids=lambda mutant: f"{mutant.function}-{mutant.change[-1]}"[:80]
 )

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_protocol.seal import KEY_BYTES, MAX_SEALED_BYTES, ForgedMessageError, Seal, UnboundMessageError
+from deltaq_protocol.seal import MAX_SEALED_BYTES, ForgedMessageError, Seal, UnboundMessageError
+from deltaq_protocol.seal_keys import KEY_BYTES, RealmKey
 
 KEY = bytes(range(KEY_BYTES))
 WHERE = "deltaq-guarded/lab/fr/request"
@@ -13,7 +14,7 @@ BACK = "deltaq-guarded/lab/fr/admission"
 
 def acquainted(key: bytes = KEY) -> tuple[Seal, Seal]:
     """A sender and a receiver that it knows."""
-    sender, receiver = Seal(key), Seal(key)
+    sender, receiver = Seal(RealmKey(key)), Seal(RealmKey(key))
     sender.meet(BACK, receiver.close(BACK, b"greeting"))
     return sender, receiver
 
@@ -40,7 +41,7 @@ def test_whatever_bit_is_changed_the_message_is_refused_and_the_next_one_is_not(
 @given(st.binary(max_size=100))
 def test_bytes_that_somebody_made_up_are_refused(payload):
     with pytest.raises(ForgedMessageError, match=f"{WHERE}: {len(payload)} bytes"):
-        Seal(KEY).open(WHERE, payload)
+        Seal(RealmKey(KEY)).open(WHERE, payload)
 
 
 @given(st.data())
@@ -54,8 +55,8 @@ def test_a_part_of_a_message_is_refused(data):
 
 
 def test_a_seal_of_another_key_is_refused():
-    other, receiver = Seal(bytes(KEY_BYTES)), Seal(KEY)
-    with pytest.raises(ForgedMessageError, match="without the seal of this realm's key"):
+    other, receiver = Seal(RealmKey(bytes(KEY_BYTES))), Seal(RealmKey(KEY))
+    with pytest.raises(ForgedMessageError, match="without the seal of a holder of this realm's key"):
         receiver.open(WHERE, other.close(WHERE, b"x"))
 
 
@@ -88,7 +89,7 @@ def test_what_was_recorded_before_a_process_began_says_nothing_to_it_not_even_if
     sender, before = acquainted()
     recorded = [sender.close(WHERE, b"%d" % k) for k in range(10)]
     assert before.open(WHERE, recorded[-1]) == b"9"
-    after = Seal(KEY)
+    after = Seal(RealmKey(KEY))
     for message in recorded:
         with pytest.raises(UnboundMessageError, match=f"{WHERE}: not made for this process"):
             after.open(WHERE, message)
@@ -96,7 +97,7 @@ def test_what_was_recorded_before_a_process_began_says_nothing_to_it_not_even_if
 
 def test_a_process_that_begins_anew_is_known_after_one_greeting():
     sender, _ = acquainted()
-    after = Seal(KEY)
+    after = Seal(RealmKey(KEY))
     with pytest.raises(UnboundMessageError):
         after.open(WHERE, sender.close(WHERE, b"state"))
     sender.meet(BACK, after.close(BACK, b"greeting"))
@@ -104,7 +105,7 @@ def test_a_process_that_begins_anew_is_known_after_one_greeting():
 
 
 def test_both_ends_may_begin_anew_and_whoever_speaks_first_is_answered():
-    one, other = Seal(KEY), Seal(KEY)
+    one, other = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
     with pytest.raises(UnboundMessageError):
         other.open(WHERE, one.close(WHERE, b"state"))
     one.meet(BACK, other.close(BACK, b"greeting"))
@@ -113,7 +114,7 @@ def test_both_ends_may_begin_anew_and_whoever_speaks_first_is_answered():
 
 
 def successor(receiver: Seal) -> Seal:
-    after = Seal(KEY)
+    after = Seal(RealmKey(KEY))
     after.meet(BACK, receiver.close(BACK, b"greeting"))
     return after
 
@@ -150,9 +151,9 @@ def test_what_a_long_gone_process_said_takes_nobody_s_place():
 
 
 def test_recordings_of_many_processes_keep_nobody_from_being_known():
-    receiver, sender = Seal(KEY), Seal(KEY)
+    receiver, sender = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
     for _ in range(100):
-        receiver.meet(WHERE, Seal(KEY).close(WHERE, b"recorded"))
+        receiver.meet(WHERE, Seal(RealmKey(KEY)).close(WHERE, b"recorded"))
     with pytest.raises(UnboundMessageError):
         receiver.open(WHERE, sender.close(WHERE, b"state"))
     greeting = receiver.close(BACK, b"greeting")
@@ -168,7 +169,7 @@ def test_one_key_is_not_kept_waiting_for_the_numbers_of_another():
 
 
 def test_one_message_is_good_for_all_who_are_known():
-    sender, receivers = Seal(KEY), [Seal(KEY) for _ in range(3)]
+    sender, receivers = Seal(RealmKey(KEY)), [Seal(RealmKey(KEY)) for _ in range(3)]
     for number, receiver in enumerate(receivers):
         sender.meet(f"greeting/{number}", receiver.close(f"greeting/{number}", b""))
     sealed = sender.close(WHERE, b"state")
@@ -177,13 +178,13 @@ def test_one_message_is_good_for_all_who_are_known():
 
 def test_who_only_watches_reads_what_was_made_for_others_and_takes_nothing_from_them():
     sender, receiver = acquainted()
-    watcher, sealed = Seal(KEY), sender.close(WHERE, b"state")
+    watcher, sealed = Seal(RealmKey(KEY)), sender.close(WHERE, b"state")
     assert [watcher.read(WHERE, sealed), receiver.read(WHERE, sealed)] == [b"state"] * 2
     assert receiver.open(WHERE, sealed) == b"state"
 
 
 def test_strangers_cannot_fill_the_memory():
-    receiver = Seal(KEY)
+    receiver = Seal(RealmKey(KEY))
     for k in range(1000):
         with pytest.raises(ForgedMessageError):
             receiver.open(f"deltaq-guarded/lab/{k}/request", b"x" * 100)
@@ -200,4 +201,4 @@ def test_a_long_message_is_refused_whoever_sealed_it():
 
 def test_a_key_of_another_length_is_refused():
     with pytest.raises(ValueError, match="has 31 bytes; it must have 32"):
-        Seal(KEY[:-1])
+        Seal(RealmKey(KEY[:-1]))

@@ -17,7 +17,8 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import CommandReply, Health
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
-from deltaq_protocol.seal import KEY_BYTES, Seal
+from deltaq_protocol.seal import Seal
+from deltaq_protocol.seal_keys import KEY_BYTES, RealmKey
 from deltaq_protocol.session import open_session
 from deltaq_services.hli.shell import Hli
 
@@ -55,7 +56,7 @@ def believes_nobody(hli: Hli) -> bool:
 async def test_the_hli_believes_nobody_who_lacks_the_key(key: bytes | None) -> None:
     cell = small_cell()
     squatter = open_session(listen=[cell.sim, *(robot.server for robot in cell.robots.values())])
-    guessed = None if key is None else Seal(key)
+    guessed = None if key is None else Seal(RealmKey(key))
     try:
         async with Hli(cell, told(cell), tool_pose) as hli:
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ssl
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
+from audited import CONTROLLER, OPERATOR, Audited, audited
 from certificate import certificate
-from guarded_peer import GuardedPeer, guarded_peer
 from json_client import JsonClient, json_client
 from open_stranger import OpenStranger
-from small_cell import small_cell, told, tool_pose
+from small_cell import small_cell
 
 from deltaq_protocol import connect, topics
 from deltaq_protocol.audit import LONGEST_TEXT, AuditEntry, AuditKind, AuditOutcome
@@ -24,57 +22,11 @@ from deltaq_protocol.messages import Increment, LeaseAction, LeaseRequest
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.audit import Audit
-from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.line_encryption import line_encryption
-from deltaq_services.hli.shell import Hli
 from deltaq_services.outputs import ClientOrigin
 
-OPERATOR, CONTROLLER = "the operator's token, 0123456789", "the controller's, 0123456789"
 WRONG = "a wrong token, 9876543210"
-
-
-class Audited:
-    """A running HLI, and its audit log."""
-
-    def __init__(self, hli: Hli, peer: GuardedPeer, file: Path) -> None:
-        self.hli, self.peer, self.file = hli, peer, file
-        self.port = peer.cell.tcp_port
-
-    def entries(self) -> list[dict[str, Any]]:
-        """What is in the file; every line is a whole entry."""
-        lines = self.file.read_bytes().splitlines()
-        return [AuditEntry.model_validate_json(line).model_dump(mode="json") for line in lines]
-
-    async def entry(self, what: str, outcome: str, **fields: Any) -> dict[str, Any]:
-        """The first entry of this kind and outcome, with these fields; waits for it."""
-        wanted = {"what": what, "outcome": outcome} | fields
-        async with asyncio.timeout(10):
-            while True:
-                for entry in self.entries():
-                    if wanted.items() <= entry.items():
-                        return entry
-                await asyncio.sleep(0.01)
-
-    async def counted(self, what: str, wanted: int) -> list[dict[str, Any]]:
-        """Entries of a kind, once their counts have come to what is wanted."""
-        async with asyncio.timeout(20):
-            while True:
-                found = [entry for entry in self.entries() if entry["what"] == what]
-                if sum(entry["count"] for entry in found) >= wanted:
-                    return found
-                await asyncio.sleep(0.05)
-
-
-@contextlib.asynccontextmanager
-async def audited(file: Path, encryption: ssl.SSLContext | None = None) -> AsyncIterator[Audited]:
-    cell, roles = small_cell(), ClientRoles(OPERATOR, CONTROLLER)
-    async with (
-        guarded_peer(cell) as peer,
-        Hli(cell, told(cell), tool_pose, roles, encryption, file) as hli,
-    ):
-        await peer.turn()
-        yield Audited(hli, peer, file)
 
 
 @pytest.fixture

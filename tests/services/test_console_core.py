@@ -24,10 +24,10 @@ def bench():
 @pytest.fixture
 def driving_anna(bench):
     bench.states()
-    anna = bench.browser("anna")
-    anna.send("ping")
-    anna.takes()
-    return anna
+    desk = bench.browser("desk")
+    desk.send("ping")
+    desk.takes()
+    return desk
 
 
 @pytest.mark.parametrize(
@@ -57,38 +57,38 @@ def driving_anna(bench):
     ],
 )
 def test_garbage_is_answered_with_field_value_and_bound_and_counted(bench, message, words):
-    anna = bench.browser()
-    anna.raw(message)
-    assert anna.got[-1].outcome is REFUSED
+    desk = bench.browser()
+    desk.raw(message)
+    assert desk.got[-1].outcome is REFUSED
     for word in words:
-        assert word in anna.got[-1].text
+        assert word in desk.got[-1].text
     assert bench.core.counters["malformed"] == 1
-    assert isinstance(anna.send("ping"), Pong)
+    assert isinstance(desk.send("ping"), Pong)
 
 
 def test_garbage_with_an_id_is_answered_to_that_id(bench):
-    anna = bench.browser()
-    anna.raw('{"type": "jog", "id": "c7", "sent_ms": 0, "robot": "fr", "wish": "all"}')
-    assert anna.got[-1].id == "c7"
+    desk = bench.browser()
+    desk.raw('{"type": "jog", "id": "c7", "sent_ms": 0, "robot": "fr", "wish": "all"}')
+    assert desk.got[-1].id == "c7"
 
 
 def test_a_flood_is_refused_but_a_stop_in_it_is_not(bench):
-    anna = bench.browser()
-    pongs = [isinstance(anna.send("ping"), Pong) for _ in range(200)]
+    desk = bench.browser()
+    pongs = [isinstance(desk.send("ping"), Pong) for _ in range(200)]
     assert sum(pongs) == 120
-    assert "bound 120" in anna.got[-1].text
-    assert anna.send("stop").outcome is ASKED
+    assert "bound 120" in desk.got[-1].text
+    assert desk.send("stop").outcome is ASKED
     assert bench.asked("stop")
     assert bench.core.counters["too_many"] == 80
     bench.now_s += 1.0
-    assert isinstance(anna.send("ping"), Pong)
+    assert isinstance(desk.send("ping"), Pong)
 
 
 def test_a_flood_of_garbage_is_not_answered_message_by_message(bench):
-    anna = bench.browser()
+    desk = bench.browser()
     for _ in range(200):
-        anna.raw("garbage")
-    assert len([ack for ack in anna.acks("") if ack.outcome is REFUSED]) == 120
+        desk.raw("garbage")
+    assert len([ack for ack in desk.acks("") if ack.outcome is REFUSED]) == 120
     assert bench.core.counters["malformed"] == 200
 
 
@@ -132,8 +132,8 @@ def test_the_same_id_twice_is_done_once_and_answered_twice(driving_anna, bench):
 
 
 def test_a_stop_that_comes_twice_is_asked_once_and_answered_twice(bench):
-    anna = bench.browser()
-    assert [anna.send("stop", id="s1").outcome for _ in range(3)] == [ASKED] * 3
+    desk = bench.browser()
+    assert [desk.send("stop", id="s1").outcome for _ in range(3)] == [ASKED] * 3
     assert len(bench.asked("stop")) == 1
 
 
@@ -147,13 +147,13 @@ def test_a_late_wish_expires(driving_anna, bench):
 
 @pytest.mark.parametrize("hours", [-1, 1])
 def test_a_clock_that_is_an_hour_off_makes_no_difference(driving_anna, bench, hours):
-    bo = bench.browser("bo")
-    bo.ahead_s = 3600.0 * hours
-    bo.send("ping")
-    bo.takes("gr")
+    tower = bench.browser("tower")
+    tower.ahead_s = 3600.0 * hours
+    tower.send("ping")
+    tower.takes("gr")
     jog = {"robot": "gr", "wish": [0.0] * 9}
-    assert bo.send("jog", **jog).outcome is DONE
-    assert bo.send("jog", late_s=0.6, **jog).outcome is EXPIRED
+    assert tower.send("jog", **jog).outcome is DONE
+    assert tower.send("jog", late_s=0.6, **jog).outcome is EXPIRED
 
 
 def test_what_waited_in_a_line_that_stood_still_expires(driving_anna, bench):
@@ -164,9 +164,9 @@ def test_what_waited_in_a_line_that_stood_still_expires(driving_anna, bench):
 
 
 def test_a_stop_never_expires(bench):
-    anna = bench.browser()
-    anna.send("ping")
-    assert anna.send("stop", late_s=100.0).outcome is ASKED
+    desk = bench.browser()
+    desk.send("ping")
+    assert desk.send("stop", late_s=100.0).outcome is ASKED
     assert len(bench.asked("stop")) == 1
 
 
@@ -203,10 +203,10 @@ def test_what_does_not_fit_the_robot_is_refused(driving_anna, bench, kind, field
 
 def test_a_robot_without_a_camera_does_not_follow(bench):
     bench.states()
-    anna = bench.browser()
-    anna.takes("gr")
+    desk = bench.browser()
+    desk.takes("gr")
     for kind, fields in (("mode", {"mode": "follow"}), ("view_distance", {"value_m": 1.0})):
-        assert "no camera" in anna.send(kind, robot="gr", **fields).text
+        assert "no camera" in desk.send(kind, robot="gr", **fields).text
 
 
 def test_on_an_old_picture_nothing_moves(driving_anna, bench):
@@ -226,7 +226,7 @@ def test_a_held_robot_says_why_it_does_not_move_and_what_to_do(driving_anna, ben
 def test_a_stop_is_asked_then_stopping_then_at_rest(driving_anna, bench):
     assert driving_anna.send("stop", id="s").outcome is ASKED
     assert driving_anna.status().stop is StopPhase.ASKED
-    assert driving_anna.status().wanted_by == "anna"
+    assert driving_anna.status().wanted_by == "desk"
     # who is driven from here rests even if the HLI does not hear of it
     assert bench.driver_requests()[-1] == driving.Wish()
     bench.state(Phase.HELD, ReasonCode.OPERATOR_STOP, robot="gr")
@@ -276,38 +276,38 @@ def test_a_robot_that_lost_its_controller_is_no_stop(driving_anna, bench):
 
 
 def test_answers_of_the_hli_reach_who_asked(bench):
-    anna, bo = bench.browser("anna"), bench.browser("bo")
-    anna.send("reset", id="r", robot="fr")
-    before = len(bo.got)
+    desk, tower = bench.browser("desk"), bench.browser("tower")
+    desk.send("reset", id="r", robot="fr")
+    before = len(tower.got)
     refused = bench.core.answered(
         bench.asked("reset")[0].request, False, "cause_stands: it stands", bench.now_s
     )
-    anna.hears(refused)
-    bo.hears(refused)
-    assert anna.acks("r")[-1].text == "cause_stands: it stands"
-    assert len(bo.got) == before
+    desk.hears(refused)
+    tower.hears(refused)
+    assert desk.acks("r")[-1].text == "cause_stands: it stands"
+    assert len(tower.got) == before
     # and who comes back with the same id gets the same answer
-    assert anna.send("reset", id="r", robot="fr").outcome is REFUSED
+    assert desk.send("reset", id="r", robot="fr").outcome is REFUSED
     assert len(bench.asked("reset")) == 1
 
 
 def test_a_dry_run_is_answered_with_its_verdict_in_words(bench):
-    anna = bench.browser()
-    anna.send("dry_run", id="d", robot="fr", dq=[0.1, 0, 0, 0, 0, 0])
+    desk = bench.browser()
+    desk.send("dry_run", id="d", robot="fr", dq=[0.1, 0, 0, 0, 0, 0])
     (asked,) = bench.asked("dry_run")
     assert (asked.robot, asked.dq) == ("fr", (0.1, 0, 0, 0, 0, 0))
     near = Reason(code=ReasonCode.POSITION_LIMIT, what="a1", value=3.2, bound=math.pi)
     verdict = Verdict(robot="fr", cycle=1, seq=0, outcome=Outcome.SCALED, scale=0.5, reasons=(near,))
-    anna.hears(bench.core.answered(asked.request, True, "", bench.now_s, verdict))
-    ack = anna.acks("d")[-1]
+    desk.hears(bench.core.answered(asked.request, True, "", bench.now_s, verdict))
+    ack = desk.acks("d")[-1]
     assert (ack.outcome, ack.verdict, ack.scale) == (DONE, Outcome.SCALED, 0.5)
     assert ack.text == "scaled to 50%: a1 at its position limit, 180.0°"
 
 
 def test_the_answer_to_who_has_gone_is_dropped(bench):
-    anna = bench.browser()
-    anna.send("reset", robot="fr")
-    bench.core.disconnect(anna.client, bench.now_s)
+    desk = bench.browser()
+    desk.send("reset", robot="fr")
+    bench.core.disconnect(desk.client, bench.now_s)
     assert bench.core.answered(bench.asked("reset")[0].request, True, "", bench.now_s) == []
 
 
@@ -319,54 +319,54 @@ def test_more_clients_than_can_be_served_are_turned_away(bench):
 
 
 def test_two_of_one_name_are_told_apart(bench):
-    assert bench.browser("anna").client.name == "anna"
-    assert bench.browser("anna").client.name == "anna 2"
+    assert bench.browser("desk").client.name == "desk"
+    assert bench.browser("desk").client.name == "desk 2"
 
 
 def test_a_status_is_sent_when_it_changes_and_once_a_second(bench):
     bench.states()
-    anna = bench.browser()
-    anna.status()
-    count = len(anna.got)
+    desk = bench.browser()
+    desk.status()
+    count = len(desk.got)
     bench.states()
-    anna.hears(bench.tick(0.2))
-    assert len(anna.got) == count
+    desk.hears(bench.tick(0.2))
+    assert len(desk.got) == count
     bench.core.board.heard({"fr": "leader", "gr": None}, bench.now_s)
-    assert anna.status().robots["fr"].lease.holder == "leader"
+    assert desk.status().robots["fr"].lease.holder == "leader"
     bench.states()
-    count = len(anna.got)
-    anna.hears(bench.tick(1.0))
-    assert len(anna.got) == count + 1
+    count = len(desk.got)
+    desk.hears(bench.tick(1.0))
+    assert len(desk.got) == count + 1
 
 
 def test_a_silent_hli_is_told_and_the_old_view_is_marked(bench):
     bench.states()
-    anna = bench.browser()
+    desk = bench.browser()
     bench.core.board.heard({}, bench.now_s)
-    assert anna.status().hli
+    assert desk.status().hli
     bench.core.board.silent("no answer", bench.now_s)
-    status = anna.status(1.0)
+    status = desk.status(1.0)
     assert not status.hli
     assert status.text == "no answer"
     assert "old" in status.robots["fr"].text
     bench.core.board.heard({}, bench.now_s)
     bench.states()
-    assert anna.status().robots["fr"].text == "ready"
-    assert anna.events("link") == ["the HLI is heard", "the HLI is silent: no answer", "the HLI is heard"]
+    assert desk.status().robots["fr"].text == "ready"
+    assert desk.events("link") == ["the HLI is heard", "the HLI is silent: no answer", "the HLI is heard"]
 
 
 def test_what_bound_a_verdict_is_told_in_words_and_a_refusal_in_every_cycle_is_one_line(bench):
     bench.states()
-    anna = bench.browser()
+    desk = bench.browser()
     near = Reason(code=ReasonCode.CLEARANCE, what="gr/link_3 structure/tank_1", value=0.052, bound=0.05)
     for _ in range(100):
         bench.verdict(Outcome.HELD, (near,), robot="gr")
-    bound = anna.status().robots["gr"].bound
+    bound = desk.status().robots["gr"].bound
     assert bound.text == "held: gr/link_3 5.2 cm from structure/tank_1, 5.0 cm are kept"
     assert bound.bodies == ("gr/link_3", "structure/tank_1")
-    assert len(anna.events("verdict")) == 1
-    anna.status(2.5)
-    assert [message.count for message in anna.got if getattr(message, "kind", "") == "verdict"] == [1, 99]
+    assert len(desk.events("verdict")) == 1
+    desk.status(2.5)
+    assert [message.count for message in desk.got if getattr(message, "kind", "") == "verdict"] == [1, 99]
 
 
 def test_a_message_of_states_that_do_not_fit_is_passed_over(bench):
@@ -378,10 +378,10 @@ def test_a_message_of_states_that_do_not_fit_is_passed_over(bench):
 
 
 def test_every_type_of_command_has_an_expiry_but_ping_and_stop(bench):
-    anna = bench.browser()
-    anna.raw(json.dumps({"type": "nothing", "id": "1", "sent_ms": 0}))
+    desk = bench.browser()
+    desk.raw(json.dumps({"type": "nothing", "id": "1", "sent_ms": 0}))
     kinds = (
-        anna.got[-1].text.partition("expected tags: ")[2].partition(", got")[0].replace("'", "").split(", ")
+        desk.got[-1].text.partition("expected tags: ")[2].partition(", got")[0].replace("'", "").split(", ")
     )
     assert set(kinds) == {*EXPIRY_S, "ping", "stop"}
 

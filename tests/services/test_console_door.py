@@ -88,9 +88,9 @@ async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path)
                 json.dumps({"type": "lease", "id": "1", "sent_ms": 0, "robot": "fr", "action": "take"})
             )
             assert "observer" in (await told(observer, "ack"))["text"]
-        async with websockets.connect(live(host, token="s3cret", name="anna")) as operator:
+        async with websockets.connect(live(host, token="s3cret", name="desk")) as operator:
             hello = await told(operator, "hello")
-            assert (hello["operator"], hello["client"]) == (True, "anna")
+            assert (hello["operator"], hello["client"]) == (True, "desk")
 
 
 async def test_garbage_ends_neither_the_connection_nor_the_service(tmp_path):

@@ -130,11 +130,11 @@ async def test_a_file_that_is_no_recording_is_told_and_one_is_read_at_a_time(tmp
 def test_behind_a_recording_nothing_is_commanded_but_a_stop():
     bench = ConsoleBench()
     bench.states()
-    anna = bench.browser("anna")
-    anna.send("ping")
-    anna.takes()
+    desk = bench.browser("desk")
+    desk.send("ping")
+    desk.takes()
     bench.outputs.clear()
-    assert anna.send("replay", shown=True).outcome is DONE
+    assert desk.send("replay", shown=True).outcome is DONE
     assert bench.outputs[0] == ToDriver("fr", driving.Wish()), "what it drives rests"
     assert isinstance(bench.outputs[1].request, driving.Release), "and is free for others"
     bench.driver_answers("fr")
@@ -147,25 +147,25 @@ def test_behind_a_recording_nothing_is_commanded_but_a_stop():
         ("dry_run", {"robot": "fr", "dq": [0, 0, 0, 0, 0, 0]}),
         ("record", {"action": "start"}),
     ):
-        ack = anna.send(kind, **fields)
+        ack = desk.send(kind, **fields)
         assert (ack.outcome, "a recording is shown" in ack.text) == (REFUSED, True), kind
     assert not bench.driver_requests("fr")
     assert not bench.driver_requests("gr")
-    assert anna.send("stop").outcome is ASKED
+    assert desk.send("stop").outcome is ASKED
     assert bench.asked("stop")
-    anna.send("replay", shown=False)
-    assert "take it" in anna.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).text
-    anna.takes()
-    assert anna.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
+    desk.send("replay", shown=False)
+    assert "take it" in desk.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).text
+    desk.takes()
+    assert desk.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
 
 
 def test_a_recording_shown_in_one_browser_binds_no_other():
     bench = ConsoleBench()
     bench.states()
-    anna, bert = bench.browser("anna"), bench.browser("bert")
-    for browser in (anna, bert):
+    desk, bert = bench.browser("desk"), bench.browser("bert")
+    for browser in (desk, bert):
         browser.send("ping")
-    anna.send("replay", shown=True)
+    desk.send("replay", shown=True)
     bert.takes()
     assert bert.send("jog", robot="fr", wish=[0.1, 0, 0, 0, 0, 0]).outcome is DONE
 
@@ -179,42 +179,42 @@ def recording_bench():
 
 def test_without_a_folder_nothing_is_recorded_and_the_page_offers_nothing():
     bench = ConsoleBench()
-    anna = bench.browser()
-    assert anna.send("ping")
-    ack = anna.send("record", action="start")
+    desk = bench.browser()
+    assert desk.send("ping")
+    ack = desk.send("record", action="start")
     assert (ack.outcome, "--recordings" in ack.text) == (REFUSED, True)
-    assert anna.status().recording is None
+    assert desk.status().recording is None
 
 
 def test_one_recording_is_written_at_a_time_and_its_end_is_told(recording_bench):
     bench = recording_bench
-    anna = bench.browser()
-    anna.send("ping")
-    assert "nothing is being recorded" in anna.send("record", action="stop").text
-    assert anna.send("record", action="start").outcome is DONE
+    desk = bench.browser()
+    desk.send("ping")
+    assert "nothing is being recorded" in desk.send("record", action="stop").text
+    assert desk.send("record", action="start").outcome is DONE
     (begun,) = [output for output in bench.outputs if isinstance(output, ToRecorder)]
     assert begun.file == "lab-19700101-001640.mcap"
-    assert "already" in anna.send("record", action="start").text
-    view = anna.status(1.0).recording
+    assert "already" in desk.send("record", action="start").text
+    view = desk.status(1.0).recording
     assert (view.file, view.since_s) == (begun.file, None), "it is not said to be written before it is"
     bench.core.desk.began(bench.now_s)
-    assert anna.status(1.0).recording.since_s == bench.now_s - 1.0
-    assert anna.send("record", action="stop").outcome is DONE
+    assert desk.status(1.0).recording.since_s == bench.now_s - 1.0
+    assert desk.send("record", action="stop").outcome is DONE
     assert bench.outputs.count(ToRecorder(None)) == 1
     bench.core.recorder_ended("", bench.now_s)
-    status = anna.status(1.0)
+    status = desk.status(1.0)
     assert (status.recording.file, status.recording.text) == ("", f"{begun.file} was recorded")
-    assert anna.send("record", action="start").outcome is DONE
+    assert desk.send("record", action="start").outcome is DONE
 
 
 def test_a_recorder_that_dies_is_told_and_another_recording_can_begin(recording_bench):
-    anna = recording_bench.browser()
-    anna.send("ping")
-    anna.send("record", action="start")
+    desk = recording_bench.browser()
+    desk.send("ping")
+    desk.send("record", action="start")
     recording_bench.core.recorder_ended("No space left on device", recording_bench.now_s)
-    assert "No space left" in anna.status(1.0).recording.text
-    assert any("No space left" in text for text in anna.events("recording"))
-    assert anna.send("record", action="start").outcome is DONE
+    assert "No space left" in desk.status(1.0).recording.text
+    assert any("No space left" in text for text in desk.events("recording"))
+    assert desk.send("record", action="start").outcome is DONE
 
 
 def test_an_observer_records_nothing(recording_bench):

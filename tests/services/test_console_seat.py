@@ -18,15 +18,15 @@ def bench():
 
 
 @pytest.fixture
-def anna(bench):
-    anna = bench.browser("anna")
-    anna.takes()
-    return anna
+def desk(bench):
+    desk = bench.browser("desk")
+    desk.takes()
+    return desk
 
 
 @pytest.fixture
-def bo(bench):
-    return bench.browser("bo")
+def tower(bench):
+    return bench.browser("tower")
 
 
 def lease(browser, action, **fields):
@@ -34,135 +34,135 @@ def lease(browser, action, **fields):
 
 
 def test_nobody_moves_a_robot_before_its_lease_is_granted(bench):
-    anna = bench.browser()
-    assert lease(anna, "take", id="t").outcome is ASKED
-    assert anna.send("jog", **JOG).outcome is REFUSED
-    anna.hears(bench.driver_answers())
-    assert anna.acks("t")[-1].outcome is DONE
-    assert anna.send("jog", **JOG).outcome is DONE
-    assert anna.status().robots["fr"].lease.mine
+    desk = bench.browser()
+    assert lease(desk, "take", id="t").outcome is ASKED
+    assert desk.send("jog", **JOG).outcome is REFUSED
+    desk.hears(bench.driver_answers())
+    assert desk.acks("t")[-1].outcome is DONE
+    assert desk.send("jog", **JOG).outcome is DONE
+    assert desk.status().robots["fr"].lease.mine
 
 
 def test_a_lease_that_somebody_outside_holds_is_refused_with_the_drivers_words(bench):
-    anna = bench.browser()
-    lease(anna, "take", id="t")
-    anna.hears(bench.driver_answers(done=False, text="lease_taken: scripted-leader holds it"))
-    assert anna.acks("t")[-1].text == "lease_taken: scripted-leader holds it"
-    assert anna.send("jog", **JOG).outcome is REFUSED
-    assert not anna.status().robots["fr"].lease.mine
-    assert lease(anna, "take").outcome is ASKED
+    desk = bench.browser()
+    lease(desk, "take", id="t")
+    desk.hears(bench.driver_answers(done=False, text="lease_taken: scripted-leader holds it"))
+    assert desk.acks("t")[-1].text == "lease_taken: scripted-leader holds it"
+    assert desk.send("jog", **JOG).outcome is REFUSED
+    assert not desk.status().robots["fr"].lease.mine
+    assert lease(desk, "take").outcome is ASKED
 
 
-def test_the_second_operator_sees_who_has_it_and_cannot_move_it(bench, anna, bo):
-    seen = bo.status().robots["fr"].lease
-    assert (seen.holder, seen.mine) == ("anna", False)
-    assert "anna has fr: ask for it" in lease(bo, "take").text
-    assert "anna has it" in bo.send("jog", **JOG).text
+def test_the_second_operator_sees_who_has_it_and_cannot_move_it(bench, desk, tower):
+    seen = tower.status().robots["fr"].lease
+    assert (seen.holder, seen.mine) == ("desk", False)
+    assert "desk has fr: ask for it" in lease(tower, "take").text
+    assert "desk has it" in tower.send("jog", **JOG).text
     for action in ("release", "grant", "refuse"):
-        assert "not yours" in lease(bo, action).text
+        assert "not yours" in lease(tower, action).text
 
 
-def test_it_is_handed_over_when_it_is_asked_for_and_granted(bench, anna, bo):
-    assert lease(anna, "grant").outcome is REFUSED
-    assert lease(bo, "ask").outcome is DONE
-    assert anna.status().robots["fr"].lease.wanted_by == "bo"
-    assert lease(anna, "grant").outcome is DONE
+def test_it_is_handed_over_when_it_is_asked_for_and_granted(bench, desk, tower):
+    assert lease(desk, "grant").outcome is REFUSED
+    assert lease(tower, "ask").outcome is DONE
+    assert desk.status().robots["fr"].lease.wanted_by == "tower"
+    assert lease(desk, "grant").outcome is DONE
     # it comes to rest first, and in between nobody moves it
     assert isinstance(bench.driver_requests()[-1], driving.Release)
     assert bench.driver_requests()[-2] == driving.Wish()
-    for browser in (anna, bo):
+    for browser in (desk, tower):
         assert browser.send("jog", **JOG).outcome is REFUSED
     bench.driver_answers()
-    assert bench.driver_requests()[-1].client == "bo (console)"
+    assert bench.driver_requests()[-1].client == "tower (console)"
     bench.driver_answers()
-    assert bo.status().robots["fr"].lease.mine
-    assert bo.send("jog", **JOG).outcome is DONE
-    assert anna.send("jog", **JOG).outcome is REFUSED
+    assert tower.status().robots["fr"].lease.mine
+    assert tower.send("jog", **JOG).outcome is DONE
+    assert desk.send("jog", **JOG).outcome is REFUSED
 
 
-def test_a_hand_over_can_be_refused(bench, anna, bo):
-    lease(bo, "ask")
-    assert lease(anna, "refuse").outcome is DONE
-    told = bo.status().robots["fr"].lease
-    assert (told.wanted_by, told.text) == (None, "anna keeps fr")
-    assert anna.send("jog", **JOG).outcome is DONE
+def test_a_hand_over_can_be_refused(bench, desk, tower):
+    lease(tower, "ask")
+    assert lease(desk, "refuse").outcome is DONE
+    told = tower.status().robots["fr"].lease
+    assert (told.wanted_by, told.text) == (None, "desk keeps fr")
+    assert desk.send("jog", **JOG).outcome is DONE
 
 
-def test_only_one_asks_at_a_time(bench, anna, bo):
-    lease(bo, "ask")
-    assert "bo has asked" in lease(bench.browser("cleo"), "ask").text
-    assert lease(bo, "ask").outcome is DONE
-    assert "is yours" in lease(anna, "ask").text
+def test_only_one_asks_at_a_time(bench, desk, tower):
+    lease(tower, "ask")
+    assert "tower has asked" in lease(bench.browser("cleo"), "ask").text
+    assert lease(tower, "ask").outcome is DONE
+    assert "is yours" in lease(desk, "ask").text
 
 
-def test_what_a_browser_drove_rests_and_is_released_when_it_has_gone(bench, anna, bo):
-    bench.done(bench.core.disconnect(anna.client, bench.now_s))
+def test_what_a_browser_drove_rests_and_is_released_when_it_has_gone(bench, desk, tower):
+    bench.done(bench.core.disconnect(desk.client, bench.now_s))
     rest, release = bench.driver_requests()[-2:]
     assert rest == driving.Wish()
     assert isinstance(release, driving.Release)
-    assert lease(bo, "take").outcome is REFUSED
+    assert lease(tower, "take").outcome is REFUSED
     bench.driver_answers()
-    assert lease(bo, "take").outcome is ASKED
+    assert lease(tower, "take").outcome is ASKED
 
 
-def test_who_has_gone_is_not_handed_a_robot(bench, anna, bo):
-    lease(bo, "ask")
-    lease(anna, "grant")
-    bench.done(bench.core.disconnect(bo.client, bench.now_s))
+def test_who_has_gone_is_not_handed_a_robot(bench, desk, tower):
+    lease(tower, "ask")
+    lease(desk, "grant")
+    bench.done(bench.core.disconnect(tower.client, bench.now_s))
     count = len(bench.driver_requests())
     bench.driver_answers()
     assert len(bench.driver_requests()) == count
-    assert anna.status().robots["fr"].lease.holder is None
+    assert desk.status().robots["fr"].lease.holder is None
 
 
 def test_who_goes_while_the_lease_is_taken_does_not_keep_it(bench):
-    anna = bench.browser()
-    lease(anna, "take")
+    desk = bench.browser()
+    lease(desk, "take")
     take = bench.driver_requests()[-1]
-    bench.done(bench.core.disconnect(anna.client, bench.now_s))
+    bench.done(bench.core.disconnect(desk.client, bench.now_s))
     bench.done(bench.core.drivers.said("fr", driving.DriverAnswer(id=take.id, done=True), bench.now_s))
     bench.driver_answers()
-    assert lease(bench.browser("bo"), "take").outcome is ASKED
+    assert lease(bench.browser("tower"), "take").outcome is ASKED
 
 
-def test_a_driver_that_ended_leaves_nobody_waiting(bench, anna):
-    anna.send("mode", id="m", robot="fr", mode="decoupled")
-    anna.hears(bench.core.drivers.ended("fr", "signal 9", bench.now_s))
-    assert "signal 9" in anna.acks("m")[-1].text
-    assert anna.send("jog", **JOG).outcome is REFUSED
-    assert anna.status().robots["fr"].lease.holder is None
-    assert lease(anna, "take").outcome is ASKED
+def test_a_driver_that_ended_leaves_nobody_waiting(bench, desk):
+    desk.send("mode", id="m", robot="fr", mode="decoupled")
+    desk.hears(bench.core.drivers.ended("fr", "signal 9", bench.now_s))
+    assert "signal 9" in desk.acks("m")[-1].text
+    assert desk.send("jog", **JOG).outcome is REFUSED
+    assert desk.status().robots["fr"].lease.holder is None
+    assert lease(desk, "take").outcome is ASKED
 
 
-def test_a_lease_that_was_lost_is_told(bench, anna):
+def test_a_lease_that_was_lost_is_told(bench, desk):
     lost = driving.DriverReport(
         stage=driving.DriverStage.FREE, mode=driving.DrivingMode.JOINT, doing="taken by another"
     )
     bench.core.drivers.said("fr", lost, bench.now_s)
-    assert anna.send("jog", **JOG).outcome is REFUSED
-    assert not anna.status().robots["fr"].lease.mine
-    assert any("taken by another" in text for text in anna.events("lease"))
+    assert desk.send("jog", **JOG).outcome is REFUSED
+    assert not desk.status().robots["fr"].lease.mine
+    assert any("taken by another" in text for text in desk.events("lease"))
 
 
-def test_an_answer_that_nobody_waits_for_changes_nothing(bench, anna):
+def test_an_answer_that_nobody_waits_for_changes_nothing(bench, desk):
     bench.core.drivers.said("fr", driving.DriverAnswer(id="r999", done=False), bench.now_s)
-    assert anna.send("jog", **JOG).outcome is DONE
+    assert desk.send("jog", **JOG).outcome is DONE
 
 
 def test_mode_view_distance_and_outputs_reach_the_driver(bench):
-    anna = bench.browser()
-    anna.takes("fr")
-    anna.takes("gr")
-    anna.send("mode", id="m", robot="fr", mode="follow", frame="tool")
-    anna.send("view_distance", robot="fr", value_m=1.5)
-    anna.send("output", id="o", robot="gr", index=1, value=True)
+    desk = bench.browser()
+    desk.takes("fr")
+    desk.takes("gr")
+    desk.send("mode", id="m", robot="fr", mode="follow", frame="tool")
+    desk.send("view_distance", robot="fr", value_m=1.5)
+    desk.send("output", id="o", robot="gr", index=1, value=True)
     change, view = bench.driver_requests()[-2:]
     assert (change.mode, change.frame, view.distance_m) == ("follow", "tool", 1.5)
     assert bench.driver_requests("gr")[-1].outputs == {"tool_changer": True}
-    assert anna.acks("o")[-1].outcome is ASKED
-    anna.hears(bench.driver_answers("gr", done=False, text="held"))
-    assert anna.acks("o")[-1].text == "held"
-    anna.send("jog", robot="gr", hand="tool", wish=[0, 0, 0.1, 0, 0, 0])
+    assert desk.acks("o")[-1].outcome is ASKED
+    desk.hears(bench.driver_answers("gr", done=False, text="held"))
+    assert desk.acks("o")[-1].text == "held"
+    desk.send("jog", robot="gr", hand="tool", wish=[0, 0, 0.1, 0, 0, 0])
     assert bench.driver_requests("gr")[-1].twist == (0, 0, 0.1, 0, 0, 0)
 
 
@@ -170,8 +170,8 @@ def held_outside(bench, holder="deltaq drive"):
     bench.core.board.heard({"fr": holder, "gr": None}, bench.now_s)
 
 
-def test_a_holder_at_this_console_is_asked_and_not_robbed(bench, anna, bo):
-    assert "anna has fr: ask for it" in lease(bo, "take_over").text
+def test_a_holder_at_this_console_is_asked_and_not_robbed(bench, desk, tower):
+    assert "desk has fr: ask for it" in lease(tower, "take_over").text
     assert not any(getattr(request, "by_force", False) for request in bench.driver_requests())
 
 
@@ -181,31 +181,31 @@ def test_an_observer_takes_nothing_over(bench):
     assert bench.driver_requests() == []
 
 
-def test_a_holder_outside_is_named_and_cannot_be_asked(bench, bo):
+def test_a_holder_outside_is_named_and_cannot_be_asked(bench, tower):
     held_outside(bench)
-    seen = bo.status().robots["fr"].lease
+    seen = tower.status().robots["fr"].lease
     assert (seen.holder, seen.outside, seen.mine) == ("deltaq drive", True, False)
-    assert lease(bo, "ask").outcome is REFUSED
+    assert lease(tower, "ask").outcome is REFUSED
 
 
-def test_a_robot_is_taken_from_a_holder_outside_by_force_and_that_is_told(bench, bo):
+def test_a_robot_is_taken_from_a_holder_outside_by_force_and_that_is_told(bench, tower):
     held_outside(bench)
-    assert lease(bo, "take_over", id="t").outcome is ASKED
+    assert lease(tower, "take_over", id="t").outcome is ASKED
     take = bench.driver_requests()[-1]
-    assert (take.client, take.by_force) == ("bo (console)", True)
-    assert bo.send("jog", **JOG).outcome is REFUSED, "not before it is granted"
-    bo.hears(bench.driver_answers())
-    assert bo.acks("t")[-1].outcome is DONE
-    told = bo.status().robots["fr"].lease
+    assert (take.client, take.by_force) == ("tower (console)", True)
+    assert tower.send("jog", **JOG).outcome is REFUSED, "not before it is granted"
+    tower.hears(bench.driver_answers())
+    assert tower.acks("t")[-1].outcome is DONE
+    told = tower.status().robots["fr"].lease
     assert (told.mine, told.outside) == (True, False)
-    assert "bo takes fr from deltaq drive" in bo.events("lease")
+    assert "tower takes fr from deltaq drive" in tower.events("lease")
 
 
-def test_without_the_operators_token_it_stays_with_its_holder_and_the_reason_is_told(bench, bo):
+def test_without_the_operators_token_it_stays_with_its_holder_and_the_reason_is_told(bench, tower):
     held_outside(bench)
-    lease(bo, "take_over", id="t")
-    bo.hears(bench.driver_answers(done=False, text="not_permitted: the operator's token is needed"))
-    assert bo.acks("t")[-1].outcome is REFUSED
-    assert "token" in bo.acks("t")[-1].text
-    told = bo.status().robots["fr"].lease
+    lease(tower, "take_over", id="t")
+    tower.hears(bench.driver_answers(done=False, text="not_permitted: the operator's token is needed"))
+    assert tower.acks("t")[-1].outcome is REFUSED
+    assert "token" in tower.acks("t")[-1].text
+    told = tower.status().robots["fr"].lease
     assert (told.holder, told.mine) == ("deltaq drive", False)

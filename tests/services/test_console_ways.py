@@ -19,10 +19,10 @@ def bench():
 
 
 @pytest.fixture
-def anna(bench):
-    anna = bench.browser("anna")
-    anna.takes()
-    return anna
+def desk(bench):
+    desk = bench.browser("desk")
+    desk.takes()
+    return desk
 
 
 @pytest.mark.parametrize(
@@ -35,58 +35,58 @@ def anna(bench):
         ({"robot": "xx"}, "robot"),
     ],
 )
-def test_a_pose_that_is_none_is_refused_with_its_field(bench, anna, change, named):
+def test_a_pose_that_is_none_is_refused_with_its_field(bench, desk, change, named):
     before = len(bench.driver_requests())
-    ack = anna.send("reach", **{**POSE, **change})
+    ack = desk.send("reach", **{**POSE, **change})
     assert ack.outcome is REFUSED
     assert ack.text.startswith(f"{named}:")
     assert len(bench.driver_requests()) == before
 
 
-def test_who_does_not_hold_the_robot_plans_nothing_and_asks_nothing(bench, anna):
-    bo = bench.browser("bo")
-    assert "anna has it" in bo.send("reach", **POSE).text
-    assert "anna has it" in bo.send("advise", robot="fr", action="ask").text
+def test_who_does_not_hold_the_robot_plans_nothing_and_asks_nothing(bench, desk):
+    tower = bench.browser("tower")
+    assert "desk has it" in tower.send("reach", **POSE).text
+    assert "desk has it" in tower.send("advise", robot="fr", action="ask").text
     assert bench.browser("eve", operator=False).send("reach", **POSE).outcome is REFUSED
 
 
-def test_a_pose_that_comes_late_is_not_planned(bench, anna):
-    assert anna.send("reach", **POSE, late_s=2.1).outcome is AckOutcome.EXPIRED
+def test_a_pose_that_comes_late_is_not_planned(bench, desk):
+    assert desk.send("reach", **POSE, late_s=2.1).outcome is AckOutcome.EXPIRED
 
 
-def test_a_pose_reaches_the_driver_and_why_there_is_no_way_is_told(bench, anna):
-    assert anna.send("reach", id="p", **POSE).outcome is ASKED
+def test_a_pose_reaches_the_driver_and_why_there_is_no_way_is_told(bench, desk):
+    assert desk.send("reach", id="p", **POSE).outcome is ASKED
     reach = bench.driver_requests()[-1]
     assert (reach.hand, reach.position_m) == ("", (1.0, 0.2, 1.1))
-    anna.hears(bench.driver_answers(done=False, text="out of reach"))
-    assert (anna.acks("p")[-1].outcome, anna.acks("p")[-1].text) == (REFUSED, "out of reach")
+    desk.hears(bench.driver_answers(done=False, text="out of reach"))
+    assert (desk.acks("p")[-1].outcome, desk.acks("p")[-1].text) == (REFUSED, "out of reach")
 
 
-def test_the_advisor_is_asked_again_and_cancelled(bench, anna):
+def test_the_advisor_is_asked_again_and_cancelled(bench, desk):
     for action in ("ask", "cancel"):
-        assert anna.send("advise", robot="fr", action=action).outcome is ASKED
+        assert desk.send("advise", robot="fr", action=action).outcome is ASKED
         assert bench.driver_requests()[-1].action == action
 
 
-def test_ways_are_told_to_all_who_look_on_and_to_who_comes_later(bench, anna):
+def test_ways_are_told_to_all_who_look_on_and_to_who_comes_later(bench, desk):
     eve = bench.browser("eve", operator=False)
     said = driving.DriverWays(mode=driving.DrivingMode.POSE, ways=(WAY,))
     outputs = bench.done(bench.core.drivers.said("fr", said, bench.now_s))
     expected = WaysView(robot="fr", mode=driving.DrivingMode.POSE, ways=(WAY,))
     late = bench.browser("late")
-    for browser in (anna, eve):
+    for browser in (desk, eve):
         browser.hears(outputs)
-    for browser in (anna, eve, late):
+    for browser in (desk, eve, late):
         assert [message for message in browser.got if isinstance(message, WaysView)] == [expected]
     bench.core.drivers.ended("fr", "signal 9", bench.now_s)
     assert not [message for message in bench.browser("later").got if isinstance(message, WaysView)]
 
 
-def test_how_far_a_search_is_is_part_of_the_status(bench, anna):
+def test_how_far_a_search_is_is_part_of_the_status(bench, desk):
     search = driving.Search(doing="searching", done=0.5, is_busy=True, trials=100)
     report = driving.DriverReport(
         stage=driving.DriverStage.LEASED, mode=driving.DrivingMode.ADVISOR, search=search
     )
     bench.core.drivers.said("fr", report, bench.now_s)
-    assert anna.status().robots["fr"].search == search
-    assert anna.status().robots["gr"].search is None
+    assert desk.status().robots["fr"].search == search
+    assert desk.status().robots["gr"].search is None

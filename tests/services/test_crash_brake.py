@@ -282,3 +282,13 @@ def test_an_ipoc_is_never_further_ahead_than_a_krc_may_be_silent(krc):
     krc.tick(silence - 1)
     assert brake.answer([(ipoc_of(krc, ipoc + 12 * (silence + 1)), PEER)], krc.time_s) is None
     assert brake.answer([(ipoc_of(krc, ipoc + 12 * silence), PEER)], krc.time_s) is not None
+
+
+def test_where_a_krc_may_be_silent_for_no_more_than_a_cycle_none_is_skipped(krc):
+    impatient = replace(PLAN, silence_s=PLAN.cycle_s)
+    brake = CrashBrake(impatient, RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
+    now_s = krc.time_s
+    krc.tick()
+    krc.tick()
+    assert brake.answer([(krc.own(), PEER)], now_s) is None
+    assert not brake.over

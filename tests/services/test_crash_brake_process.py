@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +64,8 @@ class Beside:
 
 
 @contextmanager
-def beside(krc=None):
+def beside(krc=None, silence_s=WAITS_S):
+    """A server in motion; this test is its KRC, and may be kept from its cycle for as long as `silence_s`."""
     krc = krc or CrashSide().begin().run_up(4)
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
@@ -72,7 +73,13 @@ def beside(krc=None):
         body = krc.record(krc.own()).hex()
         path = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
         with subprocess.Popen(
-            [sys.executable, str(SUPPORT / "dying_server.py"), body, str(sock.getsockname()[1])],
+            [
+                sys.executable,
+                str(SUPPORT / "dying_server.py"),
+                body,
+                str(sock.getsockname()[1]),
+                str(silence_s),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -85,6 +92,8 @@ def beside(krc=None):
                 yield beside
             finally:
                 server.kill()
+                with suppress(ProcessLookupError):
+                    signal.pidfd_send_signal(beside.descriptor, signal.SIGKILL)
                 assert beside.has_ended()
                 os.close(beside.descriptor)
 
@@ -128,7 +137,7 @@ def test_a_server_that_ends_as_it_should_takes_it_along():
 
 
 def test_without_a_krc_it_ends_by_itself():
-    with beside() as both:
+    with beside(silence_s=PLAN.silence_s) as both:
         both.server.kill()
         assert both.has_ended()
 

@@ -2,7 +2,9 @@
 
 import math
 import struct
+from dataclasses import replace
 
+import pytest
 from crash_bench import PEER, RECORDS, CrashSide
 from hypothesis import given
 from hypothesis import strategies as st
@@ -102,3 +104,25 @@ def some():
 def test_the_number_of_the_reply_that_was_sent_is_written_in_one_piece():
     assert SENT.size == struct.calcsize("Q") == 8
     assert LAYOUT.sent_at % SENT.size == 0
+
+
+@pytest.mark.parametrize(("joints", "outputs"), [(6, 0), (6, 3), (9, 5)])
+def test_two_records_lie_apart_in_whole_words_and_the_number_that_was_sent_behind_them(joints, outputs):
+    layout = CrashRecords(joints, outputs)
+    zeros = (0.0,) * joints
+    record = replace(
+        some(), outputs=(True,) * outputs, correction=zeros, plan_dq=zeros, lower=zeros, upper=zeros
+    )
+    memory = bytearray(layout.total)
+    ends = []
+    for number in (2, 3):
+        place, sealed = layout.sealed(layout.body(record), number, PEER, 0.5)
+        memory[place : place + len(sealed)] = sealed
+        assert place == (number - 2) * layout.size
+        ends.append(place + len(sealed))
+    assert layout.size % 8 == 0
+    assert layout.size - 8 < ends[0] <= layout.size
+    assert ends[1] <= layout.sent_at == 2 * layout.size
+    assert layout.total == layout.sent_at + 8
+    SENT.pack_into(memory, layout.sent_at, 3)
+    assert layout.newest(bytes(memory)) == (record, PEER, 0.5, True)

@@ -51,7 +51,7 @@ OBJECTS = st.builds(
     lambda kind, changes: (VALID.get(kind, {}) if isinstance(kind, str) else {}) | {"type": kind} | changes,
     TYPES,
     st.dictionaries(FIELDS, VALUES, max_size=3),
-)
+).filter(lambda data: data["type"] != "stop")  # it is answered when the gate has stopped, which is not there
 LINES = OBJECTS.map(lambda data: json.dumps(data).encode()) | st.binary(max_size=100).map(
     lambda line: line.replace(b"\n", b"")
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import json
 import os
 import signal
 import socket
@@ -82,6 +83,43 @@ async def test_the_operators_token_comes_from_the_environment(tmp_path: Path) ->
         async with json_client(port) as client, json_client(port, "operator", token="s3cret") as operator:
             assert (await client.ask("done", type="reset", robot="fr"))["code"] == "not_permitted"
             assert (await operator.ask("done", type="reset", robot="fr"))["code"] == "unreachable"
+
+
+async def test_its_log_is_one_object_a_line_and_no_token_is_in_it(tmp_path: Path) -> None:
+    port, token, guess = free_port(), "the-operators-token", "a-guessed-token"
+    file, hli = cell_file(tmp_path, port)
+    told: list[str] = []
+    environment = {"DELTAQ_LOG_FORMAT": "json", "DELTAQ_OPERATOR_TOKEN": token}
+    async with process(
+        "--cell", str(file), "--audit", str(tmp_path / "audit.jsonl"), **environment
+    ) as started:
+        assert started.stdout is not None
+        ready = await asyncio.wait_for(started.stdout.readline(), 60)
+        wrong: list[dict[str, object]] = [
+            {"type": "hello", "protocol": 1, "client": "stranger", "token": guess},
+            {"type": "hello", "protocol": 1, "token": token},
+            {"type": "hello", "protocol": 1, "client": "me", "token": [token]},
+            {"type": "hello", "protocol": 1, "client": "me", "tokn": token},
+            {"type": {"token": token}},
+            {"type": "lease", "token": token},
+        ]
+        for line in wrong:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(json.dumps(line).encode() + b"\n")
+            told.append((await asyncio.wait_for(reader.readline(), 10)).decode())
+            writer.close()
+        async with connect(hli, token=token) as cell:
+            await cell.status()
+        started.send_signal(signal.SIGTERM)
+        out, err = await asyncio.wait_for(started.communicate(), 20)
+    lines = [json.loads(line) for line in (ready + out + err).splitlines()]
+    assert {(line["service"], line["robot"]) for line in lines} == {("hli", None)}
+    assert lines[0]["message"].startswith("ready: hli of lab")
+    assert any("a wrong token from 127.0.0.1" in line["message"] for line in lines)
+    everything = "".join([*told, str(lines), (tmp_path / "audit.jsonl").read_text()])
+    assert all("error" in answer for answer in told)
+    for secret in (token, guess):
+        assert secret not in everything
 
 
 async def test_a_port_that_is_taken_ends_it_with_status_3_and_says_which(tmp_path: Path) -> None:

@@ -166,9 +166,15 @@ def test_a_recording_of_another_version_is_read_by_the_names_of_its_fields() -> 
 
 def test_a_value_that_this_version_does_not_know_is_an_invalid_message() -> None:
     field = descriptor_pb2.FieldDescriptorProto
-    other = other_version({"outcome": field.TYPE_ENUM}, ["OUTCOME_UNSPECIFIED", "OUTCOME_DREAMT"])
+    fields = {
+        "outcome": field.TYPE_ENUM,
+        "robot": field.TYPE_STRING,
+        "cycle": field.TYPE_INT64,
+        "seq": field.TYPE_INT64,
+    }
+    other = other_version(fields, ["OUTCOME_UNSPECIFIED", "OUTCOME_DREAMT"])
     with pytest.raises(InvalidMessageError, match="OUTCOME_DREAMT"):
-        to_message(Verdict, other(outcome=1))
+        to_message(Verdict, other(outcome=1, robot="fr", cycle=1, seq=1))
 
 
 def test_a_field_without_counterpart_is_named() -> None:

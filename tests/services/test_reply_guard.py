@@ -85,3 +85,21 @@ def test_bounds_that_were_worked_out_before_say_the_same(last, steps):
     assert bounds.allow(correction) == (fault(correction, last) is None)
     for value in (math.nan, math.inf, -math.inf):
         assert not bounds.allow((correction[0], value))
+
+
+@pytest.mark.parametrize("edge", [1.0, 1.0 + 5e-7])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_bounds_allow_what_a_joint_may_travel_to_the_last_bit(edge, sign):
+    bounds = ReplyBounds.of((0.0, 0.0), MOST, LOWER, UPPER)
+    assert bounds.allow([sign * edge * most for most in MOST])
+    assert bounds.allow(bounds.upper)
+    assert bounds.allow(bounds.lower)
+    for end in (bounds.upper, bounds.lower):
+        assert not bounds.allow([end[0], math.nextafter(end[1], 10.0 * end[1])])
+
+
+def test_bounds_of_other_joints_are_no_bounds():
+    with pytest.raises(ValueError, match="argument"):
+        ReplyBounds.of((0.0,), MOST, LOWER, UPPER)
+    with pytest.raises(ValueError, match="argument"):
+        ReplyBounds.of((0.0, 0.0), MOST, LOWER, UPPER).allow([0.0])

@@ -74,15 +74,15 @@ def test_rubbish_from_the_krcs_own_port_hides_no_telegram_before_it(bench):
     assert bench.counters["telegrams_garbled"] == 4
 
 
-def test_of_implausible_telegrams_the_first_is_printed_with_joint_value_and_bound(bench, capsys):
+def test_of_implausible_telegrams_the_first_is_told_with_joint_value_and_bound(bench, caplog):
     bench.believe()
     for count, off in enumerate((9.0, -9.0)):
         bench.krc.send(telegram(1048 + 12 * count, q=FR.home + off))
         assert bench.server.read(0.048 + 0.012 * count) is None
     assert bench.counters["telegrams_implausible"] == 2
-    told = capsys.readouterr().out
+    (told,) = caplog.messages
     assert re.fullmatch(
-        r"first implausible telegram: a1 is above its limit and a margin: .*, allowed .*\n", told
+        r"first implausible telegram: a1 is above its limit and a margin: .*, allowed .*", told
     )
 
 
@@ -246,7 +246,8 @@ def test_no_telegram_is_waited_for_longer_than_asked(bench):
     assert bench.server.read(0.048) is None
 
 
-def test_a_port_that_is_let_go_of_in_time_is_waited_for_and_one_line_says_so(bench, capsys):
+def test_a_port_that_is_let_go_of_in_time_is_waited_for_and_one_line_says_so(bench, caplog):
+    caplog.set_level("INFO")
     driver = FR.driver.model_copy(update={"port": free_ports(1)[0]})
     holder = socket.socket(type=socket.SOCK_DGRAM)
     holder.bind((driver.address, driver.port))
@@ -254,5 +255,5 @@ def test_a_port_that_is_let_go_of_in_time_is_waited_for_and_one_line_says_so(ben
     freed.start()
     with KrcSocket(driver, 0.25, bench.rsi, Counter(), patience_s=30.0):
         freed.join()
-    told = f"waits for UDP {driver.address}:{driver.port}: a robot may still be braked there\n"
-    assert capsys.readouterr().out == told
+    told = f"waits for UDP {driver.address}:{driver.port}: a robot may still be braked there"
+    assert caplog.messages == [told]

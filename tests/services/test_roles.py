@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 from small_cell import small_cell
 
-from deltaq_services.hli.client_roles import MOST_TRIES_S, ClientRole, ClientRoles, Tries
-from deltaq_services.hli.client_tokens import LEAST_CHARACTERS, ClientTokenError, client_roles
+from deltaq_protocol.client_rights import ClientRole
+from deltaq_services.given_token import GivenTokenError
+from deltaq_services.hli.client_roles import MOST_TRIES_S, ClientRoles, Tries
+from deltaq_services.hli.client_tokens import LEAST_CHARACTERS, client_roles
 from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption
 
 OPERATOR, CONTROLLER = "o" * LEAST_CHARACTERS, "c" * LEAST_CHARACTERS
@@ -24,7 +26,7 @@ def secret(folder: Path, text: str = OPERATOR, mode: int = 0o600) -> str:
 
 @pytest.mark.parametrize("place", OFF_LOOPBACK)
 def test_off_the_loopback_an_open_realm_does_not_exist_unless_the_cell_says_so(place: dict[str, str]) -> None:
-    with pytest.raises(ClientTokenError, match=next(iter(place))):
+    with pytest.raises(GivenTokenError, match=next(iter(place))):
         client_roles(small_cell(**place), {"DELTAQ_OPERATOR_TOKEN": OPERATOR})
     allowed = small_cell(**place, anyone_who_connects_may_move_the_robots=True)
     assert client_roles(allowed, {}).of(None) is ClientRole.OPERATOR
@@ -47,13 +49,13 @@ def test_off_the_loopback_an_open_realm_does_not_exist_unless_the_cell_says_so(p
 def test_a_cell_whose_clients_need_tokens_says_what_is_missing(
     environment: dict[str, str], said: str
 ) -> None:
-    with pytest.raises(ClientTokenError, match=said):
+    with pytest.raises(GivenTokenError, match=said):
         client_roles(small_cell(tcp_address="0.0.0.0", clients_need_tokens=True), environment)
 
 
 @pytest.mark.parametrize(("text", "mode"), [(OPERATOR, 0o644), ("", 0o600), (" \n", 0o600)])
 def test_a_file_that_is_no_secret_is_refused_and_not_shown(tmp_path: Path, text: str, mode: int) -> None:
-    with pytest.raises(ClientTokenError, match=r"token (has mode 0644|holds no text)") as refused:
+    with pytest.raises(GivenTokenError, match=r"token (has mode 0644|holds no text)") as refused:
         client_roles(small_cell(), {"DELTAQ_OPERATOR_TOKEN_FILE": secret(tmp_path, text, mode)})
     assert OPERATOR not in str(refused.value)
 

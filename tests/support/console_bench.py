@@ -23,7 +23,7 @@ class ConsoleBench:
         self.outputs = []
         self._cycle = 0
 
-    def browser(self, name="anna", operator=True):
+    def browser(self, name="desk", operator=True):
         client, outputs = self.core.connect(name, operator, self.now_s)
         return Browser(self, client, outputs)
 

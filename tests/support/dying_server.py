@@ -1,13 +1,14 @@
 """A process that holds a socket, leaves the record of a reply in motion, and dies as it is told to.
 
-It stands for a Robot Server: its argument is a body of a record, in hexadecimal, and the KRC's port. It prints its own
-port, and the identifier of the process beside it.
+It stands for a Robot Server: its arguments are a body of a record, in hexadecimal, the KRC's port, and after which time
+without a telegram that KRC counts as silent [s]. It prints its own port, and the identifier of the process beside it.
 """
 
 import signal
 import socket
 import sys
 import time
+from dataclasses import replace
 
 from crash_bench import PLAN
 
@@ -20,13 +21,13 @@ def main() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         try:
-            with CrashWatch(PLAN, sock) as watch:
+            with CrashWatch(replace(PLAN, silence_s=float(sys.argv[3])), sock) as watch:
                 while watch.detail:
                     time.sleep(0.01)
                 watch.write(bytes.fromhex(sys.argv[1]), ("127.0.0.1", int(sys.argv[2])), time.monotonic())
                 watch.sent()
-                print(sock.getsockname()[1], watch.pid, flush=True)
                 try:
+                    print(sock.getsockname()[1], watch.pid, flush=True)
                     if sys.stdin.readline() == "fail\n":
                         raise RuntimeError("a fault of the Robot Server")
                 except SystemExit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from deltaq_protocol.messages import (
@@ -15,7 +16,7 @@ from deltaq_protocol.messages import (
 )
 
 
-class LeasingClient:
+class LeasingClient(ABC):
     """Holds a robot's lease.
 
     Args:
@@ -44,13 +45,13 @@ class LeasingClient:
         elif isinstance(message, RobotState) and self.answers:
             self.take_state(message)
 
+    @abstractmethod
     def take_verdict(self, verdict: Verdict) -> None:
         """A verdict has come."""
-        raise NotImplementedError
 
+    @abstractmethod
     def take_state(self, state: RobotState) -> None:
         """A state has come, and is to be answered."""
-        raise NotImplementedError
 
     def ask(self, cycle: int, dq: tuple[float, ...]) -> None:
         """Send the next increment, under the number that `_seq` has."""

@@ -127,14 +127,20 @@ class Stack:
 
 @contextmanager
 def live_stack(
-    folder, *, moving=False, base="lab", guarded="127.0.0.1", rewired=lambda services, file: services
+    folder,
+    *,
+    moving=False,
+    base="lab",
+    guarded="127.0.0.1",
+    transport="tcp",
+    rewired=lambda services, file: services,
 ):
     """Start a cell; `moving` adds a controller that swings A1 of the floor robot for ever.
 
-    `guarded` is where HLI, SIM and Robot Servers meet; on the loopback by a key that this launch makes. `rewired` may
-    change the services before they start; it is given the cell's file too.
+    `guarded` is where HLI, SIM and Robot Servers meet, over `transport`; on the loopback by a key that this launch
+    makes. `rewired` may change the services before they start; it is given the cell's file too.
     """
-    file = write_private_cell(folder, base, guarded)
+    file = write_private_cell(folder, base, guarded, transport)
     cell = CellModel.load(file)
     record = folder / "fr.csv"
     services = [

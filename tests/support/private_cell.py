@@ -64,13 +64,15 @@ def _is_free(port: int) -> bool:
     return True
 
 
-def write_private_cell(folder: Path, base: str = "lab", guarded: str = "127.0.0.1") -> Path:
+def write_private_cell(
+    folder: Path, base: str = "lab", guarded: str = "127.0.0.1", transport: str = "tcp"
+) -> Path:
     """Write a cell file that differs from a shipped cell by its ports, and by where the guarded realm listens."""
     hli, sim, tcp, console, *robots = free_ports(10)
     drivers = {
         name: f"""
   {name}:
-    server: tcp/{guarded}:{server}
+    server: {transport}/{guarded}:{server}
     driver: {{port: {port}, control_port: {panel}}}"""
         for name, server, port, panel in (("fr", *robots[:3]), ("gr", *robots[3:]))
     }
@@ -79,7 +81,7 @@ def write_private_cell(folder: Path, base: str = "lab", guarded: str = "127.0.0.
         f"""\
 extends: {base}
 hli: tcp/127.0.0.1:{hli}
-sim: tcp/{guarded}:{sim}
+sim: {transport}/{guarded}:{sim}
 tcp_port: {tcp}
 console_port: {console}
 robots:{"".join(drivers.values())}

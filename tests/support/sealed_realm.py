@@ -16,8 +16,10 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Admission, Command, Request, ServerState, Supervision
 from deltaq_protocol.messages import Message
-from deltaq_protocol.session import open_session, subscribe_newest
+from deltaq_protocol.sayings import HLI, sayings
+from deltaq_protocol.session import subscribe_newest
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_session import open_watching_session
 from deltaq_services.phases import MAY_MOVE
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.guarded_link import GuardedLink
@@ -70,16 +72,18 @@ class SealedRealm:
         recording: every sample of the realm so far, as anybody who joins can record it: key and bytes.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.model = CellModel.load(write_private_cell(folder))
+    def __init__(self, folder: Path, transport: str = "tcp") -> None:
+        self.model = CellModel.load(write_private_cell(folder, transport=transport))
         description = self.description = self.model.description
         self._process = 0
         self.robots = {name: self._robot(name) for name in description.robots}
         self.shell = Shell(self.model)
         self.sim = self.shell.sim
-        self._seal = guarded_seal(description)
+        self._seal = guarded_seal(description, HLI)
+        table = sayings(description.cell, tuple(description.robots))
+        self._said_to_hli = {row.key for row in table if HLI in row.listeners}
         endpoints = [description.sim, *(robot.server for robot in description.robots.values())]
-        self._hli = open_session(connect=endpoints, must_connect=True)
+        self._hli = open_watching_session(description, endpoints, watched=HLI)
         self._heard = subscribe_newest(self._hli, f"deltaq-guarded/{description.cell}/**", RECORDED)
         self.recording: list[tuple[str, bytes]] = []
         self._seq = 0
@@ -132,6 +136,18 @@ class SealedRealm:
         wanted = [self.robots[name] for name in moving]
         self.pump_until(lambda: all(self.is_admitted(robot) for robot in wanted))
         self.pump_until(lambda: all(self.has_mail(robot) for robot in self.robots.values()))
+
+    def assert_moves(self, cycles: int, step: float) -> None:
+        """Both robots' first joints travel `step` [rad or m] in each of so many cycles, and nothing is refused."""
+        start = {name: robot.q.copy() for name, robot in self.robots.items()}
+        for _ in range(cycles):
+            self.cycle(dict.fromkeys(self.robots, step))
+        for name, robot in self.robots.items():
+            robot.cycle()
+            assert abs(robot.q[0] - start[name][0] - cycles * step) < 1e-9
+            assert robot.core.counters["admissions"] == cycles
+            assert not [counter for counter in robot.core.counters if counter.startswith("forged")]
+        assert self.sim.counters["forged_messages"] == 0
 
     def sees(self, robot: ServedRobot) -> bool:
         """Whether the gate has the newest state of a robot."""
@@ -188,9 +204,7 @@ class SealedRealm:
         while (sample := self._heard.try_recv()) is not None:
             key, sealed = str(sample.key_expr), sample.payload.to_bytes()
             self.recording.append((key, sealed))
-            cell = self.description.cell
-            # what is only recorded has no seal
-            if not key.startswith(topics.GATE_KEYS.format(cell=cell)[:-1]) and key != topics.AUDIT.key(cell):
+            if key in self._said_to_hli:
                 self._seal.meet(key, sealed)
 
     def pump_until(self, reached: Any) -> None:

@@ -20,7 +20,8 @@ from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Command, Greeting, Request, ServerState, Supervision
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_protocol.seal import KEY_BYTES, Seal
+from deltaq_protocol.seal import Seal
+from deltaq_protocol.seal_keys import KEY_BYTES, RealmKey
 from deltaq_protocol.session import open_session
 
 _RECORDED = 4096
@@ -37,6 +38,9 @@ class Stranger:
         said: how much under each key.
     """
 
+    macs_of_a_state = 1
+    """One key for all; under identities SIM and HLI have one each."""
+
     def __init__(self, cell):
         self.cell = cell
         endpoints = [cell.sim, *(robot.server for robot in cell.robots.values())]
@@ -46,7 +50,7 @@ class Stranger:
             zenoh.handlers.RingChannel(_RECORDED),
             allowed_origin=zenoh.Locality.REMOTE,
         )
-        self._guessed = Seal(bytes(KEY_BYTES))
+        self._guessed = Seal(RealmKey(bytes(KEY_BYTES)))
         self._publishers = {}
         self.said = Counter()
         self.states = {}
@@ -58,7 +62,8 @@ class Stranger:
             key, sealed = str(sample.key_expr), sample.payload.to_bytes()
             self.recording = [*self.recording[-_RECORDED:], (key, sealed)]
             if key.endswith("/state"):
-                state = unpack(ServerState, sealed[49 + 8 * sealed[48] :])
+                behind = sealed[32 * self.macs_of_a_state :]
+                state = unpack(ServerState, behind[17 + 8 * behind[16] :])
                 self.states[state.robot] = state
 
     def say(self, topic, message, **fields):

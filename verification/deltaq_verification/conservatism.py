@@ -1,8 +1,9 @@
 """How conservative the gate is: of what it scaled or held for clearance, how much would really have come too near?
 
-`python -m deltaq_verification.conservatism` drives both robots with adversaries over perfect links. For every decision
-that clearance limited, an oracle of dense samples (an independent implementation) checks whether the tube of the
-blend that velocity, acceleration and position would have allowed really violates the stop distance.
+`python -m deltaq_verification.conservatism` drives both robots with adversaries over perfect links, once for each seed.
+Of a sample of the decisions that clearance limited, an oracle of dense samples (an independent implementation) tells
+how much room the tube of the blend that velocity, acceleration and position would have allowed really leaves beyond the
+stop distance. Where that is less than nothing, the decision is confirmed; elsewhere it is the gate's excess.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 
@@ -26,20 +29,59 @@ from deltaq_verification.adversary import Adversary
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
+QUANTILES = {"p50": 50.0, "p90": 90.0, "p95": 95.0, "p99": 99.0, "most": 100.0}
+
 
 @dataclass(frozen=True)
 class ConservatismFigures:
-    """Decisions that clearance limited, and the oracle's judgement of them."""
+    """Decisions that clearance limited, and the oracle's judgement of them.
+
+    Attributes:
+        decisions: all.
+        bound_by_clearance: of these.
+        rooms_m: of each that the oracle was asked about: the least room beyond the stop distance in its samples [m].
+    """
 
     decisions: int
     bound_by_clearance: int
-    asked: int
-    confirmed: int
+    rooms_m: tuple[float, ...]
+
+    @property
+    def confirmed(self) -> int:
+        """How many of the checked decisions the oracle would have refused too."""
+        return sum(room < 0.0 for room in self.rooms_m)
 
     @property
     def confirmed_share(self) -> float | None:
-        """Fraction of the checked decisions that the oracle would have refused too; None if none was checked."""
-        return self.confirmed / self.asked if self.asked else None
+        """Their fraction; None if none was checked."""
+        return self.confirmed / len(self.rooms_m) if self.rooms_m else None
+
+    @property
+    def excess_mm(self) -> dict[str, float]:
+        """Room that a refused motion had, as quantiles over all that were checked; none for a confirmed one [mm]."""
+        if not self.rooms_m:
+            return {}
+        excess = 1e3 * np.maximum(self.rooms_m, 0.0)
+        return {name: float(np.percentile(excess, percent)) for name, percent in QUANTILES.items()}
+
+    def __add__(self, other: ConservatismFigures) -> ConservatismFigures:
+        """Of two runs together."""
+        return ConservatismFigures(
+            self.decisions + other.decisions,
+            self.bound_by_clearance + other.bound_by_clearance,
+            self.rooms_m + other.rooms_m,
+        )
+
+    def told(self) -> dict[str, object]:
+        """For the user."""
+        return {
+            "decisions": self.decisions,
+            "bound_by_clearance": self.bound_by_clearance,
+            "asked": len(self.rooms_m),
+            "confirmed": self.confirmed,
+            "confirmed_share": self.confirmed_share,
+            "excess_mm": self.excess_mm,
+        }
 
 
 class Auditor:
@@ -53,7 +95,8 @@ class Auditor:
     """
 
     def __init__(self, gate: Decider, cell: CellModel, every: int, samples: int) -> None:
-        self.decisions = self.bound = self.asked = self.confirmed = 0
+        self.decisions = self.bound = 0
+        self.rooms_m: list[float] = []
         self._gate = gate
         self._oracle = ClearanceOracle(cell)
         self._stop = cell.description.gate.stop_distance_m
@@ -69,12 +112,11 @@ class Auditor:
         if any(reason.code is ReasonCode.CLEARANCE for reason in decision.reasons):
             self.bound += 1
             if self.bound % self._every == 0:
-                self.asked += 1
-                self.confirmed += self._too_near(robot, others, request)
+                self.rooms_m.append(self._room_m(robot, others, request))
         return decision
 
-    def _too_near(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> bool:
-        """Whether a dense sample of what the limits alone would allow is nearer than the stop distance."""
+    def _room_m(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> float:
+        """The least room beyond the stop distance in dense samples of what the limits alone would allow [m]."""
         assert robot.state is not None  # the gate has just decided on it
         limits, brake = self._limits[robot.name], robot.brake()
         scale, _ = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
@@ -82,18 +124,16 @@ class Auditor:
         dq = brake + scale * (request - brake)
         mine = self._along(robot.tube(Branch(dq, limits.brake_cycles(dq), -1)))
         theirs = {other.name: self._along(tube) for other in others for tube in other.tubes()}
+        room_m = np.inf
         for q in mine:
             where = {robot.name: q}
-            if self._oracle.of_one_robot(where | {n: rows[0] for n, rows in theirs.items()}).distance_m < (
-                self._self_stop
-            ):
-                return True
+            alone = self._oracle.of_one_robot(where | {n: rows[0] for n, rows in theirs.items()})
+            room_m = min(room_m, alone.distance_m - self._self_stop)
             for name, rows in theirs.items():
                 for q_other in rows[:: max(1, len(rows) // 8)]:
                     near = self._oracle.between_robots_and_structure(where | {name: q_other})
-                    if near.distance_m < self._stop:
-                        return True
-        return False
+                    room_m = min(room_m, near.distance_m - self._stop)
+        return room_m
 
     def _along(self, tube: Windows) -> Array:
         """(samples, n) configurations along the setpoints of a tube, the end included."""
@@ -122,27 +162,34 @@ def run(
         for name, adversary in adversaries.items():
             target = next(tool for other, tool in tools.items() if other != name)
             stack.ask(name, adversary.increment(q_cmd[name], target))
-    return ConservatismFigures(auditor.decisions, auditor.bound, auditor.asked, auditor.confirmed)
+    return ConservatismFigures(auditor.decisions, auditor.bound, tuple(auditor.rooms_m))
 
 
 def main() -> None:
-    """Print the figures as one JSON object."""
+    """Print the figures, one JSON object a line: each seed's, then those of all together."""
     parser = argparse.ArgumentParser(
         description="How conservative the gate is, by an oracle of dense samples."
     )
     parser.add_argument("--cell", default="lab", help="cell with two robots (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="one seed is one run (default: %(default)s)")
     parser.add_argument(
+        "--seeds", type=int, default=1, help="how many, from that one on (default: %(default)s)"
+    )
+    parser.add_argument(
         "--cycles", type=int, default=1500, help="cycles of both robots (default: %(default)s)"
     )
     parser.add_argument("--every", type=int, default=10, help="ask about one decision in so many")
     parser.add_argument("--samples", type=int, default=60, help="samples of each tube (default: %(default)s)")
     options = parser.parse_args()
-    for name in ("cycles", "every", "samples"):
+    for name in ("seeds", "cycles", "every", "samples"):
         if (count := getattr(options, name)) < 1:
             parser.error(f"--{name} {count}: at least 1")
-    figures = run(options.cell, options.seed, options.cycles, options.every, options.samples)
-    print(json.dumps(vars(figures) | {"confirmed_share": figures.confirmed_share}))
+    found = []
+    for seed in range(options.seed, options.seed + options.seeds):
+        found.append(run(options.cell, seed, options.cycles, options.every, options.samples))
+        print(json.dumps({"seed": seed} | found[-1].told()), flush=True)
+    if len(found) > 1:
+        print(json.dumps({"seeds": len(found)} | reduce(add, found).told()))
 
 
 if __name__ == "__main__":

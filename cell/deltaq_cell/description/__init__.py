@@ -8,6 +8,7 @@ its siblings.
 from deltaq_cell.description.base import (
     DescriptionModel,
     EndpointText,
+    GuardedEndpointText,
     JointName,
     NotNegative,
     Pose,
@@ -47,6 +48,7 @@ __all__ = [
     "Driver",
     "EndpointText",
     "GateDescription",
+    "GuardedEndpointText",
     "Hand",
     "JointDescription",
     "JointName",

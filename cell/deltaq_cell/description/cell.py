@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from deltaq_cell.description.base import DescriptionModel, EndpointText, Positive
+from deltaq_cell.description.base import DescriptionModel, EndpointText, GuardedEndpointText, Positive
 from deltaq_cell.description.bodies import Body
 from deltaq_cell.description.robot import RobotDescription
 from deltaq_protocol.messages import Name
@@ -95,7 +95,7 @@ class CellDescription(DescriptionModel):
     """Contacts that an operator may allow; none is allowed at the start."""
     hli: EndpointText = "tcp/127.0.0.1:7447"
     """Where the HLI serves zenoh clients."""
-    sim: EndpointText = "tcp/127.0.0.1:7450"
+    sim: GuardedEndpointText = "tcp/127.0.0.1:7450"
     """Where the SIM listens in the guarded realm."""
     tcp_address: str = "127.0.0.1"
     tcp_port: Annotated[int, Field(ge=1, le=65535)] = 5210

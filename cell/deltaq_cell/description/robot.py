@@ -8,7 +8,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import FiniteFloat, model_validator
 
-from deltaq_cell.description.base import DescriptionModel, EndpointText, JointName, Pose
+from deltaq_cell.description.base import DescriptionModel, GuardedEndpointText, JointName, Pose
 from deltaq_cell.description.bodies import Attachment, Camera, Hand, Tool
 from deltaq_cell.description.driver import Driver, RsiDescription, ServoLag
 from deltaq_cell.description.joint import JointDescription
@@ -21,7 +21,7 @@ class RobotDescription(DescriptionModel):
 
     model: str
     """A model's name (`kr16`), the path of a URDF file, or `package://` and a path within a package."""
-    server: EndpointText
+    server: GuardedEndpointText
     """Where its Robot Server listens for SIM and HLI."""
     driver: Driver
     joints: dict[JointName, JointDescription]

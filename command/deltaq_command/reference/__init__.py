@@ -15,6 +15,7 @@ _WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
 
 PAGES = {
     "topics.md": wire.topics,
+    "sayings.md": wire.sayings,
     "messages.md": wire.messages,
     "reasons.md": wire.reasons,
     "counters.md": wire.counters,

@@ -5,9 +5,12 @@ from __future__ import annotations
 from deltaq_command.reference.markdown import fields, message_link, models, table
 from deltaq_protocol import audit, guarded
 from deltaq_protocol import messages as open_messages
+from deltaq_protocol import sayings as table_of_sayings
 from deltaq_protocol import topics as table_of_topics
+from deltaq_protocol.client_rights import RIGHTS
 from deltaq_protocol.messages import Message
 from deltaq_protocol.reasons import EXPLANATIONS
+from deltaq_protocol.topic import Realm
 from deltaq_services.counters import COUNTERS
 
 
@@ -39,6 +42,48 @@ def topics() -> str:
         " HLI, SIM and Robot Servers alone speak in the guarded realm. What is older than its greatest age is not"
         " acted upon; where the cell's `gate` bounds an age in seconds too (`max_request_age_s`), the lesser of"
         " the two decides. See [the loop](../explanation/the-loop.md).\n\n" + table(columns, rows)
+    )
+
+
+def sayings() -> str:
+    """Who says what to whom: clients by their role, services by their name."""
+    robot = "{robot}"
+    known = table_of_sayings.sayings("{cell}", [robot])
+    rows = (
+        (
+            f"`{saying.speaker}`",
+            f"[`{saying.topic.name}`](topics.md)",
+            f"`{saying.key}`",
+            ", ".join(f"`{name}`" for name in saying.listeners),
+        )
+        for saying in sorted(known, key=lambda saying: saying.speaker)
+    )
+    unsealed = ", ".join(
+        f"`{topic.name}`"
+        for topic in table_of_topics.TOPICS
+        if topic.realm is Realm.GUARDED and not table_of_sayings.is_sealed(topic)
+    )
+    rights = (
+        (
+            f"[`{right.topic.name}`](topics.md)",
+            right.what,
+            "the holder of its lease" if right.of_holder else right.least.name.lower(),
+        )
+        for right in RIGHTS
+    )
+    return (
+        "# Who says what\n\n## Open realm\n\nClients speak with the HLI alone. Whoever may do something proves its"
+        " role by a token or an [identity](../explanation/security.md#clients); an operator may do what a controller"
+        " may, and that one what an observer may, who proves nothing. Where no tokens are set everybody is an"
+        " operator.\n\n"
+        + table(("topic", "what", "who may"), rights)
+        + "\n\n## Guarded realm\n\nIn the guarded realm each key has one speaker. Under"
+        " [identities](../explanation/security.md#identities) a message there has a MAC for each of those that it is"
+        " said to, which only the speaker and that listener can make; what anybody else says there is refused and"
+        " counted. A service that stands among its own listeners is read by who watches it with its identity. A line of"
+        " a robot stands for"
+        f" each robot of the cell.\n\n{table(('who', 'says', 'under', 'to'), rows)}\n\nFor watchers alone, believed by"
+        f" nobody and without a seal: {unsealed}."
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import logging
 
 from deltaq_controllers.interface import Controller
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
@@ -13,6 +14,8 @@ from deltaq_controllers.live import drive, model_of, robot_models, run
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
+
+_log = logging.getLogger(__name__)
 
 
 async def lead(options: argparse.Namespace, statistics: ControlStatistics) -> None:
@@ -30,7 +33,7 @@ async def lead(options: argparse.Namespace, statistics: ControlStatistics) -> No
                 model, victim, cycle_s, options.speed_m_s, options.seed, options.target
             )
             does = f"attacks {options.attack}"
-        print(f"ready: {options.robot} {does} at {options.speed_m_s:g} m/s", flush=True)
+        _log.info("ready: %s %s at %g m/s", options.robot, does, options.speed_m_s)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(options.duration_s):
                 await drive(cell, options.robot, controller, statistics)
@@ -55,6 +58,8 @@ def main() -> int:
     return run(
         lead(options, statistics),
         lambda: {"controller": "leader", "robot": options.robot, **statistics.summary()},
+        "leader",
+        options.robot,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import blake2b
 from xml.parsers import expat
 
@@ -17,7 +17,9 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision
 from deltaq_protocol.messages import Increment, Message, RobotState, Verdict
-from deltaq_protocol.seal import KEY_BYTES, Seal
+from deltaq_protocol.sayings import sayings, services
+from deltaq_protocol.seal import Seal
+from deltaq_protocol.seal_keys import KEY_BYTES, PairKeys, RealmKey, SealKeys
 from deltaq_services.outputs import ToTopic
 from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.virtual_cell.cell import VirtualCell
@@ -85,8 +87,11 @@ def messages(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:
     )
 
 
-def seals(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:
-    """Sealing and opening the messages of one robot's cycle that pass in the guarded realm, each once."""
+def seals(loaded: LoadedCell, robot: str, passes: int) -> list[BenchRow]:
+    """Sealing and opening the messages of one robot's cycle that pass in the guarded realm, each once.
+
+    Under one key, beside BLAKE2b; and under an identity for each service, beside one key.
+    """
     guarded = {
         topic.message: topic.key(loaded.model.description.cell, robot=robot)
         for topic in (
@@ -102,29 +107,39 @@ def seals(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:
         for message in messages_of_a_cycle(loaded, robot)
         if type(message) in guarded
     ]
+    cell, robots = loaded.model.description.cell, tuple(loaded.model.robots)
     key = bytes(KEY_BYTES)
-    sender, receiver = Seal(key), Seal(key)
-    for name in ("sim", "hli", "robot-server"):  # as many processes as address one another in a cell
-        other = receiver if name == "sim" else Seal(key)
-        greeting = topics.GREETING.key(loaded.model.description.cell, service=name)
-        sender.meet(greeting, other.close(greeting, b""))
+    one_key = _realm(cell, robots, dict.fromkeys(services(robots), RealmKey(key)))
+    secret = dict.fromkeys(services(robots), key)
+    each = _realm(cell, robots, {name: PairKeys(name, cell, robots, secret) for name in services(robots)})
 
-    def ours() -> None:
+    def seal_and_open(seals: Mapping[str, Seal]) -> None:
         for where, message in known:
-            receiver.open(where, sender.close(where, message))
+            sealed = seals[rows[where].speaker].close(where, message)
+            seals[rows[where].listeners[0]].open(where, sealed)
 
     def bare() -> None:
         for _, message in known:
             blake2b(message, key=key).digest()
             blake2b(message, key=key).digest()
 
-    seconds, references = _in_turn(ours, bare, passes)
-    return BenchRow.of(
-        f"the {len(known)} guarded messages of a cycle sealed and opened",
-        "BLAKE2b alone",
-        seconds,
-        references,
-    )
+    rows = {row.key: row for row in sayings(cell, robots)}
+    what = f"the {len(known)} guarded messages of a cycle sealed and opened"
+    seconds, references = _in_turn(lambda: seal_and_open(one_key), bare, passes)
+    under_one_key = BenchRow.of(what, "BLAKE2b alone", seconds, references)
+    seconds, references = _in_turn(lambda: seal_and_open(each), lambda: seal_and_open(one_key), passes)
+    under_identities = BenchRow.of(f"{what} under identities", "the same under one key", seconds, references)
+    return [under_one_key, under_identities]
+
+
+def _realm(cell: str, robots: Sequence[str], keys: Mapping[str, SealKeys]) -> dict[str, Seal]:
+    """The seals of a cell's services, of which each knows those that it speaks with."""
+    seals = {name: Seal(of_service) for name, of_service in keys.items()}
+    for row in sayings(cell, robots):
+        for listener in row.listeners:
+            if row.topic is topics.GREETING:
+                seals[listener].meet(row.key, seals[row.speaker].close(row.key, b""))
+    return seals
 
 
 def telegrams(loaded: LoadedCell, robot: str, passes: int) -> BenchRow:

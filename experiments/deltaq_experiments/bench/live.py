@@ -17,7 +17,7 @@ from deltaq_cell.load import load_cell
 from deltaq_experiments.bench.hop_reference import HopTimes, hop_reference
 from deltaq_experiments.bench.journeys import RobotStamps, by_robot
 from deltaq_experiments.bench.live_figures import LiveRow, RobotFigures, bounded_rows, robot_figures
-from deltaq_experiments.bench.processor_time import processor_seconds
+from deltaq_experiments.bench.processor_time import machine_time, processor_seconds
 from deltaq_experiments.last_lines import LastLines
 from deltaq_launch.bring_to_rest import bring_to_rest
 from deltaq_launch.child_process import Exited
@@ -112,6 +112,7 @@ class _Window:
     processor_s: dict[str, float]
     reference: HopTimes
     reference_processor_s: float
+    stolen_share: float | None
 
 
 def _run(
@@ -130,16 +131,18 @@ def _run(
         wait(options.warm_up_s)
         with hop_reference(cell.cycle_s, options.duration_s, folder, options.compiler) as reference:
             begin_ns = time.monotonic_ns()
+            machine_before = machine_time()
             before, reference_before = _processor(launcher), reference.processor_s()
             wait(options.duration_s)
             after, reference_after = _processor(launcher), reference.processor_s()
+            stolen_share = machine_time().stolen_share_since(machine_before)
             end_ns = time.monotonic_ns()
             times = reference.times(begin_ns, end_ns)
         # controllers first, while there is somebody to take their lease back
         launcher.stop_service("follower")
         launcher.stop_service("leader")
     spent = {name: after[name] - before[name] for name in before}
-    return _Window(begin_ns, end_ns, spent, times, reference_after - reference_before)
+    return _Window(begin_ns, end_ns, spent, times, reference_after - reference_before, stolen_share)
 
 
 def _processor(launcher: Launcher) -> dict[str, float]:
@@ -186,7 +189,7 @@ def _figures(
             "in_time": reference.in_time,
             "processor_us": reference_us,
         },
-        rows=bounded_rows(robots, processor_us, reference, reference_us),
+        rows=bounded_rows(robots, processor_us, reference, reference_us, window.stolen_share),
         silent=_silent(stamping, {one.process for one in written}),
         overwritten=sum(one.overwritten for one in written),
     )

@@ -158,8 +158,9 @@ def bounded_rows(
     processor_us: Mapping[str, float],
     reference: HopTimes,
     reference_processor_us: float,
+    stolen_share: float | None,
 ) -> tuple[LiveRow, ...]:
-    """What is promised, and what is compared, row by row."""
+    """What is promised, what is compared, and what the machine itself did not get, row by row."""
     slow = reference.cycle_s >= SLOW_CYCLE_S
     longest_s = reference.longest_client_cycle_s
     longest_ms = None if longest_s is None else longest_s * 1e3
@@ -179,6 +180,8 @@ def bounded_rows(
     rows.append(
         LiveRow.of("processor time of a cycle, all processes", spent_us, "µs", reference_processor_us)
     )
+    stolen = None if stolen_share is None else 100.0 * stolen_share
+    rows.append(LiveRow.of("processor time that the host gave to others", stolen, "%", None))
     return tuple(rows)
 
 

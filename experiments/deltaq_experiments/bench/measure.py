@@ -32,7 +32,7 @@ def run(
             rsi_reply(),
             telegrams(loaded, ROBOT, CODEC_PASSES),
             messages(loaded, ROBOT, CODEC_PASSES),
-            seals(loaded, ROBOT, CODEC_PASSES),
+            *seals(loaded, ROBOT, CODEC_PASSES),
             tracking(cell_name, cycles, on_cycle or (lambda _done, _of: None)),
             near_obstacles(),
         )

@@ -28,6 +28,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import Admission, ServerState, Supervision
+from deltaq_protocol.sayings import SIM
 from deltaq_protocol.session import declare_publisher, open_session
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
@@ -114,7 +115,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
     """Answers each state of the robot with a heartbeat and an admission."""
     endpoint = cell.robots[ROBOT].server
     session = open_session(connect=[endpoint], must_connect=True)
-    seal, identity = guarded_seal(cell), str(content_identity(cell))
+    seal, identity = guarded_seal(cell, SIM), str(content_identity(cell))
     state_key = topics.SERVER_STATE.key(cell.cell, robot=ROBOT)
     keys = {row: row.key(cell.cell, robot=ROBOT) for row in (topics.SUPERVISION, topics.ADMISSION)}
     heartbeats, admissions = (

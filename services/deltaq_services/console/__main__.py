@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.console.settings import Settings
+from deltaq_services.given_token import given_token
 from deltaq_services.process import run
 
 TOKEN_VARIABLE = "DELTAQ_CONSOLE_TOKEN"
@@ -34,8 +34,8 @@ def main() -> None:
         emulated=options.emulated,
         address=options.address or description.console_address,
         port=options.port if options.port is not None else description.console_port,
-        token=os.environ.get(TOKEN_VARIABLE, ""),
-        operator_token=os.environ.get(OPERATOR_TOKEN_VARIABLE) or None,
+        token=given_token(TOKEN_VARIABLE) or "",
+        operator_token=given_token(OPERATOR_TOKEN_VARIABLE),
         recordings=options.recordings,
     )
     # after the settings were found good: this import takes seconds
@@ -47,4 +47,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "console")

@@ -8,9 +8,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from deltaq_protocol.errors import ProtocolError
+from deltaq_protocol.quoting import place, shown
 from deltaq_services.console.commands import COMMANDS, MAX_MESSAGE_BYTES, AnyCommand
 
-_LONGEST_SHOWN = 80
 _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "expected_tags", "pattern")
 
 
@@ -48,7 +48,7 @@ def command_of(message: str | bytes) -> AnyCommand:
 
 def _words(error: dict[str, Any]) -> str:
     # the first part of a place is the kind of the command
-    field = ".".join(str(part) for part in error["loc"][1:]) or ".".join(str(part) for part in error["loc"])
+    field = place(error["loc"][1:]) or place(error["loc"])
     context = error.get("ctx", {})
     if error["type"].startswith("union_tag"):
         field = "type"
@@ -60,10 +60,7 @@ def _words(error: dict[str, Any]) -> str:
     given = error["input"]
     if field == "type" and isinstance(given, dict):
         given = given.get("type")
-    shown = repr(given)
-    if len(shown) > _LONGEST_SHOWN:
-        shown = shown[: _LONGEST_SHOWN - 3] + "..."
-    text = f"{field or 'message'}: {error['msg'].removeprefix('Input ')}, got {shown}"
+    text = f"{field or 'message'}: {error['msg'].removeprefix('Input ')}, got {shown(given)}"
     return text if bound is None or error["type"].endswith("tag_invalid") else f"{text}; bound {bound}"
 
 

@@ -9,6 +9,8 @@ from asyncio.subprocess import PIPE, STDOUT, Process
 from collections.abc import Callable
 from pathlib import Path
 
+from deltaq_protocol.log import message_of
+
 _ENDS_WITHIN_S = 10.0
 _LONGEST_TOLD = 300
 _READY = "ready:"
@@ -73,7 +75,7 @@ class RecorderProcess:
                 process.stdin.close()
             has_begun, last = False, ""
             async for line in process.stdout:
-                last = line.decode(errors="replace").strip() or last
+                last = message_of(line.decode(errors="replace").strip()) or last
                 if last.startswith(_READY) and not has_begun:
                     has_begun = True
                     self._began()

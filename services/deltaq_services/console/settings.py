@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hmac
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
 
@@ -43,15 +43,15 @@ class Settings:
     emulated: bool
     address: str
     port: int
-    token: str = ""
-    operator_token: str | None = None
+    token: str = field(default="", repr=False)
+    operator_token: str | None = field(default=None, repr=False)
     recordings: Path | None = None
 
     def __post_init__(self) -> None:
         if not self.is_loopback and not self.token:
             raise NoTokenError(
-                f"the console would be reached from other machines at {self.address}: set DELTAQ_CONSOLE_TOKEN, which "
-                "its operators then have to know, or bind it to 127.0.0.1"
+                f"the console would be reached from other machines at {self.address}: set DELTAQ_CONSOLE_TOKEN or "
+                "DELTAQ_CONSOLE_TOKEN_FILE, which its operators then have to know, or bind it to 127.0.0.1"
             )
         if self.recordings is not None and not self.recordings.is_dir():
             raise NoFolderError(f"--recordings {self.recordings}: there is no such folder; make it first")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
-import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from deltaq_cell.identity import content_identity
 from deltaq_protocol import driving, topics
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+from deltaq_protocol.heartbeat import Heartbeat
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import (
     DescribeRequest,
@@ -43,6 +44,8 @@ from deltaq_services.console.replay_process import ReplayReader
 from deltaq_services.console.scene import BrowserScene, scene_of
 
 M = TypeVar("M", bound=Message)
+
+_log = logging.getLogger(__name__)
 
 FRAME_S = 0.04
 """Time between two frames: 25 a second."""
@@ -107,6 +110,7 @@ class Console:
             for robot in description.robots
         }
         self._tasks: set[asyncio.Task[None]] = set()
+        self._heartbeat = Heartbeat()
         self._epoch_s = time.time() - time.monotonic()
 
     async def run(self) -> None:
@@ -117,6 +121,7 @@ class Console:
                 await self._tick()
             finally:
                 polling.cancel()
+                self._heartbeat.close()
                 # a recording goes on until the robots rest
                 await asyncio.gather(*(driver.end() for driver in self._drivers.values()))
                 await self._recorder.end()
@@ -219,6 +224,9 @@ class Console:
             if stopping or ticks % _TOLD_EVERY == 0:
                 self._carry_out(self.core.tick(now_s))
             ticks += 1
+            if self._heartbeat.is_due(now_s):
+                health = self.core.health()
+                self._heartbeat.beat(now_s, bool(health["healthy"]), str(health["detail"]))
             # what was missed is not made up for
             next_s = max(next_s + (FRAME_S if self._connections else _ALONE_S), time.monotonic())
             await asyncio.sleep(next_s - time.monotonic())
@@ -256,7 +264,7 @@ class Console:
                 self.core.board.silent(f"no answer within {_NO_ANSWER_S:g} s", self.now_s())
             except Exception as error:
                 # of what nobody foresaw everything is told, and the next look may do better: an operator looks on
-                traceback.print_exc()
+                _log.exception("the HLI could not be asked")
                 self.core.board.silent(repr(error), self.now_s())
             await asyncio.sleep(_POLL_S)
 

@@ -7,6 +7,7 @@ only names by which it is called, so that no web site can pretend to be it.
 from __future__ import annotations
 
 import asyncio
+import logging
 import signal
 import socket
 from collections.abc import Generator
@@ -26,6 +27,8 @@ from deltaq_services.console.recordings_web import add_recordings
 from deltaq_services.console.scene import MESHES
 from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
 from deltaq_services.console.shell import Console
+
+_log = logging.getLogger(__name__)
 
 _LONGEST_BYTES = 64 * 1024
 """Longest message that is read at all; commands are shorter, and this much is told so."""
@@ -59,7 +62,7 @@ async def _serve(console: Console, settings: Settings, listening: socket.socket)
     serving = asyncio.ensure_future(server.serve(sockets=[listening]))
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, running.cancel)
-    print(f"ready: console at {settings.url}", flush=True)
+    _log.info("ready: console at %s", settings.url)
     await asyncio.wait((running, serving), return_when=asyncio.FIRST_COMPLETED)
     running.cancel()
     server.should_exit = True
@@ -82,6 +85,7 @@ def server_of(app: FastAPI) -> uvicorn.Server:
     return _Server(
         uvicorn.Config(
             app,
+            log_config=None,  # this process logs all that it says in one way
             log_level="warning",
             access_log=False,
             ws_max_size=_LONGEST_BYTES,

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import resource
 import signal
 import ssl
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.description import CellDescription
+from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.client_tokens import client_roles
@@ -18,6 +22,10 @@ from deltaq_services.hli.flood_wait import give_each_session_a_thread
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
 from deltaq_services.process import arguments, ask_for_real_time, run
+
+if TYPE_CHECKING:
+    from deltaq_services.hli.client_identities import ClientIdentities
+_log = logging.getLogger(__name__)
 
 _MOST_OPEN = 16_384
 """Files and sockets of this process."""
@@ -31,6 +39,7 @@ async def _run(
     roles: ClientRoles,
     encryption: ssl.SSLContext | None,
     audit_file: Path | None,
+    identities: ClientIdentities | None,
 ) -> None:
     cell = model.description
 
@@ -41,10 +50,9 @@ async def _run(
     stopped = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
-    async with Hli(cell, description, tool_pose, roles, encryption, audit_file):
-        print(
-            f"ready: hli of {cell.cell} on {cell.hli} and tcp {cell.tcp_address}:{cell.tcp_port}", flush=True
-        )
+    async with Hli(cell, description, tool_pose, roles, encryption, audit_file, identities):
+        lines = f"{cell.tcp_address}:{cell.tcp_port}"
+        _log.info("ready: hli of %s on %s and tcp %s", cell.cell, cell.hli, lines)
         await stopped.wait()
 
 
@@ -55,20 +63,35 @@ def _allow_many_connections() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
 
 
+def _client_identities(cell: CellDescription) -> tuple[ClientIdentities | None, str]:
+    """Who knows the clients of the cell's authority, and its certificate; None and empty where there is none."""
+    if not (os.environ.get(IDENTITY) or os.environ.get(AUTHORITY_FILE)):
+        return None, ""
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    from deltaq_protocol.certified.certificate import now_utc
+    from deltaq_services.hli.client_identities import ClientIdentities
+    from deltaq_services.service_identity import authority_of_clients
+
+    authority = authority_of_clients(cell, os.environ)
+    return ClientIdentities(authority, now_utc), authority.public_bytes(Encoding.PEM).decode()
+
+
 def main() -> None:
     """Serve the clients of a cell."""
     options = arguments("High-level interface: between controllers and the gate", writes_audit=True)
-    logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     give_each_session_a_thread()
     # zenoh's threads hand over in microseconds instead of waiting for the interpreter's usual 5 ms
     sys.setswitchinterval(0.0005)
     cell = CellModel.load(options.cell)
-    roles, encryption = client_roles(cell.description), line_encryption(cell.description)
+    roles = client_roles(cell.description)
+    identities, authority = _client_identities(cell.description)
+    encryption = line_encryption(cell.description, authority=authority)
     description = cell.description_message()
     _allow_many_connections()
     ask_for_real_time(_REAL_TIME_PRIORITY)
-    asyncio.run(_run(cell, description, roles, encryption, options.audit))
+    asyncio.run(_run(cell, description, roles, encryption, options.audit, identities))
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "hli")

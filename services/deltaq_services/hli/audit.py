@@ -107,6 +107,7 @@ class Audit:
             client=self._shown(deed.origin.client, LONGEST_NAME),
             address=self._shown(deed.origin.address, LONGEST_ADDRESS),
             role=deed.origin.role,
+            identity=self._shown(deed.origin.identity, LONGEST_NAME),
             code=deed.code,
             text=self._shown(deed.text, LONGEST_TEXT),
             count=counted.count,

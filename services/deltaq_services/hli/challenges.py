@@ -38,14 +38,18 @@ class Challenges:
     def accept(self, challenge: bytes, time_s: float) -> bool:
         """Whether a challenge is one of this process's, fresh, and was never accepted before."""
         self._used = {used: until_s for used, until_s in self._used.items() if time_s <= until_s}
-        made = challenge[: _MADE.size]
-        if len(made) < _MADE.size or not compare_digest(self._mac(made), challenge[_MADE.size :]):
+        if not self.is_own(challenge):
             return False
-        until_s = _MADE.unpack(made)[0] + GOOD_FOR_S
+        until_s = _MADE.unpack(challenge[: _MADE.size])[0] + GOOD_FOR_S
         if time_s > until_s or challenge in self._used:
             return False
         self._used[challenge] = until_s
         return True
+
+    def is_own(self, challenge: bytes) -> bool:
+        """Whether a challenge is one of this process's, of whatever time; any thread may ask."""
+        made = challenge[: _MADE.size]
+        return len(made) == _MADE.size and compare_digest(self._mac(made), challenge[_MADE.size :])
 
     def _mac(self, made: bytes) -> bytes:
         return blake2b(made, digest_size=_MAC_BYTES, key=self._key).digest()

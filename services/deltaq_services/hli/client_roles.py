@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hmac
 from dataclasses import dataclass
-from enum import IntEnum
 
+from deltaq_protocol.certified.names import IdentityKind, kind_of
+from deltaq_protocol.client_rights import ClientRole
 from deltaq_services.rate_limit import RateLimit
 
 MOST_TRIES_S = 3.0
@@ -16,15 +17,11 @@ MOST_TRIES_S = 3.0
 _MOST_PEERS = 256
 
 
-class ClientRole(IntEnum):
-    """What a client may do; each may do what those before it may."""
-
-    OBSERVER = 1
-    """Look on, and stop."""
-    CONTROLLER = 2
-    """Acquire a free lease, and move its robot."""
-    OPERATOR = 3
-    """Take a lease from its holder, reset, allow contacts."""
+_ROLES = {
+    IdentityKind.SERVICE: ClientRole.OBSERVER,
+    IdentityKind.CONTROLLER: ClientRole.CONTROLLER,
+    IdentityKind.OPERATOR: ClientRole.OPERATOR,
+}
 
 
 @dataclass(frozen=True)
@@ -39,8 +36,11 @@ class ClientRoles:
     operator_token: str | None = None
     controller_token: str | None = None
 
-    def of(self, token: str | None) -> ClientRole:
-        """The role of who gives this token, or none; compared in constant time."""
+    def of(self, token: str | None, identity: str = "") -> ClientRole:
+        """The role of who gives this token, compared in constant time, or has proven this identity."""
+        return max(self._by_token(token), _ROLES[kind_of(identity)])
+
+    def _by_token(self, token: str | None) -> ClientRole:
         is_operator, is_controller = _is(self.operator_token, token), _is(self.controller_token, token)
         if self.operator_token is None or is_operator:
             return ClientRole.OPERATOR

@@ -273,6 +273,10 @@ class HliCore:
         """Let leases and commands run out."""
         return self._state.tick(time_s)
 
+    def gate_age_s(self, time_s: float) -> float | None:
+        """Time since the gate was heard [s]; None if it never was."""
+        return time_s - self._gate_heard_s if self._gate else None
+
     def status(self, time_s: float, front_counters: Counter[str]) -> Status:
         """The running cell; `front_counters` are what the fronts counted themselves."""
         gate = self._gate
@@ -282,7 +286,7 @@ class HliCore:
                 robot: self._robot_status(robot, link, time_s) for robot, link in self._state.links.items()
             },
             gate=gate.counters if gate else {},
-            gate_age_s=time_s - self._gate_heard_s if gate else None,
+            gate_age_s=self.gate_age_s(time_s),
             gate_fingerprint=gate.fingerprint if gate else "",
             contacts=gate.contacts if gate else (),
             hli=dict(self.counters + front_counters),

@@ -44,6 +44,7 @@ class _Key(NamedTuple):
     client: str
     host: str
     role: str
+    identity: str
     text: str
 
 
@@ -126,4 +127,14 @@ def _key(deed: Deed) -> _Key:
     host = origin.address.rpartition(":")[0] or origin.address
     # what was refused is equal whatever a stranger wrote; what was done is another thing each time
     text = "" if deed.outcome is AuditOutcome.REFUSED else deed.text
-    return _Key(deed.what, deed.outcome, deed.code, deed.robot, origin.client, host, origin.role, text)
+    return _Key(
+        deed.what,
+        deed.outcome,
+        deed.code,
+        deed.robot,
+        origin.client,
+        host,
+        origin.role,
+        origin.identity,
+        text,
+    )

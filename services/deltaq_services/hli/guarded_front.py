@@ -10,15 +10,15 @@ import zenoh
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
-from deltaq_protocol.access import access
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import ProtocolError
 from deltaq_protocol.messages import Message
+from deltaq_protocol.sayings import HLI
 from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
-from deltaq_protocol.session import open_session
-from deltaq_protocol.topic import Party, Realm, Topic
+from deltaq_protocol.topic import Party, Topic
 from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_session import open_guarded_session
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.zenoh_session import LoopSession
 
@@ -38,19 +38,17 @@ class GuardedFront:
         self._cell = cell.cell
         self._port = port
         endpoints = [robot.server for robot in cell.robots.values()] + [cell.sim]
-        self._seal = guarded_seal(cell)
-        rules = access(Party.HLI, Realm.GUARDED, cell.cell)
-        self._session = LoopSession(
-            open_session(connect=endpoints, access=rules), cell.cell, port.loop, self._seal
-        )
+        self._seal = guarded_seal(cell, HLI)
+        session = open_guarded_session(cell, Party.HLI, HLI, connect=endpoints)
+        self._session = LoopSession(session, cell.cell, port.loop, self._seal)
         for topic in (topics.SERVER_STATE, topics.GATE_VERDICT, topics.COMMAND_REPLY, topics.HEALTH):
             self._session.subscribe(topic, partial(self._take, topic.message))
         self._session.subscribe(topics.GREETING, self._meet)
-        self._greeter = Greeter("hli", partial(self.publish, topics.GREETING, ""))
+        self._greeter = Greeter(HLI, partial(self.publish, topics.GREETING, ""))
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the guarded realm."""
-        self._session.publish(topic, message, robot=robot, service="hli")
+        self._session.publish(topic, message, robot=robot, service=HLI)
 
     def counters(self) -> Counter[str]:
         """What the session counted."""

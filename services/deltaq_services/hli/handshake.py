@@ -6,6 +6,8 @@ import asyncio
 import ssl
 from collections.abc import Callable
 
+from deltaq_protocol.certified.names import person_named
+
 HANDSHAKE_S = 5.0
 """Connections that do not agree on their encryption until then end."""
 
@@ -69,3 +71,11 @@ class Handshake(asyncio.Protocol):
         connection.connection_made(encrypted)
         if self._early:
             connection.data_received(bytes(self._early))
+
+
+def identity_of(transport: asyncio.BaseTransport) -> str:
+    """The name that an encrypted connection's client has proven by its certificate; empty without one."""
+    encrypted = transport.get_extra_info("ssl_object")
+    certificate = None if encrypted is None else encrypted.getpeercert()
+    names = dict(pair for part in (certificate or {}).get("subject", ()) for pair in part)
+    return person_named(names.get("commonName", ""))

@@ -1,4 +1,7 @@
-"""TLS for the JSON lines, where the HLI is given a certificate; without one they are in the clear."""
+"""TLS for the JSON lines, where the HLI is given a certificate; without one they are in the clear.
+
+A client may show a certificate of its own: one of the cell's authority proves an operator's or a controller's name.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,14 @@ class LineEncryptionError(DeltaqError):
 
 
 def line_encryption(
-    cell: CellDescription, environment: Mapping[str, str] = os.environ
+    cell: CellDescription, environment: Mapping[str, str] = os.environ, authority: str = ""
 ) -> ssl.SSLContext | None:
     """What encrypts the lines; None: nothing does.
+
+    Args:
+        cell: the cell.
+        environment: where the files are named.
+        authority: certificate of the cell's authority (PEM), whose clients' certificates are believed; empty: none is.
 
     Raises:
         LineEncryptionError: if the certificate or its key cannot be used, or tokens would cross a network unencrypted.
@@ -45,4 +53,7 @@ def line_encryption(
     except (OSError, ssl.SSLError) as error:
         why = error.reason if isinstance(error, ssl.SSLError) else error.strerror
         raise LineEncryptionError(f"{certificate} with {key} cannot be used: {why}") from error
+    if authority:
+        context.verify_mode = ssl.CERT_OPTIONAL  # who shows none proves a role by a token, or has none
+        context.load_verify_locations(cadata=authority)
     return context

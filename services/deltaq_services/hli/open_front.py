@@ -149,7 +149,7 @@ class OpenFront:
         try:
             request = unpack(ContactRequest, _payload(query))
             request = request.model_copy(update={"token": self._role_token(query)})
-            sender.origin = self._origin(request.client, request.token)
+            sender.origin = self._origin(request.client, request.token, self._identity(query))
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
@@ -188,7 +188,7 @@ class OpenFront:
             if not query.key_expr.intersects(zenoh.KeyExpr(sender.key)):
                 raise _wrong_key(request.robot, str(query.key_expr))
             request = self._proven(request, query)
-            sender.origin = self._origin_of(request)
+            sender.origin = self._origin_of(request, query)
         except InvalidMessageError as error:
             port.carry_out(port.core.increments.on_malformed(error, sender))
         else:
@@ -205,22 +205,28 @@ class OpenFront:
             fields["token"] = self._role_token(query)
         return request.model_copy(update=fields)
 
-    def _origin_of(self, request: RobotRequest) -> ClientOrigin:
+    def _origin_of(self, request: RobotRequest, query: zenoh.Query) -> ClientOrigin:
         if isinstance(request, IoRequest):
             lease = self._port.core.leases.held_with(request.robot, request.lease)
             return self._origin(None, None) if lease is None else lease.origin
         if isinstance(request, LeaseRequest | ResetRequest):
-            return self._origin(request.client, request.token)
+            return self._origin(request.client, request.token, self._identity(query))
         return self._origin(None, None)
 
-    def _origin(self, client: str | None, token: str | None) -> ClientOrigin:
-        """Whom a question is from: the name that it says, and the role that it proves."""
-        return ClientOrigin(client or "", _ADDRESS, self._port.roles.of(token).name.lower())
+    def _origin(self, client: str | None, token: str | None, identity: str = "") -> ClientOrigin:
+        """Whom a question is from: the name that it says, and the role and the name that it proves."""
+        role = self._port.roles.of(token, identity)
+        return ClientOrigin(client or "", _ADDRESS, role.name.lower(), identity)
 
     def _is_proven(self, query: zenoh.Query) -> bool:
         """Whether it is a holder's or the operator's, in zenoh's thread: a flood of others takes no place of theirs."""
         proof = _proof(query)
         return bool(proof) and self._port.authentication.is_known(str(query.key_expr), _payload(query), proof)
+
+    def _identity(self, query: zenoh.Query) -> str:
+        return self._port.authentication.identity(
+            str(query.key_expr), _payload(query), _proof(query), self._port.now()
+        )
 
     def _role_token(self, query: zenoh.Query) -> str | None:
         return self._port.authentication.token(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditKind, AuditOutcome
+from deltaq_protocol.client_rights import ClientRole, least_role
 from deltaq_protocol.messages import (
     ContactRequest,
     Done,
@@ -20,7 +22,7 @@ from deltaq_protocol.messages import (
     ResetRequest,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
-from deltaq_services.hli.client_roles import ClientRole, ClientRoles
+from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.deeds import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.state import HliState
@@ -62,11 +64,11 @@ class Requests:
             self._state.leases.renew(own, time_s)
         elif request.action is LeaseAction.RENEW:
             code = ReasonCode.LEASE_NOT_HELD
-        elif self._roles.of(request.token) < ClientRole.CONTROLLER:
+        elif self._role(request, sender) < least_role(topics.LEASE, LeaseAction.ACQUIRE):
             code = ReasonCode.NOT_PERMITTED
         elif request.action is LeaseAction.ACQUIRE and current is not None:
             code = ReasonCode.LEASE_TAKEN
-        elif request.action is LeaseAction.TAKE and not self._is_operator(request.token):
+        elif self._role(request, sender) < least_role(topics.LEASE, request.action):
             code = ReasonCode.NOT_PERMITTED
         else:
             what, text = AuditKind.LEASE_GRANTED, ""
@@ -100,7 +102,7 @@ class Requests:
         """Leave `held`: a privilege where an operator's token is set, refused while the cause stands."""
         if request.robot not in self._state.links:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
-        if not self._is_operator(request.token):
+        if self._role(request, sender) < least_role(topics.RESET):
             text = f"reset of {request.robot} needs the operator's token"
             return self._error(
                 sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
@@ -131,7 +133,7 @@ class Requests:
             return self._error(
                 sender, request, ReasonCode.MALFORMED, text, "see `contacts` in the cell's YAML"
             )
-        if not self._is_operator(request.token):
+        if self._role(request, sender) < least_role(topics.CONTACT):
             text = f"contact {request.contact} needs the operator's token"
             return self._error(
                 sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
@@ -221,8 +223,8 @@ class Requests:
             Deed(AuditKind.LEASE_REFUSED, AuditOutcome.REFUSED, asking, request.robot, code, text)
         )
 
-    def _is_operator(self, token: str | None) -> bool:
-        return self._roles.of(token) is ClientRole.OPERATOR
+    def _role(self, request: ContactRequest | LeaseRequest | ResetRequest, sender: Sender) -> ClientRole:
+        return self._roles.of(request.token, sender.origin.identity)
 
     def _robots_are(self, robot: str) -> tuple[str, str]:
         return f"the cell has no robot {robot}", "it has " + ", ".join(self._state.links)

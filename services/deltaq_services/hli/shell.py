@@ -9,11 +9,13 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Health
+from deltaq_protocol.heartbeat import Heartbeat
 from deltaq_protocol.messages import Description, RobotState, Status, ToolPose
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
@@ -28,6 +30,9 @@ from deltaq_services.hli.tcp_front import TcpFront
 from deltaq_services.outputs import ClientOrigin, Output, ToSender
 from deltaq_services.pace import Pace
 
+if TYPE_CHECKING:
+    from deltaq_services.hli.client_identities import ClientIdentities
+
 _TICK_S = 0.02
 
 
@@ -41,6 +46,7 @@ class Hli:
         roles: of clients; None: everybody is an operator.
         encryption: of the lines over TCP; None: they are in the clear.
         audit_file: of the audit log; None: it goes to recorders alone.
+        identities: of clients; None: they prove roles by tokens alone.
 
     Raises:
         AuditFileError: on entering, if the audit log cannot be written.
@@ -56,6 +62,7 @@ class Hli:
         roles: ClientRoles | None = None,
         encryption: ssl.SSLContext | None = None,
         audit_file: Path | None = None,
+        identities: ClientIdentities | None = None,
     ) -> None:
         # milliseconds since 1970: greater than any epoch that an earlier process has reached
         first_epoch = time.time_ns() // 1_000_000
@@ -66,9 +73,10 @@ class Hli:
         )
         self._audit_file = audit_file
         self._unproven = 0
-        self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32))
+        self.authentication = Authentication(self.core.leases, self.roles, secrets.token_hex(32), identities)
         self.loop: asyncio.AbstractEventLoop
         self._cell = cell
+        self._heartbeat = Heartbeat()
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
 
     async def __aenter__(self) -> Hli:
@@ -103,6 +111,7 @@ class Hli:
         self._tell_of_unproven()
         self._audit.close()
         self._guarded.close()
+        self._heartbeat.close()
 
     def now(self) -> float:
         """Monotonic time [s]."""
@@ -169,6 +178,11 @@ class Hli:
             counters=dict(counters),
         )
         self._guarded.publish(topics.HEALTH, "", health)
+        if self._heartbeat.is_due(now):
+            age_s = self.core.gate_age_s(now)
+            is_heard = age_s is not None and age_s <= topics.HEALTH.age_s(self._cell.cycle_s)
+            detail = health.detail if is_heard else "the SIM is silent"
+            self._heartbeat.beat(now, health.healthy and is_heard, detail)
 
     def _front_counters(self) -> Counter[str]:
         counters = self._tcp.counters + self._open.counters() + self._guarded.counters()

@@ -177,30 +177,31 @@ class HliState:
 
         Where a service has read another cell, nothing but a stop is sent.
         """
-        if command.kind != "stop" and self.mismatches:
-            said = "; ".join(self.mismatches.values())
-            error = Error(
-                code=ReasonCode.CELL_MISMATCH,
-                message=f"{command.kind} refused: {said}",
-                hint="start every service of the cell from the same description",
-                request=command.kind,
-                robot=command.robot,
-            )
-            return self._refused(command, sender, error)
-        if command.kind != "stop" and not self.command_rate.take(time_s):
-            self.counters["commands_too_many"] += 1
-            error = Error(
-                code=ReasonCode.TOO_MANY,
-                message=f"{command.kind} refused: clients ask for more than {MOST_COMMANDS_S:g} commands a second",
-                hint="ask less often",
-                request=command.kind,
-                robot=command.robot,
-            )
+        if error := self._error_of(command, time_s):
             return self._refused(command, sender, error)
         if command.kind != "dry_run":
             self.tell(deed_of(command, AuditOutcome.ASKED, _origin(sender)))
         self.commands.sent(command, sender, done, time_s)
         return [ToTopic(topics.COMMAND, "", command)]
+
+    def _error_of(self, command: Command, time_s: float) -> Error | None:
+        """Why a command does not go to the gate; None if it does."""
+        if command.kind == "stop":
+            return None
+        if self.mismatches:
+            code, why = ReasonCode.CELL_MISMATCH, "; ".join(self.mismatches.values())
+            hint = "start every service of the cell from the same description"
+        elif not self.command_rate.take(time_s):
+            self.counters["commands_too_many"] += 1
+            code, why = (
+                ReasonCode.TOO_MANY,
+                f"clients ask for more than {MOST_COMMANDS_S:g} commands a second",
+            )
+            hint = "ask less often"
+        else:
+            return None
+        message = f"{command.kind} refused: {why}"
+        return Error(code=code, message=message, hint=hint, request=command.kind, robot=command.robot)
 
     def _refused(self, command: Command, sender: Sender | None, error: Error) -> list[Output]:
         self.tell(deed_of(command, AuditOutcome.REFUSED, _origin(sender), error.message, error.code))

@@ -26,8 +26,10 @@ from deltaq_protocol.messages import (
     ResetRequest,
     StopRequest,
 )
+from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
+from deltaq_services.hli.handshake import identity_of
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.refusals import answered_by_error
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
@@ -105,7 +107,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._malformed_in_a_row = 0
         self._is_slow = False
         self._for_stop_alone = False
-        self._address = ""
+        self._address = self._identity = ""
         self._newest_states: dict[str, bytes] = {}
         self._hello_deadline: asyncio.TimerHandle | None = None
         self.leases: dict[str, str] = {}
@@ -119,6 +121,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         transport.set_write_buffer_limits(high=_SEND_BUFFER_BYTES)
         sock: socket.socket = transport.get_extra_info("socket")
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        self._identity = identity_of(transport)
         peer = transport.get_extra_info("peername")
         self._address = peer[0] if peer else ""
         self.origin = self._origin(None, address_of(transport))
@@ -268,7 +271,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         message_type = _TYPES.get(kind) if isinstance(kind, str) else None
         if message_type is None:
             known = ", ".join(_TYPES)
-            text = f"type: must be one of {known}, got {kind!r:.80}"
+            text = f"type: must be one of {known}, got {shown(kind)}"
             raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
         if message_type is Hello:
             return self._greet(_hello(data))
@@ -339,8 +342,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         return [ToSender(self, message)]
 
     def _origin(self, hello: Hello | None, address: str) -> ClientOrigin:
-        role = self._port.roles.of(hello.token if hello else None)
-        return ClientOrigin(hello.client if hello else "", address, role.name.lower())
+        role = self._port.roles.of(hello.token if hello else None, self._identity)
+        return ClientOrigin(hello.client if hello else "", address, role.name.lower(), self._identity)
 
     def _tell(self, what: AuditKind, code: ReasonCode, text: str) -> None:
         self._port.core.tell(Deed(what, AuditOutcome.REFUSED, self.origin, code=code, text=text))

@@ -6,6 +6,7 @@ The status is asked for when somebody reads, and no oftener. The HLI may come, g
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Iterator
 
@@ -18,6 +19,8 @@ from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.messages import Status
 from deltaq_services.metrics.delays import Delays
 from deltaq_services.metrics.families import families
+
+_log = logging.getLogger(__name__)
 
 DEFAULT_PORT = 9464
 """What exporters without a port of their own use."""
@@ -60,7 +63,8 @@ class Exporter(Collector):
         """
         self._loop = asyncio.get_running_loop()
         server, thread = start_http_server(port, address, self.registry)
-        print(f"ready: metrics of {self._hli} at http://{address}:{server.server_port}/metrics", flush=True)
+        page = f"http://{address}:{server.server_port}/metrics"
+        _log.info("ready: metrics of %s at %s", self._hli, page)
         try:
             while True:
                 await self._watch()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import threading
@@ -11,6 +12,8 @@ from pathlib import Path
 from deltaq_cell.load import load_cell
 from deltaq_services.process import run
 from deltaq_services.recorder.shell import Recorder
+
+_log = logging.getLogger(__name__)
 
 
 def main() -> None:
@@ -29,7 +32,7 @@ def main() -> None:
     if options.until_input_ends:
         threading.Thread(target=_end_with_input, daemon=True).start()
     with Recorder(load_cell(options.cell), options.file) as recorder:
-        print(f"ready: recorder writes {options.file}", flush=True)
+        _log.info("ready: recorder writes %s", options.file)
         recorder.run()
 
 
@@ -42,4 +45,4 @@ def _end_with_input() -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, "recorder")

@@ -20,8 +20,9 @@ from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.guarded import GateEntry, GateMemory
 from deltaq_protocol.identity import CellIdentity, mismatch
-from deltaq_protocol.session import open_session
+from deltaq_protocol.sayings import SIM
 from deltaq_protocol.topic import Kind, Party, Realm, Topic
+from deltaq_services.guarded_session import open_watching_session
 from deltaq_services.process import HeldInterrupts
 from deltaq_services.recorder.writer import RecordingWriter
 
@@ -65,7 +66,7 @@ class Recorder:
         self.lost = 0
         self.invalid = 0
         self._came: queue.SimpleQueue[tuple[Topic, bytes, int]] = queue.SimpleQueue()
-        self._session: Any = open_session(connect=[cell.hli, cell.sim], must_connect=True)
+        self._session: Any = open_watching_session(cell, [cell.hli, cell.sim], watched=SIM)
         try:
             self.writer = RecordingWriter(path, description, "live")
         except DeltaqError:

@@ -1,20 +1,26 @@
 """`python -m deltaq_services.robot_server --cell lab --robot fr`."""
 
+import logging
 from pathlib import Path
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.find import find_cell, resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.load import load_cell
+from deltaq_protocol import log
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import EthernetConfigError
 from deltaq_services.process import arguments, run
 from deltaq_services.robot_server.shell import serve
 
+_log = logging.getLogger(__name__)
+_SERVICE = "robot-server"
+
 
 def main() -> None:
     """Serve one robot of a cell."""
     options = arguments("Robot Server: relays what passed the gate to one robot's controller", of_robot=True)
+    log.configure(_SERVICE, options.robot)
     cell = load_cell(options.cell)
     if options.robot not in cell.robots:
         raise DeltaqError(f"cell {cell.cell} has no robot {options.robot!r}; it has {', '.join(cell.robots)}")
@@ -34,10 +40,10 @@ def refuse_unsafe(cell_file: Path, robot: RobotDescription) -> None:
     findings = judge_krc_files(cell_file, robot)
     for finding in findings:
         if finding.severity == "warning":
-            print(f"warning: {finding}", flush=True)
+            _log.warning("%s", finding)
     if errors := [str(finding) for finding in findings if finding.severity == "error"]:
         raise EthernetConfigError("\n".join(["the KRC's files are refused:", *errors]))
 
 
 if __name__ == "__main__":
-    run(main)
+    run(main, _SERVICE)

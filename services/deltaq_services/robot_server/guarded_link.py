@@ -9,16 +9,18 @@ from typing import Any, TypeVar
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import topics
-from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Admission, Greeting, Health, ServerState, Supervision
+from deltaq_protocol.heartbeat import Heartbeat
 from deltaq_protocol.messages import Message
+from deltaq_protocol.sayings import robot_server
 from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
-from deltaq_protocol.session import declare_publisher, open_session, subscribe_newest
+from deltaq_protocol.session import declare_publisher, subscribe_newest
 from deltaq_protocol.stamps import stamps_if_asked
-from deltaq_protocol.topic import Party, Realm, Topic
+from deltaq_protocol.topic import Party, Topic
 from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_session import open_guarded_session
 from deltaq_services.pace import Pace
 from deltaq_services.robot_server.cycle_stamps import CycleStamps
 
@@ -64,10 +66,12 @@ class GuardedLink:
     def __init__(self, cell: CellDescription, robot: str, counters: Counter[str]) -> None:
         self._counters = counters
         self._identity = str(content_identity(cell))
-        self._service = f"robot-server-{robot}"
-        self._seal = guarded_seal(cell)
-        rules = access(Party.ROBOT_SERVER, Realm.GUARDED, cell.cell, robot)
-        self._session: Any = open_session(listen=[cell.robots[robot].server], access=rules)
+        self._service = robot_server(robot)
+        self._seal = guarded_seal(cell, self._service)
+        here = [cell.robots[robot].server]
+        self._session: Any = open_guarded_session(
+            cell, Party.ROBOT_SERVER, self._service, listen=here, robot=robot
+        )
         admission_key = topics.ADMISSION.key(cell.cell, robot=robot)
         supervision_key = topics.SUPERVISION.key(cell.cell, robot=robot)
         self._admissions = _Waiting(self._session, admission_key)
@@ -78,6 +82,7 @@ class GuardedLink:
         greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
         self._greeter = Greeter(self._service, lambda message: greeting.put(pack(message)))
         self._is_unknown = False
+        self._heartbeat = Heartbeat()
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
         stamps = stamps_if_asked(self._service, [robot])
         self._stamps = (
@@ -114,9 +119,11 @@ class GuardedLink:
                 cell=self._identity,
             )
             self._health.put(pack(health))
+            self._heartbeat.beat(time_s, detail=health.detail)
 
     def close(self) -> None:
         """End the session."""
+        self._heartbeat.close()
         self._session.close()
 
     def _publisher(self, topic: Topic, cell: str, **fields: str) -> Any:

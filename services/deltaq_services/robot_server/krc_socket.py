@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import select
 import socket
 import struct
@@ -23,6 +24,8 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.prepared_reply import PreparedReply
 from deltaq_services.robot_server.rsi_driver import RsiDriver
+
+_log = logging.getLogger(__name__)
 
 _DATAGRAM_BYTES = MAX_TELEGRAM_BYTES + 1
 """Read of a datagram: enough to see that it is too long."""
@@ -163,10 +166,10 @@ class KrcSocket:
             except TelegramError as error:
                 self._counters["telegrams_garbled"] += 1
                 if self._counters["telegrams_garbled"] == 1:
-                    print(f"first garbled telegram: {error}", flush=True)
+                    _log.warning("first garbled telegram: %s", error)
                 continue
             if self._rsi.implausible and self._counters["telegrams_implausible"] == 1:
-                print(f"first implausible telegram: {self._rsi.implausible}", flush=True)
+                _log.warning("first implausible telegram: %s", self._rsi.implausible)
             self._skipped(len(waiting))
             self._sender, self.newest = sender, datagram
             self.peer.believed(sender, now_s)
@@ -247,7 +250,7 @@ def _bound(driver: RsiDescription, patience_s: float) -> socket.socket:
         except OSError as error:
             if error.errno == errno.EADDRINUSE and time.monotonic() < end_s:
                 if not told:
-                    print(f"waits for {place}: a robot may still be braked there", flush=True)
+                    _log.info("waits for %s: a robot may still be braked there", place)
                 told = True
                 time.sleep(_LOOK_S)
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import secrets
 import time
@@ -23,6 +24,8 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.rsi_loop import RsiLoop
+
+_log = logging.getLogger(__name__)
 
 _REAL_TIME_PRIORITY = 20
 """Above the gate's, so that a telegram is answered while the gate decides."""
@@ -110,14 +113,12 @@ def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescriptio
     try:
         with (
             KrcSocket(driver, silence_s, rsi, server.counters, PORT_PATIENCE_S) as krc,
-            CrashWatch(plan, krc.socket) as krc.watch,
+            CrashWatch(plan, krc.socket, server.robot) as krc.watch,
         ):
             ending = Ending(server)
             loop = RsiLoop(server, rsi, krc, link, ending, prepares, cell.cycle_s, silence_s, records)
-            print(
-                f"ready: robot-server-{server.robot} waits for its KRC on {driver.address}:{driver.port}",
-                flush=True,
-            )
+            place = f"{driver.address}:{driver.port}"
+            _log.info("ready: robot-server-%s waits for its KRC on %s", server.robot, place)
             loop.run()
     finally:
         link.close()
@@ -127,7 +128,7 @@ def _serve_kinematic(cell: CellDescription, server: RobotServer) -> None:
     """A robot that is no KUKA: this process keeps the time, and the robot is where it was sent."""
     link = GuardedLink(cell, server.robot, server.counters)
     ending = Ending(server)
-    print(f"ready: robot-server-{server.robot} keeps the time of a kinematic robot", flush=True)
+    _log.info("ready: robot-server-%s keeps the time of a kinematic robot", server.robot)
     q = cell.robots[server.robot].home
     cycle_ms = round(cell.cycle_s * 1000)
     start_s = time.monotonic()

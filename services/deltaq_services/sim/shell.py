@@ -7,6 +7,7 @@ long.
 
 from __future__ import annotations
 
+import logging
 import secrets
 import time
 from typing import Any
@@ -15,19 +16,23 @@ import zenoh
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol import topics
-from deltaq_protocol.access import access
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.guarded import Greeting, Health
+from deltaq_protocol.heartbeat import Heartbeat
+from deltaq_protocol.sayings import SIM
 from deltaq_protocol.seal import ForgedMessageError, UnboundMessageError
-from deltaq_protocol.session import declare_publisher, open_session
+from deltaq_protocol.session import declare_publisher
 from deltaq_protocol.stamps import stamps_if_asked
 from deltaq_protocol.topic import Party, Realm, Topic
 from deltaq_services.greeter import Greeter
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_session import open_guarded_session
 from deltaq_services.pace import Pace
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.gate_log import GateLog
 from deltaq_services.sim.gate_stamps import GateStamps
+
+_log = logging.getLogger(__name__)
 
 _RING = 256
 """Messages that may wait; two robots and the HLI send six a cycle. A gate that was kept waiting for half a second
@@ -57,11 +62,10 @@ class Shell:
         self.sim = Sim(cell, epoch=secrets.randbits(62))
         stamps = stamps_if_asked("sim", list(description.robots))
         self._stamps = None if stamps is None else GateStamps(stamps, self.sim)
-        self._seal = guarded_seal(description)
-        self._session: Any = open_session(
-            listen=[description.sim],
-            connect=[robot.server for robot in description.robots.values()],
-            access=access(Party.SIM, Realm.GUARDED, self._name),
+        self._seal = guarded_seal(description, SIM)
+        servers = [robot.server for robot in description.robots.values()]
+        self._session: Any = open_guarded_session(
+            description, Party.SIM, SIM, listen=[description.sim], connect=servers
         )
         self._taken = _taken()
         self._greetings = topics.GREETING.key(self._name, service="")
@@ -76,7 +80,8 @@ class Shell:
         self._publishers: dict[tuple[str, str], Any] = {}
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
         self._log_pace = Pace(_LOG_PERIOD_S)
-        self._greeter = Greeter("sim", lambda greeting: self._publisher(topics.GREETING).put(pack(greeting)))
+        self._heartbeat = Heartbeat()
+        self._greeter = Greeter(SIM, lambda greeting: self._publisher(topics.GREETING).put(pack(greeting)))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
                 self._publisher(topic, robot)
@@ -89,6 +94,7 @@ class Shell:
                 self._handle(str(sample.key_expr), sample.payload.to_bytes())
                 self._say_healthy()
         finally:
+            self._heartbeat.close()
             self._session.close()
 
     def _handle(self, key: str, payload: bytes) -> None:
@@ -110,7 +116,7 @@ class Shell:
             return
         except InvalidMessageError as error:
             self.sim.counters["invalid_messages"] += 1
-            print(f"{key}: {error}", flush=True)
+            _log.warning("%s: %s", key, error)
             return
         if topic is topics.AUDIT_ENTRY:
             self._audit.put(payload)
@@ -121,7 +127,7 @@ class Shell:
         disbelieved = self.sim.disbelieved
         taken = self.sim.take(message)
         if self.sim.disbelieved != disbelieved and self._log_pace.due(time.monotonic()):
-            print(f"all robots are stopped: {self.sim.disbelieved}", flush=True)
+            _log.error("all robots are stopped: %s", self.sim.disbelieved)
         for output in taken:
             packed = pack(output.message)
             self._publisher(output.topic, output.robot).put(packed)
@@ -133,7 +139,7 @@ class Shell:
     def _publisher(self, topic: Topic, robot: str = "") -> Any:
         publisher = self._publishers.get((topic.name, robot))
         if publisher is None:
-            key = topic.key(self._name, robot=robot, service="sim")
+            key = topic.key(self._name, robot=robot, service=SIM)
             publisher = declare_publisher(self._session, key, self._seal, topic.priority)
             self._publishers[topic.name, robot] = publisher
         return publisher
@@ -144,7 +150,7 @@ class Shell:
             return
         self._log.look_for_listeners()
         health = Health(
-            service="sim",
+            service=SIM,
             healthy=True,
             detail=self.sim.disbelieved,
             time_s=now_s,
@@ -157,3 +163,4 @@ class Shell:
             newest_id=self.sim.newest_id,
         )
         self._publisher(topics.HEALTH).put(pack(health))
+        self._heartbeat.beat(now_s, detail=self.sim.disbelieved)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from deltaq_emulator.faults import FaultyLink, LinkFaults
 
@@ -23,6 +23,11 @@ class Pump:
         self._loop, self._deliver = loop, deliver
         self._link = FaultyLink(seed)
         self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Faults so far."""
+        return self._link.counts
 
     def impair(self, faults: LinkFaults) -> None:
         """Do this from now on."""

@@ -13,8 +13,10 @@ from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.guarded import Admission, GateEntry, ServerState
-from deltaq_protocol.session import open_session, subscribe_newest
+from deltaq_protocol.sayings import SIM
+from deltaq_protocol.session import subscribe_newest
 from deltaq_services.guarded_key import guarded_seal
+from deltaq_services.guarded_session import open_watching_session
 
 _WAITING = 4096
 """Messages that may wait between two looks: more than ten seconds' of the gate's log."""
@@ -32,7 +34,7 @@ class Overheard:
         self.admissions: dict[int, Admission] = {}
         self.counters: dict[str, int] = {}
         self._seal = guarded_seal(cell)
-        self._session = open_session(connect=[cell.sim, cell.robots[robot].server], must_connect=True)
+        self._session = open_watching_session(cell, [cell.sim, cell.robots[robot].server], watched=SIM)
         admission = topics.ADMISSION.key(cell.cell, robot="*")
         self._admissions = subscribe_newest(self._session, admission, _WAITING)
         self._log = subscribe_newest(self._session, topics.GATE_LOG.key(cell.cell), _WAITING)

@@ -1,5 +1,6 @@
-"""The process beside a Robot Server that brakes its robot should it die: `python -m` this, with two descriptors.
+"""The process beside a Robot Server that brakes its robot should it die: `python -m` this, with its arguments.
 
+They are two descriptors and the robot's name.
 It shares the Robot Server's socket and the memory with its records, loads neither numpy nor zenoh, and sleeps until the
 mutex is passed on to it. It holds nothing else, takes no signal that asks it to end, and ends by itself.
 """
@@ -9,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import json
 import mmap
+import os
 import select
 import signal
 import socket
@@ -45,8 +48,17 @@ def main() -> int:
         memory.close()
     if replies:
         with contextlib.suppress(OSError):  # whoever reads it may have ended, too
-            print(f"the Robot Server has died: its robot was braked, in {replies} replies", flush=True)
+            print(_said(f"the Robot Server has died: its robot was braked, in {replies} replies"), flush=True)
     return 0
+
+
+def _said(message: str) -> str:
+    """A line as `deltaq_protocol.log` writes it, which would load numpy and zenoh here."""
+    if os.environ.get("DELTAQ_LOG_FORMAT") != "json":
+        return message
+    time_utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    told = {"time": time_utc, "level": "error", "service": "crash-brake", "robot": sys.argv[3]}
+    return json.dumps(told | {"message": message, "fields": {}})
 
 
 def _brake(plan: CrashPlan, memory: CrashMemory, sock: socket.socket, telegrams: PlainTelegrams) -> int:

@@ -28,9 +28,10 @@ class CrashWatch:
     Args:
         plan: of the robot.
         sock: to its KRC.
+        robot: its name, for what the process says.
     """
 
-    def __init__(self, plan: CrashPlan, sock: socket.socket) -> None:
+    def __init__(self, plan: CrashPlan, sock: socket.socket, robot: str = "") -> None:
         records = CrashRecords(len(plan.most), plan.outputs)
         self._plan = plan
         shared = os.memfd_create("deltaq-crash-brake")
@@ -41,7 +42,7 @@ class CrashWatch:
             self._memory.mutex.own()
             _dump_no_core()
             self._process = subprocess.Popen(
-                [sys.executable, "-m", _PROCESS, str(shared), str(sock.fileno())],
+                [sys.executable, "-m", _PROCESS, str(shared), str(sock.fileno()), robot],
                 stdin=subprocess.PIPE,
                 pass_fds=(shared, sock.fileno()),
                 start_new_session=True,  # what kills the Robot Server's process group does not reach it

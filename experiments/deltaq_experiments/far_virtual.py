@@ -1,0 +1,98 @@
+"""Leader and camera follower far away, in virtual time and through the cores of the services."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deltaq_controllers.interface import Controller
+from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_experiments.far_controller import FarController, OrderedWire, Watcher
+from deltaq_experiments.report import Figures
+from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller
+from deltaq_experiments.trace import Trace
+from deltaq_protocol.arrays import Array
+from deltaq_verification.counts import GateCounts
+from deltaq_verification.two_sites import write_cell
+from deltaq_verification.virtual_cell.cell import VirtualCell
+
+OWN_LATENCY_S = 0.06
+"""From the leader's motion to the camera's where both controllers are beside the cell."""
+
+
+def latency_s(given: argparse.Namespace, cycle_s: float) -> float:
+    """From the leader's motion to the camera's: their own, the way there and back, and the lookahead."""
+    return float(OWN_LATENCY_S + 2 * given.delay_s + given.lookahead_cycles * cycle_s)
+
+
+def follow_in_virtual_time(given: argparse.Namespace) -> dict[str, Any]:
+    """Run the cell of two sites with both controllers behind wires that are late and lossy; the figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        stack = VirtualCell(write_cell(Path(folder), lookahead_cycles=given.lookahead_cycles))
+    cycle_s = stack.cell.description.cycle_s
+    camera = camera_controller(stack.cell, given.controller, latency_s(given, cycle_s))
+    leader = ScriptedLeader(stack.cell.robots[LEADER], cycle_s, given.leader_speed_m_s, given.seed)
+    stack.run_until_ready()
+    wires = _connect(stack, given, {FOLLOWER: camera, LEADER: leader})
+    q: dict[str, list[Array]] = {name: [] for name in stack.arms}
+    setpoints: dict[str, list[Array]] = {name: [] for name in stack.arms}
+    cycles = round(given.duration_s / cycle_s)
+    for _ in range(cycles):
+        stack.cycle()
+        for name, arm in stack.krc_arms.items():
+            q[name].append(arm.krc.sample.q)
+            setpoints[name].append(arm.krc.sample.q_setpoint)
+    trace = Trace(
+        np.arange(cycles) * cycle_s,
+        {name: np.array(rows) for name, rows in q.items()},
+        {name: np.array(rows) for name, rows in setpoints.items()},
+    )
+    admitted = {name: arm.server.counters["admissions"] / cycles for name, arm in stack.arms.items()}
+    return {
+        "messages_lost": sum(wire.lost for wire in wires),
+        **figures_of(trace, stack.cell, given),
+        "admission_rate": admitted,
+        "limits": trace.limit_counts(stack.cell).model_dump(),
+        "gate": GateCounts.of(stack.sim.counters).model_dump(),
+    }
+
+
+def figures_of(trace: Trace, cell: Any, given: argparse.Namespace) -> dict[str, Any]:
+    """How far the camera was off, and how near the robots came."""
+    views = trace.views(camera_controller(cell, given.controller), FOLLOWER, LEADER)
+    settled = trace.time_s >= given.settle_s
+    return {
+        "cycles": len(trace.time_s),
+        "angle_deg": Figures.of(np.abs(views[:, 0]), settled).model_dump(),
+        "distance_cm": Figures.of(100 * np.abs(views[:, 1] - VIEW_DISTANCE_M), settled).model_dump(),
+        "robots_clearance_m": float(trace.robot_clearances(cell).min(initial=np.inf)),
+    }
+
+
+def _connect(
+    stack: VirtualCell, given: argparse.Namespace, controllers: dict[str, Controller]
+) -> list[OrderedWire]:
+    # two robots' states share a connection
+    spacing_s, seeds = stack.cell.description.cycle_s / len(controllers), count(100 * given.seed)
+    wires: list[OrderedWire] = []
+
+    def wire() -> OrderedWire:
+        wires.append(OrderedWire(given.delay_s, given.jitter_s, given.loss_share, spacing_s, next(seeds)))
+        return wires[-1]
+
+    watchers: dict[str, Watcher] = {}
+    for name in controllers:
+        watcher = stack.connect(partial(Watcher, robot=name), down=wire()).core
+        assert isinstance(watcher, Watcher)  # just made
+        watchers[name] = watcher
+    for name, controller in controllers.items():
+        (other,) = (watchers[one] for one in controllers if one != name)
+        begin = partial(FarController, robot=name, controller=controller, other=other)
+        stack.connect(begin, up=wire(), down=wire())
+    return wires

@@ -1,0 +1,148 @@
+"""What the camera follower reaches on two sites: `python -m deltaq_experiments.two_sites`, as root.
+
+Robot Servers and gate run beside the (emulated) robots, the HLI in the office, leader and follower behind a link that
+delays and loses packets; with `--virtual` the same in virtual time. The figures are those of
+`deltaq experiment tracking`, on the robots' own time stamps: what the controllers see late is not late in them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_emulator.faults import LinkFaults
+from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time, latency_s
+from deltaq_experiments.live import trace_of
+from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
+from deltaq_protocol import topics
+from deltaq_protocol.messages import RobotState
+from deltaq_services.recorder.reader import Recording
+from deltaq_verification.impairment.packets import PacketLink
+from deltaq_verification.two_sites import Sites, sites
+
+_TO_START_S = 60.0
+"""Longest time that the motion to the start of a run may take."""
+
+
+async def measure(given: argparse.Namespace) -> dict[str, Any]:
+    """Run both sites and follow; the figures.
+
+    Raises:
+        DeltaqError: if networks of their own are not allowed here, or something did not come up.
+    """
+    faults = LinkFaults(
+        delay_s=given.delay_s - given.jitter_s, jitter_s=2 * given.jitter_s, drop=given.loss_share
+    )
+    with tempfile.TemporaryDirectory() as folder, sites() as made:
+        async with PacketLink(made.controller, made.office, given.seed) as link:
+            made.connect_wide_area()
+            link.impair(faults)
+            figures = await asyncio.to_thread(_follow, given, made, Path(folder))
+            carried = [dict(way.counts) for way in link.ways]
+    return {"packets": {name: sum(way[name] for way in carried) for name in ("passed", "dropped")}, **figures}
+
+
+def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, Any]:
+    record = folder / "run.mcap"
+    with two_sites(made, folder, given.lookahead_cycles) as running:
+        recorder = running.run(
+            "recorder", made.office, (*DELTAQ, "record", str(record), "--cell", str(running.file))
+        )
+        running.get_ready()
+        leader = running.controller(
+            "leader",
+            "deltaq_controllers.leader",
+            "--speed-m-s",
+            f"{given.leader_speed_m_s}",
+            "--seed",
+            f"{given.seed}",
+        )
+        leader.wait_for("ready: ")
+        follower = running.controller(
+            "follower", "deltaq_controllers.camera_follower", "--controller", given.controller,
+            "--duration-s", f"{given.duration_s}", "--settle-s", f"{given.settle_s}",
+            "--latency-s", f"{latency_s(given, running.cell.cycle_s):.3f}",
+        )  # fmt: skip
+        if status := follower.wait(_TO_START_S + given.duration_s):
+            raise SiteError(f"the follower ended with status {status}:\n{follower.text()}")
+        cell_status = running.ask("status")
+        leader.end()
+        recorder.end()
+        return _figures(given, running, record, follower.last_json(), cell_status)
+
+
+def _figures(
+    given: argparse.Namespace,
+    running: TwoSites,
+    record: Path,
+    summary: dict[str, Any],
+    status: dict[str, Any],
+) -> dict[str, Any]:
+    states = [
+        one.message
+        for one in Recording.open(record).messages([topics.STATE])
+        if isinstance(one.message, RobotState)
+    ]
+    trace = trace_of(states, (FOLLOWER, LEADER), {}, summary["began_s"], given.duration_s)
+    robots = {name: robot["counters"] for name, robot in status["robots"].items()}
+    return {
+        **figures_of(trace, CellModel.load(running.file), given),
+        "follower": {name: summary[name] for name in ("cycles", "unanswered", "gate", "reasons")},
+        "admissions": {name: counters.get("admissions", 0) for name, counters in robots.items()},
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure, and print one JSON object."""
+    parser = argparse.ArgumentParser(prog="python -m deltaq_experiments.two_sites", description=__doc__)
+    parser.add_argument(
+        "--delay-s", type=float, default=0.04, help="of a packet, each way (default: %(default)s)"
+    )
+    parser.add_argument("--jitter-s", type=float, default=0.01, help="more or less (default: %(default)s)")
+    parser.add_argument(
+        "--loss-share", type=float, default=0.01, help="of packets, each way (default: %(default)s)"
+    )
+    parser.add_argument("--lookahead-cycles", type=int, default=8, help="of the gate (default: %(default)s)")
+    parser.add_argument("--controller", default="paper", help="that follows (default: %(default)s)")
+    parser.add_argument(
+        "--leader-speed-m-s", type=float, default=0.1, help="of its tool (default: %(default)s)"
+    )
+    parser.add_argument("--duration-s", type=float, default=30.0, help="to follow for (default: %(default)s)")
+    parser.add_argument("--settle-s", type=float, default=5.0, help="that is left out (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of link and leader (default: %(default)s)")
+    parser.add_argument(
+        "--virtual", action="store_true", help="in virtual time, with a model of TCP; needs no root"
+    )
+    given = parser.parse_args(argv)
+    if given.duration_s <= given.settle_s or given.settle_s < 0.0:
+        parser.error(f"--duration-s {given.duration_s:g}: more than --settle-s, which is not negative")
+    if not 0.0 <= given.loss_share < 1.0:
+        parser.error(f"--loss-share {given.loss_share:g}: from 0 to less than 1")
+    if given.leader_speed_m_s <= 0.0 or given.lookahead_cycles < 1 or given.jitter_s < 0.0:
+        parser.error(
+            "--leader-speed-m-s is more than 0, --lookahead-cycles at least 1, --jitter-s not negative"
+        )
+    if given.delay_s < given.jitter_s:
+        parser.error("--jitter-s: more than --delay-s, and no packet arrives before it was sent")
+    asked = (
+        "delay_s",
+        "jitter_s",
+        "loss_share",
+        "lookahead_cycles",
+        "controller",
+        "leader_speed_m_s",
+        "seed",
+    )
+    figures = follow_in_virtual_time(given) if given.virtual else asyncio.run(measure(given))
+    print(json.dumps({"virtual": given.virtual} | {name: getattr(given, name) for name in asked} | figures))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""An identity in its folder: own key and certificate, the authority's certificate, and those of the cell's services.
+
+key.pem             own key; its owner's secret
+certificate.pem     who this is, signed by the authority of the cell
+authority.pem       the authority's certificate
+services/NAME.pem   the certificate of each service of the cell
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+from deltaq_protocol.certified.certificate import (
+    RENEW,
+    RENEW_BEFORE,
+    cell_in,
+    certificate_in,
+    check_authority,
+    check_issued,
+    days_left,
+    name_in,
+    public_key_of,
+)
+from deltaq_protocol.certified.names import IdentityError, IdentityKind, kind_of
+from deltaq_protocol.secret_file import contents, faults_of_believed, faults_of_secret
+
+KEY, CERTIFICATE, AUTHORITY, SERVICES = "key.pem", "certificate.pem", "authority.pem", "services"
+_MAKES = "deltaq keys CELL --to FOLDER"
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Somebody of a cell, with the key that proves it.
+
+    Attributes:
+        folder: that it was read from.
+        key: its own.
+        certificate: of that key.
+        authority: certificate of who issued it.
+    """
+
+    folder: Path
+    key: ec.EllipticCurvePrivateKey
+    certificate: x509.Certificate
+    authority: x509.Certificate
+
+    @classmethod
+    def read(cls, folder: Path, now: datetime) -> Identity:
+        """The identity in a folder.
+
+        Raises:
+            IdentityError: if there is none, others may use or write it, or its authority did not issue it for now.
+        """
+        files = {name: folder / name for name in (KEY, CERTIFICATE, AUTHORITY)}
+        key = private_key_in(files[KEY])
+        authority = certificate_in(read_believed(files[AUTHORITY]), str(files[AUTHORITY]))
+        check_authority(authority, str(files[AUTHORITY]), now)
+        certificate = certificate_in(read_believed(files[CERTIFICATE]), str(files[CERTIFICATE]))
+        check_issued(certificate, authority, str(files[CERTIFICATE]), now)
+        if public_key_of(certificate) != key.public_key():
+            raise IdentityError(f"{files[CERTIFICATE]} is not of the key {files[KEY]}; copy whole folders")
+        return cls(folder, key, certificate, authority)
+
+    @property
+    def name(self) -> str:
+        """Its common name, e.g. `robot-server-fr` or `operator-desk`."""
+        return name_in(self.certificate)
+
+    @property
+    def kind(self) -> IdentityKind:
+        """What it is for."""
+        return kind_of(self.name)
+
+    @property
+    def cell(self) -> str:
+        """Name of the cell that it is of."""
+        return cell_in(self.authority)
+
+    def warning(self, now: datetime) -> str | None:
+        """What to say of a certificate that is soon out of date; None while there is time."""
+        left = days_left(self.certificate, now)
+        if left >= RENEW_BEFORE.days:
+            return None
+        end = f"{self.certificate.not_valid_after_utc:%Y-%m-%d}"
+        return f"{self.folder / CERTIFICATE} is valid for {left} more days, until {end}; {RENEW}"
+
+    def secret_with(self, service: str, now: datetime) -> bytes:
+        """The 32 bytes that only this identity and a service of the cell can compute (ECDH; the shared x).
+
+        Raises:
+            IdentityError: if the service's certificate is missing, another's, or not valid.
+        """
+        if service == self.name:
+            return self.key.exchange(ec.ECDH(), self.key.public_key())
+        file = self.folder / SERVICES / f"{service}.pem"
+        if not file.exists():
+            raise IdentityError(
+                f"{file} is missing; `deltaq keys` adds the certificate of a service that a cell has got since"
+            )
+        certificate = certificate_in(read_believed(file), str(file))
+        check_issued(certificate, self.authority, str(file), now)
+        if name_in(certificate) != service:
+            raise IdentityError(f"{file} is the certificate of {name_in(certificate)}; copy whole folders")
+        return self.key.exchange(ec.ECDH(), public_key_of(certificate))
+
+
+def private_key_in(file: Path) -> ec.EllipticCurvePrivateKey:
+    """The key in a file that is this user's secret.
+
+    Raises:
+        IdentityError: if it is not, or there is none.
+    """
+    about, pem = _contents(file)
+    if faults := faults_of_secret(about, file, _MAKES):
+        raise IdentityError(f"{file} {faults[0]}")
+    try:
+        key = load_pem_private_key(pem, password=None)
+    except (ValueError, TypeError) as error:  # never shown
+        raise IdentityError(f"{file} holds no key; `{_MAKES}` makes one") from error
+    if not (isinstance(key, ec.EllipticCurvePrivateKey) and isinstance(key.curve, ec.SECP256R1)):
+        raise IdentityError(f"{file}: the key is not of the curve P-256; `{_MAKES}` makes one that is")
+    return key
+
+
+def read_believed(file: Path) -> bytes:
+    """The bytes of a file that nobody else could have written.
+
+    Raises:
+        IdentityError: if somebody could, or it cannot be read.
+    """
+    about, data = _contents(file)
+    if faults := faults_of_believed(about, file):
+        raise IdentityError(f"{file} {faults[0]}")
+    return data
+
+
+def _contents(file: Path) -> tuple[os.stat_result, bytes]:
+    try:
+        return contents(file)
+    except OSError as error:
+        raise IdentityError(
+            f"{file} cannot be read: {error.strerror}; `{_MAKES}` makes identities"
+        ) from error

@@ -1,0 +1,94 @@
+"""Who says what to whom in the guarded realm: the table of topics, by the services of one cell.
+
+A seal under an identity follows from this table: each service can say what stands here under its own name, to those
+that stand beside it, and nothing else. So does the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from deltaq_protocol import topics
+from deltaq_protocol.topic import Party, Realm, Topic
+
+SIM, HLI = "sim", "hli"
+
+
+@dataclass(frozen=True)
+class Saying:
+    """One row: a zenoh key has one speaker, whoever else could publish under it.
+
+    Attributes:
+        topic: row of the table of topics.
+        key: zenoh key.
+        speaker: the service that it is believed of.
+        listeners: whom it is said to, each of whom can tell the speaker; a watcher reads with the speaker's own
+            identity.
+    """
+
+    topic: Topic
+    key: str
+    speaker: str
+    listeners: tuple[str, ...]
+
+
+def robot_server(robot: str) -> str:
+    """Name of the service of one robot."""
+    return f"robot-server-{robot}"
+
+
+def services(robots: Sequence[str]) -> tuple[str, ...]:
+    """The services of a guarded realm, all that speak and listen there."""
+    return (*map(robot_server, robots), SIM, HLI)
+
+
+def sayings(cell: str, robots: Sequence[str]) -> tuple[Saying, ...]:
+    """All that is sealed in the guarded realm of a cell.
+
+    Args:
+        cell: its name.
+        robots: their names.
+    """
+    rows = (topic for topic in topics.TOPICS if is_sealed(topic))
+    return tuple(saying for topic in rows for saying in _of_topic(topic, cell, robots))
+
+
+def speakers_to(service: str, cell: str, robots: Sequence[str]) -> dict[str, list[str]]:
+    """Whom a service listens to, and under which keys."""
+    heard: dict[str, list[str]] = {}
+    for saying in sayings(cell, robots):
+        if service in saying.listeners and service != saying.speaker:
+            heard.setdefault(saying.speaker, []).append(saying.key)
+    return heard
+
+
+def is_sealed(topic: Topic) -> bool:
+    """Whether a topic is of the guarded realm and acted upon: what is for watchers alone has no seal."""
+    return topic.realm is Realm.GUARDED and any(reader is not Party.WATCHER for reader in topic.readers)
+
+
+def _of_topic(topic: Topic, cell: str, robots: Sequence[str]) -> Iterator[Saying]:
+    is_of_robot = "{robot}" in topic.template
+    for party in topic.publishers:
+        for speaker, own in _named(party, robots):
+            concerned = [name for name in robots if own in (None, name)] if is_of_robot else [None]
+            for robot in concerned:
+                key = topic.key(cell, service=speaker, **({"robot": robot} if robot else {}))
+                listeners = tuple(_listeners(topic, party, speaker, [robot] if robot else robots))
+                yield Saying(topic, key, speaker, listeners)
+
+
+def _listeners(topic: Topic, party: Party, speaker: str, robots: Sequence[str]) -> Iterator[str]:
+    for reader in topic.readers:
+        if reader is Party.WATCHER:
+            yield speaker
+        elif reader is not party:  # Robot Servers have nothing to say to one another
+            yield from (name for name, _ in _named(reader, robots))
+
+
+def _named(party: Party, robots: Sequence[str]) -> list[tuple[str, str | None]]:
+    """The services of a party, each with the robot that it serves alone."""
+    if party is Party.ROBOT_SERVER:
+        return [(robot_server(robot), robot) for robot in robots]
+    return [(SIM if party is Party.SIM else HLI, None)]

@@ -1,0 +1,88 @@
+"""`deltaq keys`: what it makes, says and refuses, and `deltaq check` that tells of an identity's end."""
+
+import json
+import subprocess
+import sys
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from identities import make
+
+from deltaq_protocol.certified.certificate import now_utc
+from deltaq_protocol.certified.identity import Identity
+from deltaq_protocol.certified.names import IDENTITY
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+DAY = timedelta(days=1)
+
+
+def deltaq(*arguments):
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "identities"
+
+
+def test_it_makes_an_identity_for_each_service_and_person_and_says_where_the_authority_belongs(folder):
+    done = deltaq("keys", "lab", "--to", str(folder), "--operator", "desk", "--controller", "camera")
+    assert (done.returncode, done.stderr) == (0, "")
+    names = ["robot-server-fr", "robot-server-gr", "sim", "hli", "operator-desk", "controller-camera"]
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()[:6]] == [
+        str(folder / n) for n in names
+    ]
+    assert "take the folder off this machine" in done.stdout
+    for name in names:
+        identity = Identity.read(folder / name, now_utc())
+        assert (identity.name, identity.cell) == (name, "lab")
+
+
+def test_it_adds_what_is_missing_and_tells_programs_what_it_did(folder, tmp_path):
+    for operator, made, kept in (("desk", 5, 0), ("tower", 1, 4), ("tower", 0, 5)):
+        done = deltaq("keys", "lab", "--to", str(folder), "--operator", operator, "--days", "30", "--json")
+        told = json.loads(done.stdout)
+        assert (len(told["made"]), len(told["kept"])) == (made, kept)
+        assert told["authority_is_new"] == (operator == "desk")
+    drawer = tmp_path / "drawer"
+    (folder / "authority").rename(drawer)
+    refused = deltaq("keys", "lab", "--to", str(folder), "--operator", "night")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "--authority" in refused.stderr
+    done = deltaq("keys", "lab", "--to", str(folder), "--operator", "night", "--authority", str(drawer))
+    assert done.returncode == 0
+    assert (folder / "operator-night" / "key.pem").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nowhere",), "nowhere"),
+        (("lab", "--operator", "../x"), "cannot be the name of an identity"),
+        (("lab", "--to", "/proc/none"), "cannot be written"),
+    ],
+)
+def test_a_user_s_mistake_is_one_line_and_nothing_is_made(folder, arguments, said):
+    done = deltaq("keys", "--to", str(folder), *arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not folder.exists()
+
+
+def test_check_tells_of_the_end_before_it_comes_and_refuses_what_is_over(folder, tmp_path, monkeypatch):
+    make(folder)
+    monkeypatch.setenv(IDENTITY, str(folder))
+    assert deltaq("check", "lab").stdout.startswith("lab: good")
+    monkeypatch.setenv(IDENTITY, str(make(tmp_path / "old", age=715 * DAY) / "sim"))
+    warned = deltaq("check", "lab")
+    assert warned.returncode == 0
+    assert "warning: DELTAQ_IDENTITY: " in warned.stdout
+    assert "is valid for 14 more days" in warned.stdout
+    monkeypatch.setenv(IDENTITY, str(make(tmp_path / "over", age=731 * DAY)))
+    refused = deltaq("check", "lab", "--json")
+    assert refused.returncode == 1
+    told = json.loads(refused.stdout)
+    assert len(told["problems"]) == 4
+    assert "was valid until" in told["problems"][0]["message"]

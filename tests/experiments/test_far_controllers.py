@@ -1,0 +1,88 @@
+"""Controllers far away: what they reach in virtual time, and that a link that is too bad for them costs no limit."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from deltaq_experiments import two_sites
+from deltaq_experiments.far_controller import OrderedWire
+from deltaq_protocol.messages import StopRequest
+
+FAST = ["--virtual", "--duration-s", "4", "--settle-s", "2"]
+NO_VIOLATION = {"position_violations": 0, "velocity_violations": 0, "acceleration_violations": 0}
+
+
+def figures(capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    two_sites.main([*FAST, *options])
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return told
+
+
+@pytest.mark.long
+def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_passes_no_limit(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    told = figures(capsys, "--delay-s", "0.06", "--loss-share", "0.05")
+    assert told["messages_lost"] > 0
+    assert told["limits"] == NO_VIOLATION
+    assert told["robots_clearance_m"] >= 0.05
+    assert min(told["admission_rate"].values()) < 0.9
+
+
+@pytest.mark.long
+def test_a_controller_half_as_far_follows_though_packets_are_lost(capsys: pytest.CaptureFixture[str]) -> None:
+    told = figures(capsys, "--delay-s", "0.02", "--loss-share", "0.01")
+    assert told["messages_lost"] > 0
+    assert told["limits"] == NO_VIOLATION
+    assert told["angle_deg"]["rms"] < 2.0
+    assert told["distance_cm"]["rms"] < 4.0
+    assert min(told["admission_rate"].values()) > 0.9
+    assert figures(capsys, "--delay-s", "0.02", "--loss-share", "0.01") == told
+
+
+def test_a_wire_keeps_the_order_and_a_loss_holds_up_what_is_behind_it() -> None:
+    wire = OrderedWire(delay_s=0.04, jitter_s=0.01, loss_share=0.1, spacing_s=0.006, seed=1)
+    sent = [StopRequest(client=f"c{number}") for number in range(200)]
+    arrived: list[tuple[float, str | None]] = []
+    for number, message in enumerate(sent):
+        wire.send(0.006 * number, message)
+    for step in range(3000):
+        for taken in wire.take(0.001 * step):
+            assert isinstance(taken, StopRequest)
+            arrived.append((0.001 * step, taken.client))
+    assert [client for _, client in arrived] == [message.client for message in sent]
+    late_s = [time_s - 0.006 * number for number, (time_s, _) in enumerate(arrived)]
+    assert wire.lost > 5
+    assert 0.03 <= min(late_s) < 0.05
+    assert max(late_s) > 0.04 + 0.08
+
+
+def test_a_jitter_beyond_the_delay_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        two_sites.main(["--delay-s", "0.001", "--jitter-s", "0.01"])
+    assert ended.value.code == 2
+    assert "arrives before it was sent" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--duration-s", "1"],
+        ["--settle-s", "-1"],
+        ["--loss-share", "1"],
+        ["--leader-speed-m-s", "0"],
+        ["--lookahead-cycles", "0"],
+        ["--jitter-s", "-0.1"],
+    ],
+    ids=" ".join,
+)
+def test_what_cannot_be_followed_is_said_before_anything_starts(
+    wrong: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        two_sites.main([*FAST, *wrong])
+    assert ended.value.code == 2
+    assert wrong[0] in capsys.readouterr().err

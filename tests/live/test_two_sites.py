@@ -1,0 +1,107 @@
+"""A cell on two sites and a controller far away: it moves, it rests when cut off, it goes on."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from networks import why_none
+
+from deltaq_emulator.faults import LinkFaults
+from deltaq_experiments.sites_run import SiteError, TwoSites, two_sites
+from deltaq_verification.impairment.packets import PacketLink
+from deltaq_verification.two_sites import Sites, sites
+
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(600),
+    pytest.mark.skipif(bool(why_none()), reason=why_none()),
+]
+FAR_AWAY = LinkFaults(delay_s=0.03, jitter_s=0.02, drop=0.01)
+"""40 ms more or less 10 ms each way, and one packet of a hundred is lost."""
+
+
+@contextmanager
+def linked(made: Sites) -> Iterator[PacketLink]:
+    """The link between controller and office, in a loop of its own."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    link = PacketLink(made.controller, made.office, seed=5)
+    try:
+        asyncio.run_coroutine_threadsafe(link.__aenter__(), loop).result(10)
+        made.connect_wide_area()
+        yield link
+        asyncio.run_coroutine_threadsafe(link.__aexit__(), loop).result(10)
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[TwoSites]:
+    with sites() as made, linked(made) as link, two_sites(made, tmp_path) as running:
+        link.impair(FAR_AWAY)
+        yield running
+        assert sum(way.counts["dropped"] for way in link.ways) > 0
+
+
+def wait_until(reached: Callable[[dict[str, Any]], object], running: TwoSites, tries: int = 60) -> None:
+    """Until the office's status is as wanted; each look takes as long as a command does."""
+    for _ in range(tries):
+        status = running.ask("status")
+        if reached(status):
+            return
+    pytest.fail(f"it never was: {status}")
+
+
+def moved(running: TwoSites, robot: str, before: list[float]) -> float:
+    after = running.panel(robot)["q_setpoint"]
+    return max(abs(one - other) for one, other in zip(after, before, strict=True))
+
+
+def lead(running: TwoSites) -> None:
+    """Start a leader far away, and wait until its robot has been moved by it."""
+    before = running.panel("gr")["q_setpoint"]
+    leader = running.controller("leader", "deltaq_controllers.leader", "--speed-m-s", "0.1")
+    leader.wait_for("ready: ")
+    for _ in range(100):
+        running.panel("gr", op="await", cycles=20)
+        if moved(running, "gr", before) > 0.01:
+            return
+    pytest.fail(f"the leader did not move its robot: {leader.text()}")
+
+
+def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road(running: TwoSites) -> None:
+    status = running.ask("status")
+    assert status["mismatches"] == []
+    assert {robot["phase"] for robot in status["robots"].values()} <= {"ready", "held"}
+    running.get_ready()
+    lead(running)
+
+    running.sites.cut()
+    for name in running.cell.robots:
+        running.panel(name, op="await", at_rest=True, cycles=100, within_s=12)
+    for name in running.cell.robots:
+        before = running.panel(name)["q_setpoint"]
+        running.panel(name, op="await", cycles=50)
+        assert moved(running, name, before) == 0.0
+    # the office knows that it hears nobody
+    wait_until(lambda status: {r["phase"] for r in status["robots"].values()} == {"offline"}, running)
+    with pytest.raises(SiteError):
+        running.ask("reset", "--robot", "gr")
+
+    running.sites.mend()
+    wait_until(lambda status: {r["phase"] for r in status["robots"].values()} == {"held"}, running)
+    reasons = {robot["reason"] for robot in running.ask("status")["robots"].values()}
+    assert reasons == {"hli_lost"}
+    for name in running.cell.robots:
+        running.ask("reset", "--robot", name)
+    wait_until(lambda status: {r["phase"] for r in status["robots"].values()} == {"ready"}, running)
+    lead(running)

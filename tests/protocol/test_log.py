@@ -1,0 +1,113 @@
+"""What a process logs, as people and as programs read it: from processes of their own, as services are."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from deltaq_protocol.log import LogFormat, LogFormatError, json_line, log_format, message_of, read_json_line
+
+SAYS = """
+import logging, warnings
+from deltaq_protocol import log
+log.configure("robot-server", "fr")
+ours = logging.getLogger("deltaq_services.somewhere")
+ours.info("ready: %s", "here", extra={"fields": {"port": 49152, "q": (0.1, float("nan")), "file": log}})
+ours.debug("not told")
+logging.getLogger("a.library").info("not told")
+ours.warning("careful")
+ours.error("two\\nlines \\x1b[31m and \\u2028 more")
+"""
+
+
+def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    import os
+
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=os.environ | environment,
+        check=False,
+    )
+
+
+def test_people_get_the_words_and_errors_apart() -> None:
+    done = run(SAYS, DELTAQ_LOG_FORMAT="")
+    assert done.stdout == "ready: here\nwarning: careful\n"
+    assert done.stderr == "error: two\nlines \x1b[31m and \u2028 more\n"
+
+
+def test_programs_get_one_object_a_line_with_time_level_service_robot_message_and_fields() -> None:
+    done = run(SAYS, DELTAQ_LOG_FORMAT="json")
+    told, _ = map(json.loads, done.stdout.splitlines())
+    (failed,) = map(json.loads, done.stderr.splitlines())
+    assert list(told) == ["time", "level", "service", "robot", "message", "fields"]
+    assert (told["level"], told["service"], told["robot"]) == ("info", "robot-server", "fr")
+    assert told["message"] == "ready: here"
+    assert told["fields"]["q"] == [0.1, None]
+    assert told["fields"]["port"] == 49152
+    assert told["time"].endswith("Z")
+    assert abs(datetime.fromisoformat(told["time"]) - datetime.now(UTC)) < timedelta(minutes=5)
+    assert (failed["level"], failed["message"]) == ("error", "two\nlines \x1b[31m and \u2028 more")
+    assert done.stderr.isascii()
+
+
+@pytest.mark.parametrize(
+    ("code", "level", "message"),
+    [
+        ("raise RuntimeError('lost')", "critical", "ended by RuntimeError: lost"),
+        ("import warnings; warnings.warn('old')", "warning", "UserWarning: old"),
+        (
+            "import asyncio\nasync def f():\n asyncio.get_running_loop().call_soon(lambda: 1/0)\n"
+            " await asyncio.sleep(0)\nasyncio.run(f())",
+            "error",
+            "Exception in callback",
+        ),
+    ],
+)
+def test_what_nobody_foresaw_is_a_line_too(code: str, level: str, message: str) -> None:
+    done = run(f"from deltaq_protocol import log\nlog.configure('sim')\n{code}", DELTAQ_LOG_FORMAT="json")
+    (told,) = map(json.loads, (done.stdout + done.stderr).splitlines())
+    assert (told["level"], told["service"], told["robot"]) == (level, "sim", None)
+    assert message in told["message"]
+    assert level == "warning" or "Traceback" in told["fields"]["exception"]
+
+
+def test_a_result_is_one_object_a_line_in_either_format() -> None:
+    code = "from deltaq_protocol import log\nlog.configure('leader')\nlog.say_result({'cycles': 3})"
+    assert json.loads(run(code, DELTAQ_LOG_FORMAT="text").stdout) == {"cycles": 3}
+    told = json.loads(run(code, DELTAQ_LOG_FORMAT="json").stdout)
+    assert (told["message"], told["fields"]) == ("result", {"cycles": 3})
+
+
+def test_a_service_refuses_a_format_that_there_is_not() -> None:
+    code = "from deltaq_services.process import run\nrun(lambda: None, 'sim')"
+    done = run(code, DELTAQ_LOG_FORMAT="xml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: no log format 'xml'; there are text, json\n"
+    with pytest.raises(LogFormatError):
+        log_format({"DELTAQ_LOG_FORMAT": "JSON "})
+    assert log_format({}) is LogFormat.TEXT
+
+
+def test_a_line_is_read_back_and_what_is_none_is_left_as_it_is() -> None:
+    line = json_line("hli", "ready: here", fields={"a": {"b": [1]}})
+    assert message_of(line) == "ready: here"
+    told = read_json_line(line)
+    assert told is not None
+    assert told["fields"] == {"a": {"b": [1]}}
+    for other in (
+        "ready: here",
+        '{"cycles": 3}',
+        '{"time": 1}',
+        '{"time": ',
+        '{"time": 1, "message": "x"}',
+        "",
+    ):
+        assert read_json_line(other) is None
+        assert message_of(other) == other

@@ -1,0 +1,68 @@
+"""Tokens from files and variables, and that a console started with a bad one says which, without showing it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltaq_services.console.settings import Settings
+from deltaq_services.given_token import GivenTokenError, given_token
+
+SECRET = "0123456789abcdef-secret"
+
+
+def secret(folder: Path, text: bytes, mode: int = 0o600) -> str:
+    file = folder / "console.token"
+    file.write_bytes(text)
+    file.chmod(mode)
+    return str(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "said"),
+    [
+        (SECRET.encode(), 0o644, "has mode 0644"),
+        (b" \n", 0o600, "holds no text"),
+        (b"\xff\xfe", 0o600, "holds no text"),
+    ],
+)
+def test_a_file_that_is_no_secret_is_refused_and_not_shown(
+    tmp_path: Path, text: bytes, mode: int, said: str
+) -> None:
+    with pytest.raises(GivenTokenError, match=f"DELTAQ_CONSOLE_TOKEN_FILE: .*{said}") as refused:
+        given_token("DELTAQ_CONSOLE_TOKEN", {"DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, text, mode)})
+    assert SECRET not in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_refused() -> None:
+    with pytest.raises(GivenTokenError, match="/nowhere cannot be read"):
+        given_token("DELTAQ_CONSOLE_TOKEN", {"DELTAQ_CONSOLE_TOKEN_FILE": "/nowhere"})
+
+
+def test_the_file_goes_before_the_variable_and_nothing_is_no_token(tmp_path: Path) -> None:
+    environment = {
+        "DELTAQ_CONSOLE_TOKEN": "other",
+        "DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, SECRET.encode() + b"\n"),
+    }
+    assert given_token("DELTAQ_CONSOLE_TOKEN", environment) == SECRET
+    assert given_token("DELTAQ_CONSOLE_TOKEN", {"DELTAQ_CONSOLE_TOKEN": "other"}) == "other"
+    assert given_token("DELTAQ_CONSOLE_TOKEN", {"DELTAQ_CONSOLE_TOKEN": ""}) is None
+
+
+def test_a_console_that_is_given_a_file_others_can_read_does_not_start(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "deltaq_services.console", "--cell", "lab"]
+    environment = os.environ | {"DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, SECRET.encode(), 0o644)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 2
+    assert "DELTAQ_CONSOLE_TOKEN_FILE" in done.stderr
+    assert SECRET not in done.stdout + done.stderr
+
+
+def test_settings_do_not_show_their_tokens() -> None:
+    shown = repr(Settings("lab", True, "127.0.0.1", 7480, SECRET, SECRET))
+    assert SECRET not in shown
+    assert "7480" in shown
