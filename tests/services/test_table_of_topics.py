@@ -7,6 +7,7 @@ import queue
 from collections import Counter
 from typing import Any
 
+import msgpack
 import pytest
 import zenoh
 from gate_rig import Rig
@@ -164,6 +165,11 @@ def test_after_a_pause_nothing_is_made_up_for() -> None:
     assert [pace.due(60.0 + k * 0.01) for k in range(5)] == [True, False, False, False, False]
 
 
+def _cycle(number: int) -> bytes:
+    """A state's cycle, as it is packed."""
+    return bytes(msgpack.packb("cycle") + msgpack.packb(number))
+
+
 class _Listened:
     """What a listener hears over zenoh of a Robot Server's link in ten seconds of that server's clock."""
 
@@ -179,9 +185,12 @@ class _Listened:
             while states.empty():  # until the listener is known
                 link.publish(server_state("fr"), 0.0)
             for cycle in range(500):
-                link.publish(None, 1000.0 + cycle * 0.02)
+                # the listener keeps step: of what comes faster than it is taken, some would be dropped
+                link.publish(server_state("fr", 1000 + cycle), 1000.0 + cycle * 0.02)
+                while _cycle(1000 + cycle) not in (state := states.get(timeout=5.0)).payload.to_bytes():
+                    pass
             link.publish(None, 1011.0, lambda: "end")  # a marker: a heartbeat that is out of turn
-            samples = [states.get()]
+            samples = [state]
             while b"end" not in samples[-1].payload.to_bytes():
                 samples.append(heard.get(timeout=5.0))
         finally:
