@@ -17,7 +17,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight
+from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight, is_awaited
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import RobotState, Verdict
 
@@ -49,7 +49,7 @@ class Answers:
             RefusedError: the lease was lost.
             ServiceUnreachableError: the HLI is gone.
         """
-        if state.q_ahead is None:
+        if is_awaited(state):
             self._before, self._awaited = self._awaited, None
             return (state.cycle,)
         self._come += [v for v in await self._leased.new_verdicts() if self._in_flight.take(v)]
@@ -57,10 +57,11 @@ class Answers:
 
     def own(self, state: RobotState) -> RobotView:
         """The robot with all that is in flight, after `due`: what the next increment is added to."""
-        if state.q_ahead is None:
+        if is_awaited(state):
             return own_view(state, self._before)
         ahead = self._in_flight.ahead(state)
-        return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd)
+        ahead_cycles = ahead.cycle - state.cycle
+        return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
 
     def view(self, state: RobotState) -> View:
         """The same, and the newest states of all others."""
@@ -73,7 +74,7 @@ class Answers:
             RefusedError: the lease was lost.
             ServiceUnreachableError: the HLI is gone. That a verdict is missing is no error.
         """
-        if state.q_ahead is not None:
+        if not is_awaited(state):
             self._in_flight.sent(await self._leased.send(dq.tolist(), cycle), dq, cycle)
             return
         with suppress(TimeoutError, ServiceUnreachableError):

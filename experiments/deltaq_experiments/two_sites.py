@@ -17,7 +17,7 @@ from typing import Any
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_emulator.faults import LinkFaults
-from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time, latency_s
+from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time
 from deltaq_experiments.live import trace_of
 from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
@@ -68,7 +68,6 @@ def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, A
         follower = running.controller(
             "follower", "deltaq_controllers.camera_follower", "--controller", given.controller,
             "--duration-s", f"{given.duration_s}", "--settle-s", f"{given.settle_s}",
-            "--latency-s", f"{latency_s(given, running.cell.cycle_s):.3f}",
         )  # fmt: skip
         if status := follower.wait(_TO_START_S + given.duration_s):
             raise SiteError(f"the follower ended with status {status}:\n{follower.text()}")

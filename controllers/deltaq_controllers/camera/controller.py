@@ -54,6 +54,7 @@ class CameraController:
             leader.q,
             self.desired_distance_m,
             leader.time_s,
+            own.ahead_cycles * self.follower.cycle_s,
         )
 
     def focus_at(self, q_leader: Array) -> Array:

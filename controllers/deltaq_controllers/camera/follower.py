@@ -84,6 +84,7 @@ class CameraFollower:
         q_leader: Array | None,
         desired_distance: float,
         time_s: float,
+        ahead_s: float = 0.0,
     ) -> Array:
         """One increment, III-F.
 
@@ -94,6 +95,7 @@ class CameraFollower:
             q_leader: (m,) measured configuration of the leader, None if it is not known.
             desired_distance: desired view distance d_r [m].
             time_s: when focus and leader were measured, on any one clock [s].
+            ahead_s: how much later than the next cycle the increment takes effect [s].
 
         Returns:
             (n,) increment within the robot's limits of position, speed and acceleration [rad or m].
@@ -102,7 +104,7 @@ class CameraFollower:
         # one kind of array: for another one, or one that is read-only, the law would be recompiled within a cycle
         q_cmd, focus = np.array(q_cmd, dtype=np.float64), np.array(p_focus, dtype=np.float64)
         if self.variants.extrapolated_focus:
-            focus = self._tracker.ahead(self.gains.latency_s)
+            focus = self._tracker.ahead(self.gains.latency_s + ahead_s)
         speed = float(np.linalg.norm(self._tracker.velocity))
         obstacles, radii = self._obstacles(q_leader)
         self.clearance_m = self._law.aim(q_cmd, focus, speed, float(desired_distance), obstacles, radii)

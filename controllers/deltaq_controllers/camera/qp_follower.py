@@ -83,6 +83,7 @@ class QpFollower:
         self.evades_below_m = self.barrier_m + self.gains.others_range_m
         self.slack_m, self.unsolved = np.zeros(3), 0
         self._scene, self._cycle_s = scene, cycle_s
+        self._latency_s = scene.latency_s
         self._last = LastIncrement(self.limits.max_ddq)
         self._camera = Kinematics(robot, "camera")
         last = self._camera.last
@@ -122,11 +123,12 @@ class QpFollower:
         if self._scene.leader_name not in view.others:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
         self._others.update(view.others)
+        self._latency_s = self._scene.latency_s + view.own.ahead_cycles * self._cycle_s
         focus, velocity = self._focus_ahead()
         cycles = brake_cycles(dq_last, self.limits.max_ddq)
         # the rest of the present brake
         travel = dq_last * (0.5 * (cycles - 1))
-        others = self._others.ahead(self._scene.latency_s)
+        others = self._others.ahead(self._latency_s)
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
         tasks = self._tasks(q, focus, velocity, evade=True in foreign)
@@ -162,7 +164,7 @@ class QpFollower:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
         tracker = self._others.leader
         # the present request arrives after the latency; its starting point, a cycle earlier
-        self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
+        self._leader.update(tracker.ahead(self._latency_s - self._cycle_s))
         focus = self._leader.position
         return focus, self._leader.at_point(focus) @ tracker.velocity
 
@@ -198,7 +200,7 @@ class QpFollower:
         The positions extrapolated by `reaction_s` count: the barriers keep these free, and a follower that begins
         to slide aside only there is held by the gate.
         """
-        ahead_s = self._scene.latency_s + self.gains.reaction_s
+        ahead_s = self._latency_s + self.gains.reaction_s
         force = self._repulsion.field_of(self._camera, Obstacles(*self._others.spheres_ahead(ahead_s)))
         return inverse_weights(self._limit_weights, q, force) * force
 
