@@ -22,6 +22,7 @@ from deltaq_verification.counts import GateCounts
 from deltaq_verification.two_sites import write_cell
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
+
 def follow_in_virtual_time(given: argparse.Namespace) -> dict[str, Any]:
     """Run the cell of two sites with both controllers behind wires that are late and lossy; the figures."""
     with tempfile.TemporaryDirectory() as folder:

@@ -73,7 +73,7 @@ class ToolPose(Message):
 
 
 class Playout(Message):
-    """The increments of a lease that wait for their turn in the HLI, so that each cycle has one though they come unevenly.
+    """The increments of a lease that wait for their turn in the HLI, so that each cycle has one though they jitter.
 
     An increment that answers cycle k is passed on with the state of cycle k + `delay_cycles`, which follows from how
     long those before it were under way. `waiting` have come before their turn. The setpoint of this state has in it all

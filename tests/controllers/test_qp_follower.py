@@ -44,24 +44,27 @@ def follow(
     duration_s: float,
     delay_cycles: int = 2,
 ) -> tuple[Array, int]:
-    """(k, 3) the same and the clearance [m] while the leader moves about, and the follower's drives lag."""
+    """(k, 3) the same and the clearance [m] while the leader moves about, and the drives of both lag."""
     cell = lab()
     q, q_leader = np.array(cell.robots["fr"].home), np.array(cell.robots["gr"].home)
-    servo, known, dq_last, seen, violations = Servo(q), [q_leader], np.zeros(6), [], 0
+    servo, leaders_servo, dq_last, violations = Servo(q), Servo(q_leader), np.zeros(6), 0
+    known: list[RobotView] = []
+    seen: list[tuple[float, float, float]] = []
     for cycle in range(round(duration_s / CYCLE_S)):
         time_s = cycle * CYCLE_S
         own = RobotView(cycle, time_s, servo.q.copy(), q)
         q_leader = q_leader + leader.increment(
             View(RobotView(cycle, time_s, q_leader, q_leader), {"fr": own})
         )
-        known.append(q_leader)
+        measured = leaders_servo.follow(q_leader).copy()
+        known.append(RobotView(cycle, time_s, measured, q_leader))
         old = known[max(0, len(known) - 1 - delay_cycles)]
-        dq = controller.increment(View(own, {"gr": RobotView(cycle, time_s, old, old)}))
+        dq = controller.increment(View(own, {"gr": old}))
         violations += limit_violations(cell.robots["fr"], q, dq, dq_last)
         q, dq_last = q + dq, dq
         servo.follow(q)
-        angle, distance = controller.errors(servo.q, q_leader)
-        seen.append((np.rad2deg(angle), distance, controller.clearance(servo.q, q_leader)))
+        angle, distance = controller.errors(servo.q, measured)
+        seen.append((float(np.rad2deg(angle)), distance, controller.clearance(servo.q, measured)))
     assert controller.unsolved == 0
     return np.array(seen), violations
 

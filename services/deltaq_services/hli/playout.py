@@ -1,8 +1,8 @@
 """A playout buffer: increments of a controller far away wait here for their turn, one a cycle.
 
 On a long way increments come unevenly: none in one cycle, three in the next. Each would be the newest for a moment, the
-robot would brake in the gaps, and most of the motion would be lost. So each waits until as many cycles have passed since
-the state that it answers as nearly all of those before it needed, and goes to the gate then. What that costs is a
+robot would brake in the gaps, and most of the motion would be lost. So each waits until as many cycles have passed
+since the state that it answers as nearly all of those before it needed, and goes to the gate then. What that costs is a
 constant delay, with which a controller can reckon; `deltaq_protocol.in_flight` does.
 
 Pure: cycles are handed in, and nothing but the cycles that increments answer is looked at.

@@ -151,9 +151,7 @@ class RobotLink:
         assert self.state is not None  # it can move
         newest = self.state.cycle
         if cycle > newest:
-            return Reason(
-                code=ReasonCode.FUTURE_CYCLE, what="cycle", value=float(cycle), bound=float(newest)
-            )
+            return Reason(code=ReasonCode.FUTURE_CYCLE, what="cycle", value=float(cycle), bound=float(newest))
         if self.playout is not None:
             under_way, longest = newest - cycle, self._max_playout_cycles
             too_slow = Reason(
