@@ -39,6 +39,6 @@ def test_boxes_are_as_large_as_they_are_whatever_was_asked_first(before):
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=300,
     )
     assert json.loads(done.stdout) == [pytest.approx(0.092, abs=1e-15)] * 2

@@ -99,7 +99,7 @@ def test_what_is_asked_for_wrongly_is_answered_with_what_is_right(
         [DELTAQ, "advise", "--offline", "--effort", "0.1", *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 2
@@ -125,7 +125,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             pytest.fail("the cell did not come up")
         yield file
         launcher.send_signal(signal.SIGINT)
-        launcher.communicate(timeout=60)
+        launcher.communicate(timeout=300)
         assert launcher.returncode == 0
 
 

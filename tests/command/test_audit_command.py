@@ -22,7 +22,7 @@ DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 
 def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 def entry(number: int, client: str, robot: str | None = None) -> bytes:
@@ -85,7 +85,7 @@ def test_up_says_where_the_log_is_and_audit_shows_who_connected(
             line.sendall(b'{"type":"hello","protocol":1,"client":"visitor"}\n')
             assert b"welcome" in line.recv(65536)
         running.send_signal(signal.SIGINT)
-        rest, _ = running.communicate(timeout=60)
+        rest, _ = running.communicate(timeout=300)
     logs = sorted(tmp_path.rglob("*.jsonl"))
     if arguments == ("--no-audit",):
         assert logs == []

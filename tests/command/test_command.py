@@ -16,7 +16,7 @@ DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 
 def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -56,13 +56,13 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             yield file
         finally:
             launcher.send_signal(signal.SIGINT)
-            launcher.communicate(timeout=60)
+            launcher.communicate(timeout=300)
 
 
 def deltaq(cell: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [DELTAQ, *arguments, "--cell", str(cell)]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL
+        command, capture_output=True, text=True, timeout=300, check=False, stdin=subprocess.DEVNULL
     )
 
 
@@ -142,7 +142,7 @@ def test_an_interrupt_brings_the_robot_to_rest_and_gives_it_back(cell: Path, tmp
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
         wait_for_motion(cell)
         driver.send_signal(signal.SIGINT)
-        out, error = driver.communicate(timeout=30)
+        out, error = driver.communicate(timeout=300)
     assert driver.returncode == 0, error
     assert json.loads(out)["legs"][0]["hands"]["tool"]["farthest_mm"] > 0
     assert status(cell).lease.holder is None
@@ -156,7 +156,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
         wait_for_motion(cell)
         with connect(load_cell(cell), "test") as running:
             running.stop()
-        _, error = driver.communicate(timeout=30)
+        _, error = driver.communicate(timeout=300)
     assert driver.returncode == 1
     assert "gr is held: somebody pressed stop" in error
     assert "`deltaq reset --robot gr`" in error
@@ -174,7 +174,7 @@ def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tm
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
         wait_for_motion(cell)
         with connect(load_cell(cell), "thief") as running, running.lease("gr", take=True):
-            out, error = driver.communicate(timeout=30)
+            out, error = driver.communicate(timeout=300)
     assert driver.returncode == 1
     assert "lease_not_held" in error
     told = json.loads(out)
@@ -214,7 +214,7 @@ class Terminal:
 
     def ended(self) -> tuple[int, str, str]:
         """Exit status and output; the terminal is as it was, and what was typed last is in nobody's way."""
-        out, error = self.driver.communicate(timeout=60)
+        out, error = self.driver.communicate(timeout=300)
         assert termios.tcgetattr(self._file) == self.before
         assert not select.select([self._file], [], [], 0.0)[0]
         os.close(self.keys)

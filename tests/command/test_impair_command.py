@@ -32,7 +32,7 @@ def command(*options: str) -> list[str]:
 )
 def test_what_cannot_be_done_is_told_with_what_can(options: tuple[str, ...], status: int, told: str) -> None:
     words = command("--listen", SOMEWHERE, "--to", SOMEWHERE, *options)
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == status, done.stderr
     assert told in re.sub(r"[\s│]+", " ", done.stderr)
     assert "Traceback" not in done.stderr

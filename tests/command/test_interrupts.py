@@ -62,7 +62,7 @@ def test_ctrl_c_while_modules_are_loaded_ends_in_silence(tmp_path: Path, module:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

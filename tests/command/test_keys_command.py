@@ -18,7 +18,7 @@ DAY = timedelta(days=1)
 
 
 def deltaq(*arguments):
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ def server() -> Iterator[Server]:
 
 
 def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())

@@ -34,7 +34,7 @@ def start(module: str, *arguments: str) -> subprocess.Popen[str]:
 def finish(process: subprocess.Popen[str]) -> tuple[int, dict[str, object], str]:
     """Exit status, the JSON object of the last line, and what was said on stderr."""
     try:
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=300)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()

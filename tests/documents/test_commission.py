@@ -44,7 +44,7 @@ def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path) -> None:
                 env=environment,
                 capture_output=True,
                 text=True,
-                timeout=60,
+                timeout=300,
                 check=False,
             )
             # a busy machine may give the telegrams a problem to report; nothing else may be wrong

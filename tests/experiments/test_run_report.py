@@ -201,7 +201,7 @@ def test_wrong_use_is_exit_status_2_and_one_clear_line(
         cwd=recorded.parent,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert (done.returncode, done.stdout) == (2, "")
@@ -298,7 +298,7 @@ def test_a_long_curve_keeps_its_extremes() -> None:
 def test_the_verb_writes_the_page_beside_the_recording_and_prints_figures(recorded: Path) -> None:
     def run(*arguments: str) -> str:
         command = [DELTAQ, "report", str(recorded), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+        return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
 
     assert json.loads(run("--json"))["page"] is None
     assert not recorded.with_suffix(".html").exists()

@@ -70,9 +70,9 @@ def test_the_console_runs_as_an_ordinary_program_and_what_the_cell_needs_ahead_o
     with Launcher(services, lambda name, line: told[name].put(line)) as launcher:
         launcher.start()
         for name, child in launcher.children.items():
-            assert told[name].get(timeout=30) == "ready: here"
+            assert told[name].get(timeout=300) == "ready: here"
             os.kill(child.pid, signal.SIGUSR1)
-        found = {name: int(lines.get(timeout=30)) for name, lines in told.items()}
+        found = {name: int(lines.get(timeout=300)) for name, lines in told.items()}
     own = os.nice(0)
     may_run_ahead = os.geteuid() == 0
     assert found == {"sim": NICENESS if may_run_ahead else own, "console": own}

@@ -93,7 +93,7 @@ def test_what_was_compiled_completely_is_neither_loaded_nor_looked_at_again(tmp_
         "print(status, sorted({'numba', 'pinocchio', 'numpy'} & set(sys.modules)))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=300
     )
     assert done.stdout == "0 []\n"
 
@@ -132,7 +132,7 @@ def test_a_gate_that_was_compiled_is_neither_loaded_nor_looked_at_again(tmp_path
         "print(gate.main(), sorted({'numba', 'pinocchio', 'numpy'} & set(sys.modules)))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True, timeout=300
     )
     assert done.stdout == "0 []\n"
 
@@ -149,7 +149,7 @@ def test_a_function_is_told_when_it_is_compiled_and_not_when_it_is_found_on_disk
             capture_output=True,
             text=True,
             check=True,
-            timeout=60,
+            timeout=300,
         ).stdout
         for _ in range(2)
     ]
@@ -166,7 +166,7 @@ def test_an_interrupt_ends_the_compiler_too() -> None:
         "with prepare.compiled_ahead(['paper'], print, begun): pass\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300
     )
     assert done.returncode == -signal.SIGINT
     with pytest.raises(ProcessLookupError):

@@ -48,7 +48,7 @@ class RunningCell:
 
 
 def run(command: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def start(file: Path, *arguments: str) -> RunningCell:
@@ -60,7 +60,7 @@ def start(file: Path, *arguments: str) -> RunningCell:
 def finish(cell: RunningCell) -> int:
     cell.launcher.send_signal(signal.SIGINT)
     try:
-        rest, _ = cell.launcher.communicate(timeout=60)
+        rest, _ = cell.launcher.communicate(timeout=300)
     except subprocess.TimeoutExpired:
         cell.launcher.kill()
         cell.launcher.communicate()

@@ -72,7 +72,7 @@ def test_what_a_service_leaves_behind_ends_its_work_and_the_status_is_the_servic
         assert process.stdout is not None
         assert {process.stdout.readline(), process.stdout.readline()} == {"ready\n", "left\n"}
         os.kill(command_in(first_process(process)), number)
-        assert process.communicate("", timeout=20)[0] == "robot at rest\n"
+        assert process.communicate("", timeout=300)[0] == "robot at rest\n"
         assert process.returncode == status
 
 
@@ -92,4 +92,4 @@ def test_without_it_the_end_of_the_first_process_takes_all_others_along() -> Non
         assert process.stdout is not None
         assert {process.stdout.readline(), process.stdout.readline()} == {"ready\n", "left\n"}
         os.kill(first_process(process), signal.SIGTERM)
-        assert process.communicate("", timeout=20)[0] == ""
+        assert process.communicate("", timeout=300)[0] == ""

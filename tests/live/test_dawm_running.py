@@ -65,5 +65,5 @@ async def test_a_client_of_json_lines_moves_all_joints_of_the_dual_arm_cell(tmp_
         np.testing.assert_allclose(state["tool"]["position"], T_world_left[:3, 3], atol=1e-9)
     finally:
         launcher.send_signal(signal.SIGINT)
-        rest, _ = launcher.communicate(timeout=60)
+        rest, _ = launcher.communicate(timeout=300)
     assert launcher.returncode == 0, rest

@@ -48,7 +48,7 @@ def up(cell: Path) -> Iterator[None]:
         yield
     finally:
         launcher.send_signal(signal.SIGINT)
-        rest, _ = launcher.communicate(timeout=60)
+        rest, _ = launcher.communicate(timeout=300)
     assert launcher.returncode == 0, rest
 
 
@@ -134,9 +134,9 @@ async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their
                 await asyncio.gather(*(turn(running, robot) for robot in cell.robots))
         finally:
             recorder.send_signal(signal.SIGTERM)
-            recorder.communicate(timeout=60)
+            recorder.communicate(timeout=300)
         status = json.loads(
-            subprocess.check_output([DELTAQ, "status", "--cell", str(file), "--json"], text=True, timeout=60)
+            subprocess.check_output([DELTAQ, "status", "--cell", str(file), "--json"], text=True, timeout=300)
         )
         assert set(status["robots"]) == set(cell.robots)
         assert status["nearest"] is not None
@@ -153,7 +153,7 @@ async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their
             str(script),
             "--json",
         ]
-        driven = json.loads(subprocess.check_output(drive, text=True, timeout=60))
+        driven = json.loads(subprocess.check_output(drive, text=True, timeout=300))
         assert driven["gate"]["admitted"] > 0
     replayed = json.loads(
         subprocess.check_output(

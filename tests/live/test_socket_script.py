@@ -72,7 +72,7 @@ def test_the_script_of_thirty_lines_turns_a1_by_ten_degrees(stack):
     before = np.array(stack.emulator()["q"])
     done = subprocess.run(
         [sys.executable, SCRIPT, "127.0.0.1", str(stack.cell.tcp_port)],
-        capture_output=True, text=True, timeout=30, check=True,
+        capture_output=True, text=True, timeout=300, check=True,
     )  # fmt: skip
     stack.wait_until_at_rest()
     turned = np.array(stack.emulator()["q"]) - before

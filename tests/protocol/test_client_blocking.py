@@ -191,7 +191,7 @@ def test_whoever_forgets_to_close_gives_the_lease_back_at_the_end_without_a_nois
     cell: BlockingCell, server: Server, script: str
 ) -> None:
     command = [sys.executable, "-c", script, server.description.hli]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "forgetful" in done.stdout
     assert cell.status().robots["fr"].lease.holder is None

@@ -62,8 +62,9 @@ class Running:
 
 @asynccontextmanager
 async def serving(controller_token: str | None = None) -> AsyncIterator[Running]:
-    # who is slow here is the machine, and not the holder of a lease
-    cell, roles = small_cell(lease_s=20.0), ClientRoles(OPERATOR, controller_token)
+    # who is slow here is the machine, and not the holder of a lease, nor a robot whose state is answered late
+    cell = small_cell(lease_s=20.0, cycle_s=0.1, gate={"max_request_age_s": 1.0})
+    roles = ClientRoles(OPERATOR, controller_token)
     async with guarded_peer(cell) as peer, Hli(cell, told(cell), tool_pose, roles) as hli:
         await peer.turn()
         cycles = asyncio.create_task(peer.run())
@@ -202,7 +203,7 @@ class Relay:
                 query.reply(reply.ok.key_expr, reply.ok.payload.to_bytes())
 
     def repeat(self, key: str, payload: bytes, proof: bytes) -> Any:
-        (reply,) = self._hli.get(key, payload=payload, attachment=proof or None, timeout=5.0)
+        (reply,) = self._hli.get(key, payload=payload, attachment=proof or None, timeout=60.0)
         return reply
 
     def close(self) -> None:

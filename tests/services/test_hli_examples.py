@@ -31,7 +31,7 @@ def arguments(example: str, server: Server) -> list[str]:
 
 def run(example: str, *given: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(EXAMPLES / example), *given]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
 def assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, server: Server) -> None:

@@ -79,7 +79,7 @@ def script_of(document: Path, server: Server) -> str:
 
 def run_slowly(script: Path, *arguments: str) -> list[dict[str, Any]]:
     command = [sys.executable, "-c", SLOWED, str(script), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     taken: list[dict[str, Any]] = json.loads(done.stdout.rpartition("taken ")[2])
     return taken

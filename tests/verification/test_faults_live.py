@@ -71,7 +71,7 @@ def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(tmp_path):
     with Launcher(cell_services(description, str(file)), lambda *_: None) as launcher:
         launcher.start()
         command = [DELTAQ, "fault", "inject", "krc-cut", "--robot", "fr", "--cell", str(file), "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
         assert done.returncode == 0, done.stderr
         found = json.loads(done.stdout)
         assert (found["phase"], found["reason"]) == ("held", "krc_lost")

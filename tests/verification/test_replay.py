@@ -241,7 +241,7 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.mark.long
