@@ -22,14 +22,14 @@ classdef Client < handle
         robots = struct();   % by name: joints, units, limits in joint order [rad or m]
         robot = '';          % whose lease is held
         lease_s = Inf;       % silence after which the lease runs out [s]
-        given_up = 0;        % increments whose verdict never came
     end
 
     properties (Access = private)
         socket = [];
         address = '';
         received = '';       % what came after the last end of a line
-        states = [];         % newest state by robot
+        states = {};         % newest of each robot
+        of_robot = {};       % which robots those are
         answered_cycle = -1; % of the state that next_state() returned last
         verdicts = {};
         answers = {};        % what is neither a state nor a verdict
@@ -47,7 +47,6 @@ classdef Client < handle
             if nargin < 3, token = getenv('DELTAQ_CLIENT_TOKEN'); end
             if nargin < 4, name = 'matlab'; end
             obj.address = sprintf('%s:%d', char(host), port);
-            obj.states = containers.Map();
             obj.in_flight = deltaq.InFlight();
             obj.socket = connected(char(host), port, obj.address);
             hello = struct('type', 'hello', 'protocol', int64(3), 'client', char(name));
@@ -77,26 +76,32 @@ classdef Client < handle
             obj.lease_s = lease.expires_s;
             obj.answered_cycle = -1;
             obj.in_flight = deltaq.InFlight();
+            state = obj.newest(robot);
+            if ~isempty(state), obj.in_flight.take_state(state); end
         end
 
         function state = next_state(obj)
         % The newest state of the robot that is leased, once there is a newer one than last time.
             obj.need_lease();
-            obj.take_lines(false);
-            while isempty(obj.newest(obj.robot)) || obj.newest(obj.robot).cycle == obj.answered_cycle
+            state = obj.newest(obj.robot);
+            if ~isempty(state) && state.cycle ~= obj.answered_cycle
+                obj.take_lines(false);
+                state = obj.newest(obj.robot);
+            end
+            while isempty(state) || state.cycle == obj.answered_cycle
                 obj.keep_lease();
                 obj.take_lines(true);
-                obj.need_lease();
+                state = obj.newest(obj.robot);
             end
             obj.keep_lease();
-            state = obj.newest(obj.robot);
             obj.answered_cycle = state.cycle;
         end
 
         function state = newest(obj, robot)
         % The newest state of any robot that has come, [] before the first.
             state = [];
-            if isKey(obj.states, char(robot)), state = obj.states(char(robot)); end
+            index = find(strcmp(obj.of_robot, robot), 1);
+            if ~isempty(index), state = obj.states{index}; end
         end
 
         function [q, dq] = ahead(obj)
@@ -109,9 +114,8 @@ classdef Client < handle
         % Ask for an increment (n) [rad or m] in answer to the state of a cycle; the newest that has come if none is
         % given, so that one who computes for long is not refused for it. Returns its sequence number.
             obj.need_lease();
-            obj.take_lines(false);
-            obj.need_lease();
             if nargin < 3
+                obj.take_lines(false);
                 state = obj.newest(obj.robot);
                 if isempty(state), state = obj.next_state(); end
                 cycle = state.cycle;
@@ -128,6 +132,11 @@ classdef Client < handle
         % Verdicts that have come since the last call, a cell array; of two on one seq the last counts.
             verdicts = obj.verdicts;
             obj.verdicts = {};
+        end
+
+        function count = given_up(obj)
+        % How many increments of this lease have had no verdict in time: they are not waited for.
+            count = obj.in_flight.given_up;
         end
 
         function renew(obj)
@@ -198,7 +207,7 @@ classdef Client < handle
         function say(obj, message)
             if isempty(obj.socket), error('deltaq:unreachable', '%s', 'this client is closed'); end
             try
-                write(obj.socket, uint8([jsonencode(message) 10]));
+                write(obj.socket, uint8([jsonencode(message) char(10)]));
             catch problem
                 obj.gone(problem.message);
             end
@@ -221,34 +230,36 @@ classdef Client < handle
             obj.received = [obj.received char(bytes(:)')];
             ends = find(obj.received == 10);
             if isempty(ends), return, end
-            starts = [1, ends(1:end - 1) + 1];
-            lines = arrayfun(@(first, last) obj.received(first:last), starts, ends - 1, 'UniformOutput', false);
-            obj.received = obj.received(ends(end) + 1:end);
+            lines = obj.received;
+            obj.received = lines(ends(end) + 1:end);
             refusal = [];
-            for index = 1:numel(lines)
-                message = jsondecode(lines{index});
-                if strcmp(message.type, 'error')
-                    if isempty(refusal), refusal = message; end
-                else
-                    obj.take(message);
+            start = 1;
+            for last = ends - 1
+                message = jsondecode(lines(start:last));
+                start = last + 2;
+                switch message.type
+                    case 'state'
+                        obj.take_state(message);
+                    case 'verdict'
+                        obj.verdicts{end + 1} = message;
+                        obj.in_flight.take_verdict(message);
+                    case 'error'
+                        if isempty(refusal), refusal = message; end  % told when every line has been read
+                    otherwise
+                        obj.answers{end + 1} = message;
                 end
             end
             if ~isempty(refusal), obj.refused(refusal); end
         end
 
-        function take(obj, message)
-            switch message.type
-                case 'state'
-                    states = obj.states;
-                    states(message.robot) = message;
-                    if strcmp(message.robot, obj.robot), obj.in_flight.take_state(message); end
-                    obj.given_up = obj.given_up + obj.in_flight.take_given_up();
-                case 'verdict'
-                    obj.verdicts{end + 1} = message;
-                    obj.in_flight.take_verdict(message);
-                otherwise
-                    obj.answers{end + 1} = message;
+        function take_state(obj, state)
+            index = find(strcmp(obj.of_robot, state.robot), 1);
+            if isempty(index)
+                index = numel(obj.states) + 1;
+                obj.of_robot{index} = state.robot;
             end
+            obj.states{index} = state;
+            if strcmp(state.robot, obj.robot), obj.in_flight.take_state(state); end
         end
 
         function refused(obj, refusal)

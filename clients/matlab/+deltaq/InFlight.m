@@ -7,7 +7,10 @@ classdef InFlight < handle
         lookahead = 1;     % cycles from a state to the setpoint that its answer goes into
         q = [];            % (n,1) setpoint that the newest state tells [rad or m]
         dq = [];           % (n,1) increment that led to it
-        lost = 0;
+    end
+
+    properties (SetAccess = private)
+        given_up = 0;      % increments whose verdict never came
     end
 
     methods
@@ -46,20 +49,20 @@ classdef InFlight < handle
             elseif passed > 0
                 obj.dq = (q - obj.q) / passed;
             end
-            undecided = [];
+            lookahead = max(1, first - state.cycle);
             if ~isempty(obj.rows)
-                undecided = find(isnan(obj.rows(:, 3)), 1);
-            end
-            if passed > 0 && ~isempty(undecided) && max(abs(obj.q' + obj.rows(undecided, 4:end) - q')) < 1e-12
-                obj.rows(undecided, :) = [];  % shown before its verdict has come
+                rows = obj.rows;
+                undecided = find(isnan(rows(:, 3)), 1);
+                if passed > 0 && ~isempty(undecided) && max(abs(obj.q' + rows(undecided, 4:end) - q')) < 1e-12
+                    rows(undecided, :) = [];  % shown before its verdict has come
+                end
+                rows(rows(:, 3) < first, :) = [];
+                obj.rows = rows;
+                obj.forget(isnan(rows(:, 3)) & rows(:, 2) <= state.cycle - lookahead - 4);
             end
             obj.q = q;
             obj.cycle = state.cycle;
-            obj.lookahead = max(1, first - state.cycle);
-            if ~isempty(obj.rows)
-                obj.rows(obj.rows(:, 3) < first, :) = [];
-                obj.forget(isnan(obj.rows(:, 3)) & obj.rows(:, 2) <= state.cycle - obj.lookahead - 4);
-            end
+            obj.lookahead = lookahead;
         end
 
         function [q, dq] = ahead(obj)
@@ -74,16 +77,11 @@ classdef InFlight < handle
                 dq = counted(end, :)';
             end
         end
-
-        function count = take_given_up(obj)
-            count = obj.lost;
-            obj.lost = 0;
-        end
     end
 
     methods (Access = private)
         function forget(obj, which)
-            obj.lost = obj.lost + sum(which);
+            obj.given_up = obj.given_up + sum(which);
             obj.rows(which, :) = [];
         end
     end

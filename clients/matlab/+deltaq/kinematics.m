@@ -18,48 +18,58 @@ function place = kinematics(description, robot, frame)
             char(robot), char(frame), strjoin(fieldnames(arm.frames)', ', ')));
     end
     carried = arm.frames.(char(frame));
-    chain = struct('n', numel(arm.joints), 'joints', [], 'placed', {{}}, 'axes', [], 'across', {{}}, ...
-        'turns', strcmp(description.robots.(name).units, 'rad'), 'last', carried.T_joint_frame);
-    joint = carried.joint;
-    while joint >= 0  % from the frame to the world
-        told = arm.joints(joint + 1);
+    joints = [];  % those that carry the frame, from the world on
+    joint = carried.joint + 1;
+    while joint > 0
+        joints = [joint, joints];  %#ok<AGROW>
+        joint = arm.joints(joint).parent + 1;
+    end
+    chain = struct('n', numel(arm.joints), 'joints', joints, 'last', carried.T_joint_frame, 'rotations', {{}}, ...
+        'offsets', {{}}, 'axes', {{}}, 'across', {{}}, 'twice_across', {{}});
+    chain.turns = reshape(strcmp(description.robots.(name).units(joints), 'rad'), 1, []);
+    for index = 1:numel(joints)
+        told = arm.joints(joints(index));
         a = told.axis;
-        chain.joints = [joint + 1, chain.joints];
-        chain.placed = [{told.T_parent_joint}, chain.placed];
-        chain.axes = [a, chain.axes];
-        chain.across = [{[0 -a(3) a(2); a(3) 0 -a(1); -a(2) a(1) 0]}, chain.across];
-        joint = told.parent;
+        chain.rotations{index} = told.T_parent_joint(1:3, 1:3);
+        chain.offsets{index} = told.T_parent_joint(1:3, 4);
+        chain.axes{index} = a;
+        chain.across{index} = [0 -a(3) a(2); a(3) 0 -a(1); -a(2) a(1) 0];
+        chain.twice_across{index} = chain.across{index} ^ 2;
     end
     place = @(q) placed(chain, q);
 end
 
 function [T, J] = placed(chain, q)
-    T = eye(4);
-    count = numel(chain.joints);
+    joints = chain.joints;
+    turns = chain.turns;
+    rotations = chain.rotations;
+    offsets = chain.offsets;
+    told_axes = chain.axes;
+    across = chain.across;
+    twice_across = chain.twice_across;
+    count = numel(joints);
+    q = q(joints);
+    s = sin(q);
+    c = 1 - cos(q);
+    R = eye(3);
+    x = zeros(3, 1);
     axes = zeros(3, count);
     origins = zeros(3, count);
     for index = 1:count
-        joint = chain.joints(index);
-        T = T * chain.placed{index};
-        axes(:, index) = T(1:3, 1:3) * chain.axes(:, index);
-        if chain.turns(joint)
-            K = chain.across{index};
-            T(1:3, 1:3) = T(1:3, 1:3) * (eye(3) + sin(q(joint)) * K + (1 - cos(q(joint))) * (K * K));
+        x = x + R * offsets{index};
+        R = R * rotations{index};
+        axis = R * told_axes{index};
+        axes(:, index) = axis;
+        if turns(index)
+            origins(:, index) = x;
+            R = R + R * (s(index) * across{index} + c(index) * twice_across{index});  % Rodrigues
         else
-            T(1:3, 4) = T(1:3, 4) + q(joint) * axes(:, index);
+            x = x + q(index) * axis;
         end
-        origins(:, index) = T(1:3, 4);
     end
-    T = T * chain.last;
+    T = [R, x; 0 0 0 1] * chain.last;
+    r = T(1:3, 4) - origins;
+    a = axes .* turns;
     J = zeros(6, chain.n);
-    for index = 1:count
-        joint = chain.joints(index);
-        a = axes(:, index);
-        if chain.turns(joint)
-            r = T(1:3, 4) - origins(:, index);
-            J(:, joint) = [a(2) * r(3) - a(3) * r(2); a(3) * r(1) - a(1) * r(3); a(1) * r(2) - a(2) * r(1); a];
-        else
-            J(1:3, joint) = a;
-        end
-    end
+    J(:, joints) = [a([2 3 1], :) .* r([3 1 2], :) - a([3 1 2], :) .* r([2 3 1], :) + axes .* ~turns; a];
 end
