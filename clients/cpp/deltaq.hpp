@@ -32,10 +32,10 @@ class Client {
     std::string has = "unknown_robot: cell " + welcome["cell"].text + " has no robot '" + robot + "'; it has";
     for (const auto& one : welcome["robots"].fields) has += " " + one.first;
     if (!welcome["robots"].fields.count(robot)) throw std::runtime_error(has);
-    const Json answer = ask(lease(robot, "acquire"), "lease"), &code = answer["code"];
-    if (!code.is_null) throw std::runtime_error(code.text + ": the lease of " + robot + " is held by " + answer["holder"].text);
-    robot_ = robot;
-    lease_s_ = answer["expires_s"].number;
+    const Json answer = ask(lease(robot, "acquire"), "lease"), &code = answer["code"], &holder = answer["holder"];
+    const std::string why = holder.is_null ? " needs a controller's token" : " is held by " + holder.text;
+    if (!code.is_null) throw std::runtime_error(code.text + ": the lease of " + robot + why);
+    robot_ = robot, lease_s_ = answer["expires_s"].number;
   }
   /// The newest state of the leased robot, once there is a newer one than last time.
   Json next_state() {

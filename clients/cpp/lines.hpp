@@ -42,10 +42,11 @@ class Lines {
     char bytes[65536];
     for (;;) {
       const ssize_t count = recv(socket_, bytes, sizeof bytes, wait ? 0 : MSG_DONTWAIT);
-      if (count == 0) gone("has closed the connection; the robot comes to rest");
-      if (count < 0 && (errno == EINTR)) continue;
+      if (count < 0 && errno == EINTR) continue;
+      const bool has_line = received_.find('\n') != std::string::npos;  // the last words come first
+      if (count == 0 && !has_line) gone("has closed the connection; the robot comes to rest");
       if (count < 0 && wait) gone("does not answer any more; the robot comes to rest");
-      if (count < 0) break;
+      if (count <= 0) break;
       received_.append(bytes, static_cast<std::size_t>(count));
       wait = received_.find('\n') == std::string::npos;
     }

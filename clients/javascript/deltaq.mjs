@@ -34,10 +34,10 @@ export class Client {
   async acquire(robot) {
     const { cell, robots } = this.welcome;
     if (!(robot in robots)) throw new Error(`unknown_robot: cell ${cell} has no robot '${robot}'; it has ${Object.keys(robots).join(", ")}`);
-    const answer = await this.#ask({ type: "lease", robot, action: "acquire" }, (other) => other.type === "lease");
-    if (!answer.granted) throw new Error(`${answer.code}: the lease of ${robot} is held by ${answer.holder}`);
+    const { granted, code, holder, expires_s } = await this.#ask({ type: "lease", robot, action: "acquire" }, (m) => m.type === "lease");
+    if (!granted) throw new Error(`${code}: the lease of ${robot} ${holder ? `is held by ${holder}` : "needs a controller's token"}`);
     this.robot = robot;
-    this.#tick(300 * answer.expires_s);
+    this.#tick(300 * expires_s);
   }
   /** States of the leased robot as they come, the newest only: whoever is slow misses some. */
   async *states() {
@@ -50,7 +50,7 @@ export class Client {
   newest(robot) { return this.#newest[robot]; }
   /** Ask for an increment [rad or m] in answer to the newest state that has come, however long it was computed. */
   async send(dq) {
-    await new Promise(setImmediate); // read what has come meanwhile
+    for (let turn = 0; turn < 2; turn++) await new Promise(setImmediate); // a whole turn of the loop reads what has come
     if (this.#failure) throw this.#failure;
     const { cycle } = this.newest(this.robot);
     this.#say({ type: "increment", robot: this.robot, seq: ++this.#seq, cycle, dq });

@@ -69,8 +69,9 @@ classdef Client < handle
             end
             lease = obj.ask(request('lease', robot, 'action', 'acquire'), @(answer) strcmp(answer.type, 'lease'));
             if ~lease.granted
-                error(['deltaq:' lease.code], '%s', sprintf('the lease of %s is refused (%s): %s holds it', ...
-                    robot, lease.code, char(lease.holder)));
+                why = 'needs a controller''s token';
+                if ~isempty(lease.holder), why = ['is held by ' lease.holder]; end
+                error(['deltaq:' lease.code], '%s', sprintf('the lease of %s %s (%s)', robot, why, lease.code));
             end
             obj.robot = robot;
             obj.lease_s = lease.expires_s;
