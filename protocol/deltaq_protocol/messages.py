@@ -22,7 +22,7 @@ Joints = Annotated[tuple[JointValue, ...], Field(min_length=1, max_length=32)]
 Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-Pose = tuple[Row, Row, Row, Row]
+PoseRows = tuple[Row, Row, Row, Row]
 """A homogeneous matrix, row by row."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
@@ -324,7 +324,7 @@ class JointPlacement(Message):
     """
 
     parent: int = Field(ge=-1)
-    T_parent_joint: Pose
+    T_parent_joint: PoseRows
     axis: Vector3
 
 
@@ -332,7 +332,7 @@ class CarriedFrame(Message):
     """Where a frame is on the joint that carries it, by its place in the order from 0; of joint -1, in the world."""
 
     joint: int = Field(ge=-1)
-    T_joint_frame: Pose
+    T_joint_frame: PoseRows
 
 
 class RobotKinematics(Message):
@@ -348,9 +348,10 @@ class RobotKinematics(Message):
 class Description(Message):
     """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
 
-    `kinematics` holds, by robot, what follows from both, for a client that reads neither. `hulls` holds what the gate takes the collision meshes of a URDF for: by robot and body, the corners of
-    a convex hull in the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name and hash
-    (`deltaq_protocol.identity`): one who has a file of the cell sees by it whether the same is meant.
+    `kinematics` holds, by robot, what follows from both, for a client that reads neither. `hulls` holds what the gate
+    takes the collision meshes of a URDF for: by robot and body, the corners of a convex hull in the frame of the body
+    [m]. Visual meshes are not sent. `identity` is the cell's name and hash (`deltaq_protocol.identity`): one who has
+    a file of the cell sees by it whether the same is meant.
     """
 
     type: Literal["description"] = "description"

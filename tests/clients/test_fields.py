@@ -124,7 +124,9 @@ def test_every_field_that_it_reads_is_one_of_the_exported_schema(language: Langu
     text = "\n".join(map(_without_comments, language.sources))
     read = {match["dot"] or match["index"] for match in READ.finditer(text)}
     read |= {name for match in TAKEN_APART.finditer(text) for name in match[1].split(", ")}
-    of_the_language = {"list", "text", "is_null", "number", "fields", "type"} if language.name == "c++" else {"type"}
+    of_the_language = (
+        {"list", "text", "is_null", "number", "fields", "type"} if language.name == "c++" else {"type"}
+    )
     assert {"cycle", "robot", "holder", "q_ahead"} <= read
     assert read - of_the_language <= known
 

@@ -38,7 +38,9 @@ class Language(ABC):
 
     def environment(self, **variables: str) -> dict[str, str]:
         """Of its programs: without a token that the tests' own environment may have."""
-        return {name: value for name, value in os.environ.items() if not name.startswith("DELTAQ_")} | variables
+        return {
+            name: value for name, value in os.environ.items() if not name.startswith("DELTAQ_")
+        } | variables
 
 
 class Octave(Language):

@@ -36,7 +36,11 @@ def command(program: str) -> list[str]:
 def run(program: str, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run a program until it ends, as far ahead of ordinary programs as a controller of the launcher is."""
     with subprocess.Popen(
-        command(program), env=environment(**variables), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command(program),
+        env=environment(**variables),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as running:
         try:
             with suppress(PermissionError):

@@ -63,9 +63,7 @@ def _turn(axis: Array, angle: float) -> Array:
 
 def _transform(xyz: Sequence[float], rpy: Sequence[float]) -> Array:
     roll, pitch, yaw = rpy
-    T = (
-        _turn(np.array([0, 0, 1]), yaw) @ _turn(np.array([0, 1, 0]), pitch) @ _turn(np.array([1, 0, 0]), roll)
-    )
+    T = _turn(np.array([0, 0, 1]), yaw) @ _turn(np.array([0, 1, 0]), pitch) @ _turn(np.array([1, 0, 0]), roll)
     T[:3, 3] = xyz
     return T
 
