@@ -67,10 +67,10 @@ function [dq, J_t] = wanted(T, J, q, p, speed, distance_m, arm, cycle_s)
     far = d - distance_m;
     zoom = min(0.78 * abs(far), cycle_s * (speed + sqrt(2 * 2 * abs(far))));
     F = sign(far) * zoom / max(approach' * solved(w, [0; 0], approach), 0.05) * approach;
-    clear = max([d - 0.25, x(3)], 0.03);  % (12): the lens from the leader's tool and from the floor
+    gap = max([d - 0.25, x(3)], 0.03);  % (12): the lens from the leader's tool and from the floor
     away = [-u, [0; 0; 1]];
-    for near = find(clear < 0.3)
-        F = F + 1.2e-4 * (1 / clear(near) - 1 / 0.3) / clear(near) ^ 2 * J_v' * away(:, near);
+    for near = find(gap < 0.3)
+        F = F + 1.2e-4 * (1 / gap(near) - 1 / 0.3) / gap(near) ^ 2 * J_v' * away(:, near);
     end
     level = max(R(3, 1) ^ 2 + R(3, 2) ^ 2, 0.01);  % (15): how the last joint turns the picture decides the sign
     across = J(4, end) * R(2, 1:2) - J(5, end) * R(1, 1:2);
