@@ -11,9 +11,11 @@ from typing import Any
 
 import pytest
 from languages import LANGUAGES, Language
+from octave import command as octave_command
 from served import Server
 
 from deltaq_protocol.blocking import connect
+from deltaq_protocol.guarded import Request
 
 pytestmark = [pytest.mark.live, pytest.mark.long]
 
@@ -64,6 +66,24 @@ def test_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(language: Language,
     assert "A1 is at 15." in done.stdout  # it began at 0.1 rad
     assert server.hli.status().robots["fr"].lease.holder is None
     assert server.peer.commands.empty()
+
+
+def test_octave_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> None:
+    """Left out of account, what is in flight would be asked for again, and the robot would go too far."""
+    octave = LANGUAGES[0]
+    if why_not := octave.why_not():
+        pytest.skip(why_not)
+    with Server(gate={"lookahead_cycles": 3}) as server:
+        done = run(octave, octave.turn_a1(server.description.tcp_port))
+        assert done.returncode == 0, done.stderr
+        assert math.degrees(server.peer.q_cmd["fr"][0] - 0.1) == pytest.approx(10.0, abs=0.1)
+        largest = max(abs(request.dq[0]) for request in drained(server) if request.dq)
+    assert largest <= math.radians(30) * server.description.cycle_s + 1e-12
+
+
+def drained(server: Server) -> Iterator[Request]:
+    while not server.peer.increments.empty():
+        yield server.peer.increments.get_nowait()
 
 
 def test_one_who_computes_for_longer_than_an_increment_may_be_old_is_not_refused(
@@ -126,6 +146,14 @@ def test_a_wrong_token_is_one_clear_line_and_the_right_one_is_taken_from_the_env
 def test_a_robot_that_the_cell_does_not_have_is_one_clear_line(language: Language, server: Server) -> None:
     done = run(language, language.answers(server.description.tcp_port, "xy", 0.0, 1))
     assert re.search("cell small has no robot 'xy'; it has fr,? gr", refusal(language, done))
+
+
+def test_a_server_that_tells_no_kinematics_is_one_clear_line(server: Server) -> None:
+    octave = LANGUAGES[0]
+    if why_not := octave.why_not():
+        pytest.skip(why_not)
+    done = run(octave, octave_command(f"camera_follower('127.0.0.1', {server.description.tcp_port}, 1)"))
+    assert "the server of cell small tells no kinematics" in refusal(octave, done)
 
 
 def test_a_lease_that_another_holds_is_one_clear_line(language: Language, server: Server) -> None:

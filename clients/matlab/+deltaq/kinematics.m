@@ -7,6 +7,10 @@ function place = kinematics(description, robot, frame)
 % T (4,4) maps the frame's coordinates into the world [m]. J (6,n) is the Jacobian of its origin in world axes: velocity
 % [m/s] over angular velocity [rad/s] per unit of joint velocity. Frames are `tool`, `camera` if the robot has one, and
 % its hands.
+    if ~isfield(description, 'kinematics') || isempty(fieldnames(description.kinematics))
+        error('deltaq:no_kinematics', '%s', sprintf( ...
+            'the server of cell %s tells no kinematics: it is older than this client', description.cell));
+    end
     name = matlab.lang.makeValidName(char(robot));
     if ~isfield(description.kinematics, name)
         error('deltaq:unknown_robot', '%s', sprintf('cell %s has no robot ''%s''; it has %s', ...
