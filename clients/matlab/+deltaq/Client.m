@@ -111,6 +111,12 @@ classdef Client < handle
             [q, dq] = obj.in_flight.ahead();
         end
 
+        function cycles = cycles_to_answer(obj)
+        % Cycles for which to send() now: the newest state's, and in a cell with a lookahead those of states that were
+        % missed, as long as there is room for their answers.
+            cycles = obj.in_flight.cycles_to_answer();
+        end
+
         function seq = send(obj, dq, cycle)
         % Ask for an increment (n) [rad or m] in answer to the state of a cycle; the newest that has come if none is
         % given, so that one who computes for long is not refused for it. Returns its sequence number.

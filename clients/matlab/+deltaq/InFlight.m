@@ -4,9 +4,11 @@ classdef InFlight < handle
     properties (Access = private)
         rows = [];         % of each increment: seq, cycle that it answers, cycle that it goes into (NaN: undecided), dq
         cycle = -1;        % of the newest state
-        lookahead = 1;     % cycles from a state to the setpoint that its answer goes into
+        first = 0;         % cycle of the first setpoint that is not decided, as the newest state tells
+        lookahead = 1;     % most cycles from a state to the setpoint that its answer goes into
         q = [];            % (n,1) setpoint that the newest state tells [rad or m]
         dq = [];           % (n,1) increment that led to it
+        answered = -1;     % newest cycle that was answered
     end
 
     properties (SetAccess = private)
@@ -15,6 +17,7 @@ classdef InFlight < handle
 
     methods
         function sent(obj, seq, cycle, dq)
+            obj.answered = max(obj.answered, cycle);
             row = [seq, cycle, NaN, double(dq(:)')];
             if numel(dq) == numel(obj.q) && all(isfinite(row([1 2 4:end])))  % others are refused
                 obj.rows(end + 1, 1:numel(row)) = row;
@@ -43,13 +46,14 @@ classdef InFlight < handle
             passed = state.cycle - obj.cycle;
             if isempty(obj.q) || passed < 0 || any(strcmp(state.phase, {'held', 'offline'}))
                 obj.rows = [];
+                obj.answered = -1;
                 obj.q = q;  % it begins at rest
                 obj.dq = zeros(size(q));
                 passed = 1;
             elseif passed > 0
                 obj.dq = (q - obj.q) / passed;
             end
-            lookahead = max(1, first - state.cycle);
+            lookahead = max(obj.lookahead, first - state.cycle);
             if ~isempty(obj.rows)
                 rows = obj.rows;
                 undecided = find(isnan(rows(:, 3)), 1);
@@ -63,19 +67,32 @@ classdef InFlight < handle
             obj.q = q;
             obj.cycle = state.cycle;
             obj.lookahead = lookahead;
+            obj.first = first;
         end
 
-        function [q, dq] = ahead(obj)
+        function [q, dq, cycle] = ahead(obj)
+        % The setpoint that the next increment is added to, the increment that leads to it, and the setpoint's cycle.
             q = obj.q;
             dq = obj.dq;
+            cycle = obj.first - 1;
             if isempty(obj.rows), return, end
             undecided = find(isnan(obj.rows(:, 3)));
             undecided = undecided(max(1, end - obj.lookahead + 1):end);
-            counted = obj.rows([find(~isnan(obj.rows(:, 3))); undecided], 4:end);
+            counted = obj.rows([find(~isnan(obj.rows(:, 3))); undecided], 3:end);
             if ~isempty(counted)
-                q = q + sum(counted, 1)';
-                dq = counted(end, :)';
+                q = q + sum(counted(:, 2:end), 1)';
+                dq = counted(end, 2:end)';
+                cycle = max([cycle; counted(:, 1)]) + numel(undecided);
             end
+        end
+
+        function cycles = cycles_to_answer(obj)
+        % That of the newest state, and of states before it that were missed: a lookahead has room for their answers.
+            [~, ~, ahead] = obj.ahead();
+            missed = 0;
+            if obj.answered >= 0, missed = max(0, obj.cycle - obj.answered - 1); end
+            count = min(max(1, obj.cycle + obj.lookahead - ahead), 1 + missed);
+            cycles = obj.cycle - count + 1:obj.cycle;
         end
     end
 
