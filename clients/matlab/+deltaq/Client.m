@@ -11,10 +11,8 @@ classdef Client < handle
 %
 % A client holds one lease at a time. It waits for no verdict: those that have come are in new_verdicts(), and
 % ahead() reckons with what is still on its way. The lease is renewed by every call of next_state() and send(); a
-% controller that computes for longer than half of lease_s calls renew() meanwhile.
-%
-% What is refused is an error, deltaq:CODE, whose message says what to do. In Octave the package instrument-control
-% is needed.
+% controller that computes for longer than half of lease_s calls renew() meanwhile. What is refused is an error,
+% deltaq:CODE, whose message says what to do. Octave needs its package instrument-control.
 
     properties (SetAccess = private)
         cell_name = '';      % of the cell
@@ -52,9 +50,7 @@ classdef Client < handle
             hello = struct('type', 'hello', 'protocol', int64(3), 'client', char(name));
             if ~isempty(char(token)), hello.token = char(token); end
             welcome = obj.ask(hello, @(answer) strcmp(answer.type, 'welcome'));
-            obj.cell_name = welcome.cell;
-            obj.cycle_s = welcome.cycle_s;
-            obj.robots = welcome.robots;
+            [obj.cell_name, obj.cycle_s, obj.robots] = deal(welcome.cell, welcome.cycle_s, welcome.robots);
         end
 
         function acquire(obj, robot)
@@ -77,8 +73,7 @@ classdef Client < handle
             obj.lease_s = lease.expires_s;
             obj.answered_cycle = -1;
             obj.in_flight = deltaq.InFlight();
-            state = obj.newest(robot);
-            if ~isempty(state), obj.in_flight.take_state(state); end
+            if ~isempty(obj.newest(robot)), obj.in_flight.take_state(obj.newest(robot)); end
         end
 
         function state = next_state(obj)
@@ -127,8 +122,8 @@ classdef Client < handle
                 if isempty(state), state = obj.next_state(); end
                 cycle = state.cycle;
             end
-            obj.seq = obj.seq + 1;
-            seq = obj.seq;
+            seq = obj.seq + 1;
+            obj.seq = seq;
             % a cell array, so that a single number is a list too
             obj.say(request('increment', obj.robot, 'seq', int64(seq), 'cycle', int64(cycle), ...
                 'dq', {num2cell(double(dq(:)'))}));
