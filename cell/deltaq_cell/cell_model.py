@@ -16,6 +16,7 @@ from deltaq_cell.load import load_with_text
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.structure import structure_geometry
 from deltaq_cell.summary import robot_summary
+from deltaq_cell.told_kinematics import told_kinematics
 from deltaq_protocol import messages
 from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES, pack, to_line
 from deltaq_protocol.errors import DeltaqError
@@ -105,6 +106,7 @@ class CellModel:
             yaml=self.yaml,
             urdf={name: robot.urdf for name, robot in self.robots.items()},
             hulls={name: robot.hulls for name, robot in self.robots.items()},
+            kinematics={name: told_kinematics(robot) for name, robot in self.robots.items()},
             identity=str(self.identity),
         )
         length = max(len(pack(message)), len(to_line(message)))

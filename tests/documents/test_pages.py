@@ -43,7 +43,12 @@ NOT_RUN = {
     "README.md": [
         "makes an environment of its own; the next block runs the same demonstration",
         "installs from a package index",
-        "needs MATLAB; the tutorial runs the same messages from Python",
+        "tests/clients/test_printed_programs.py runs it in Octave",
+    ],
+    "other-languages.md": [
+        *["tests/clients/test_printed_programs.py runs it in Octave"] * 2,
+        "tests/clients/test_octave_follower.py runs it in Octave beside a moving leader",
+        *["tests/clients/test_printed_programs.py runs it"] * 2,
     ],
     "ask-the-advisor.md": ["takes many minutes"],
     "console.md": ["needs Chromium"],

@@ -32,6 +32,7 @@ class Stack:
 
     def __init__(self, launcher, cell, record, panel):
         self.launcher = launcher
+        self.model = cell
         self.cell = cell.description
         self.robot = cell.robots["fr"]
         self.record = record

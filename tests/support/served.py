@@ -17,7 +17,8 @@ class Server:
     """An HLI and its peer, which turns in the cell's cycle, for the length of a block.
 
     Args:
-        operator_token: as `Hli` takes it.
+        operator_token: as `ClientRoles` takes it.
+        controller_token: the same.
         changes: to the description of the small cell.
 
     Attributes:
@@ -27,9 +28,11 @@ class Server:
         errors: what went wrong in the loop without anybody to be told.
     """
 
-    def __init__(self, operator_token: str | None = None, **changes: Any) -> None:
+    def __init__(
+        self, operator_token: str | None = None, controller_token: str | None = None, **changes: Any
+    ) -> None:
         self.description = small_cell(**changes)
-        self._operator_token = operator_token
+        self._roles = ClientRoles(operator_token, controller_token)
         self.errors: list[dict[str, Any]] = []
         self.peer: GuardedPeer
         self.hli: Hli
@@ -52,7 +55,7 @@ class Server:
         description = self.description
         async with (
             guarded_peer(description) as self.peer,
-            Hli(description, told(description), tool_pose, ClientRoles(self._operator_token)) as self.hli,
+            Hli(description, told(description), tool_pose, self._roles) as self.hli,
         ):
             await self.peer.turn()
             cycles = asyncio.create_task(self.peer.run())

@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_cell.told_kinematics import joint_axis
 from deltaq_protocol.arrays import Array
 from deltaq_services.console.frame import OUTCOMES, PHASES
 
@@ -109,15 +110,13 @@ def _joint(robot: RobotModel, index: int) -> dict[str, Any]:
     place = model.jointPlacements[joint]
     if parent == 0:
         place = _base(robot).inverse() * place
-    data = model.createData()
-    motion = np.asarray(pin.computeJointJacobian(model, data, pin.neutral(model), joint))[:, index]
     revolute = bool(robot.revolute[index])
     return {
         "name": robot.joint_names[index],
         "kind": "revolute" if revolute else "prismatic",
         "parent": parent - 1,
         "parent_T_joint": _columns(place),
-        "axis": (motion[3:] if revolute else motion[:3]).round(15).tolist(),
+        "axis": list(joint_axis(robot, index)),
         "lower": float(robot.lower[index]),
         "upper": float(robot.upper[index]),
         "max_speed": float(robot.max_velocity[index]),

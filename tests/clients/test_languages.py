@@ -1,0 +1,164 @@
+"""The clients in other languages against a running HLI: what they do, and what they say when they cannot."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+from languages import LANGUAGES, Language
+from octave import command as octave_command
+from served import Server
+
+from deltaq_protocol.blocking import connect
+from deltaq_protocol.guarded import Request
+
+pytestmark = [pytest.mark.live, pytest.mark.long]
+
+
+@pytest.fixture(params=LANGUAGES, ids=lambda language: language.name)
+def language(request: pytest.FixtureRequest) -> Language:
+    chosen: Language = request.param
+    if why_not := chosen.why_not():
+        pytest.skip(why_not)
+    return chosen
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    with Server() as running:
+        yield running
+
+
+def run(language: Language, command: list[str], **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = language.environment(**variables)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+
+
+def answers(language: Language, server: Server, *given: Any, **variables: str) -> list[str]:
+    """Outcomes that a program was told that answers states of a robot: (robot, compute_s, count)."""
+    done = run(language, language.answers(server.description.tcp_port, *given), **variables)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.partition(":")[2].split()
+
+
+def refusal(language: Language, done: subprocess.CompletedProcess[str]) -> str:
+    """The one line that a program ends with."""
+    assert done.returncode == 1
+    lines = done.stderr.splitlines()
+    if language.name == "octave":  # it adds where it was
+        (line,) = (line for line in lines if line.startswith("error: ") and line != "error: called from")
+        return re.sub("^error: ", "", line.replace("ignoring const execution_exception&", ""))
+    (line,) = lines
+    return line
+
+
+def test_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(language: Language, server: Server) -> None:
+    before = server.peer.q_cmd["fr"]
+    done = run(language, language.turn_a1(server.description.tcp_port))
+    assert done.returncode == 0, done.stderr
+    turned = [math.degrees(q - q0) for q, q0 in zip(server.peer.q_cmd["fr"], before, strict=True)]
+    assert turned == pytest.approx([10.0, 0, 0, 0, 0, 0], abs=0.1)
+    assert "A1 is at 15." in done.stdout  # it began at 0.1 rad
+    assert server.hli.status().robots["fr"].lease.holder is None
+    assert server.peer.commands.empty()
+
+
+def test_octave_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> None:
+    """Left out of account, what is in flight would be asked for again, and the robot would go too far."""
+    octave = LANGUAGES[0]
+    if why_not := octave.why_not():
+        pytest.skip(why_not)
+    with Server(gate={"lookahead_cycles": 3}) as server:
+        done = run(octave, octave.turn_a1(server.description.tcp_port))
+        assert done.returncode == 0, done.stderr
+        assert math.degrees(server.peer.q_cmd["fr"][0] - 0.1) == pytest.approx(10.0, abs=0.1)
+        largest = max(abs(request.dq[0]) for request in drained(server) if request.dq)
+    assert largest <= math.radians(30) * server.description.cycle_s + 1e-12
+
+
+def drained(server: Server) -> Iterator[Request]:
+    while not server.peer.increments.empty():
+        yield server.peer.increments.get_nowait()
+
+
+def test_one_who_computes_for_longer_than_an_increment_may_be_old_is_not_refused(
+    language: Language, server: Server
+) -> None:
+    outcomes = answers(language, server, "fr", 0.15, 8)
+    # in answer to the state that they were computed from all would be refused; a busy machine may be late with one
+    assert outcomes.count("admitted") > outcomes.count("refused") + 2
+    assert server.hli.status().robots["fr"].lease.holder is None
+
+
+def test_verdicts_that_never_come_are_not_waited_for(language: Language, server: Server) -> None:
+    server.peer.judges = False
+    assert answers(language, server, "fr", 0.0, 40) == []
+    assert server.peer.increments.qsize() >= 20
+    assert server.hli.status().robots["fr"].lease.holder is None
+
+
+def test_one_who_computes_until_the_lease_has_run_out_is_told_so(language: Language, server: Server) -> None:
+    done = run(language, language.answers(server.description.tcp_port, "fr", 1.6, 5))
+    assert "the lease of fr has run out" in refusal(language, done)
+
+
+def test_a_server_that_goes_is_one_clear_line(language: Language) -> None:
+    with ExitStack() as served:
+        server = served.enter_context(Server())
+        command = language.answers(server.description.tcp_port, "fr", 0.0, 1_000_000)
+        with subprocess.Popen(
+            command, env=language.environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as running:
+            try:
+                asked = server.peer.increments
+                while asked.empty():
+                    assert running.poll() is None, running.communicate()
+                served.close()
+                told, errors = running.communicate(timeout=20)
+            except BaseException:
+                running.kill()
+                raise
+    done = subprocess.CompletedProcess(command, running.returncode, told, errors)
+    assert re.search(r"127\.0\.0\.1:\d+ (does not answer any more|has closed)", refusal(language, done))
+
+
+def test_a_port_where_nobody_listens_is_one_clear_line(language: Language) -> None:
+    assert "127.0.0.1:1" in refusal(language, run(language, language.turn_a1(1)))
+
+
+def test_a_wrong_token_is_one_clear_line_and_the_right_one_is_taken_from_the_environment(
+    language: Language,
+) -> None:
+    with Server("the operator's", "right") as server:
+        port = server.description.tcp_port
+        wrong = run(language, language.answers(port, "fr", 0.0, 1), DELTAQ_CLIENT_TOKEN="wrong")
+        assert "wrong token" in refusal(language, wrong)
+        none = run(language, language.answers(port, "fr", 0.0, 1))
+        assert "controller's token" in refusal(language, none)
+        answers(language, server, "fr", 0.0, 1, DELTAQ_CLIENT_TOKEN="right")
+
+
+def test_a_robot_that_the_cell_does_not_have_is_one_clear_line(language: Language, server: Server) -> None:
+    done = run(language, language.answers(server.description.tcp_port, "xy", 0.0, 1))
+    assert re.search("cell small has no robot 'xy'; it has fr,? gr", refusal(language, done))
+
+
+def test_a_server_that_tells_no_kinematics_is_one_clear_line(server: Server) -> None:
+    octave = LANGUAGES[0]
+    if why_not := octave.why_not():
+        pytest.skip(why_not)
+    done = run(octave, octave_command(f"camera_follower('127.0.0.1', {server.description.tcp_port}, 1)"))
+    assert "the server of cell small tells no kinematics" in refusal(octave, done)
+
+
+def test_a_lease_that_another_holds_is_one_clear_line(language: Language, server: Server) -> None:
+    with connect(server.description.hli, client="first") as cell, cell.lease("fr"):
+        done = run(language, language.turn_a1(server.description.tcp_port))
+        line = refusal(language, done)
+        assert "fr" in line
+        assert "first" in line
