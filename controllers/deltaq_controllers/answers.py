@@ -2,7 +2,8 @@
 
 In a cell with a lookahead the verdict may take longer than a cycle: each state is answered as it comes, and what is in
 flight is reckoned with (`deltaq_protocol.in_flight`). In one without (`q_ahead` is null) each verdict is awaited before
-the next state is answered: not to wait gained nothing there in a running cell (docs/explanation/timing.md).
+the next state is answered: not to wait gained nothing there in a running cell (docs/explanation/timing.md). Where
+either takes longer, the lease asks for a playout buffer, and what waits there is in flight too.
 """
 
 from __future__ import annotations
@@ -20,6 +21,20 @@ from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight, is_awaited
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import RobotState, Verdict
+from deltaq_protocol.opening import Opening
+
+
+async def lease(cell: Cell, robot: str) -> Opening[LeasedRobot]:
+    """A lease for `Answers`: with a playout buffer, if the way there and back is longer than answers may take.
+
+    Raises:
+        RefusedError: the cell has no such robot.
+        ServiceUnreachableError: the HLI is gone.
+    """
+    state = cell.state(robot)
+    ahead = 1 if state is None or state.setpoint_cycle is None else state.setpoint_cycle - state.cycle
+    is_far = await cell.round_trip_s() > max(1, ahead) * cell.description.cycle_s
+    return cell.lease(robot, playout=is_far)
 
 
 class Answers:

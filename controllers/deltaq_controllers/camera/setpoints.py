@@ -1,8 +1,8 @@
 """Where another robot will be: its setpoints, carried on as they go.
 
-A setpoint is what the gate has admitted. It is exact, and the drives reach it only later, as late as the follower's own:
-of two robots whose drives lag alike the one looks at the other at any time, if its setpoints look at the other's. So all
-that is to be foreseen is the time from the setpoint that is known to the one that is asked for.
+A setpoint is what the gate has admitted. It is exact, and the drives reach it only later, as late as the follower's
+own: of two robots whose drives lag alike the one looks at the other at any time, if its setpoints look at the other's.
+So all that is to be foreseen is the time from the setpoint that is known to the one that is asked for.
 """
 
 from __future__ import annotations

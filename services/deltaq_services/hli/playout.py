@@ -18,7 +18,8 @@ from deltaq_protocol.messages import Playout
 from deltaq_services.hli.asked import Asked
 
 _REMEMBERED = 250
-"""Increments whose time under way is remembered, 3 s of them at 12 ms."""
+"""Increments whose time under way is remembered, 3 s of them at 12 ms; as many must have been quicker before the delay
+becomes shorter."""
 
 _LATE_SHARE = 0.02
 """Increments that may come too late for their turn. A longer delay would cost every cycle for the sake of few."""
@@ -31,6 +32,7 @@ class PlayoutMemory:
     under_way_cycles: tuple[int, ...]
     waiting: tuple[Asked, ...]
     delay_cycles: int
+    needed_lately: tuple[int, ...]
     answered_cycle: int
     passed_on_in: int
     late: int
@@ -65,6 +67,7 @@ class PlayoutBuffer:
         self._under_way_cycles: deque[int] = deque(maxlen=_REMEMBERED)
         self._waiting: dict[int, Asked] = {}
         self._delay_cycles = 0
+        self._needed_lately: list[int] = []
         self._answered_cycle = self._passed_on_in = -1
         self._late = self._empty = 0
 
@@ -86,7 +89,7 @@ class PlayoutBuffer:
         cycle = asked.increment.cycle
         # it cannot be passed on before the next state
         self._under_way_cycles.append(newest_cycle + 1 - cycle)
-        self._delay_cycles = self._needed_cycles()
+        self._adapt_delay()
         if cycle <= self._answered_cycle:
             self._late += 1
             return asked
@@ -135,6 +138,7 @@ class PlayoutBuffer:
             tuple(self._under_way_cycles),
             tuple(self._waiting.values()),
             self._delay_cycles,
+            tuple(self._needed_lately),
             self._answered_cycle,
             self._passed_on_in,
             self._late,
@@ -146,7 +150,18 @@ class PlayoutBuffer:
         self._under_way_cycles = deque(memory.under_way_cycles, maxlen=_REMEMBERED)
         self._waiting = {asked.increment.cycle: asked for asked in memory.waiting}
         self._delay_cycles, self._answered_cycle = memory.delay_cycles, memory.answered_cycle
+        self._needed_lately = list(memory.needed_lately)
         self._passed_on_in, self._late, self._empty = memory.passed_on_in, memory.late, memory.empty
+
+    def _adapt_delay(self) -> None:
+        """Longer at once, since a gap is a brake; shorter only after a while, since that takes a turn away."""
+        needed = self._needed_cycles()
+        if needed >= self._delay_cycles:
+            self._delay_cycles, self._needed_lately = needed, []
+            return
+        self._needed_lately.append(needed)
+        if len(self._needed_lately) >= _REMEMBERED:
+            self._delay_cycles, self._needed_lately = max(self._needed_lately), []
 
     def _needed_cycles(self) -> int:
         """The shortest delay for which all but few of the increments remembered would have been in time."""
