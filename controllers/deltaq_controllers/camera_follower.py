@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
-from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, run
@@ -46,17 +46,18 @@ class FollowerProcess:
             model = cell_model(cell.description)
             for name in (options.robot, options.leader):
                 model_of(model.robots, name)
-            scene = Scene(model, options.robot, options.leader, options.latency_s)
+            scene = Scene(model, options.robot, options.leader)
             focus = None if options.focus_m is None else np.array(options.focus_m)
             camera = camera_controller_named(options.controller, scene, options.distance_m, focus)
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
+            controller = HeldBack(move_to_start, round(options.view_delay_s / scene.cycle_s))
             _log.info("ready: %s follows %s", options.robot, options.leader)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
-                    await drive(cell, options.robot, move_to_start, self._statistics, watch)
+                    await drive(cell, options.robot, controller, self._statistics, watch)
 
     def _watch(
         self, camera: FocusController, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
@@ -119,10 +120,10 @@ def main() -> int:
         "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"
     )
     parser.add_argument(
-        "--latency-s",
+        "--view-delay-s",
         type=float,
-        default=FollowerGains().latency_s,
-        help="from the leader's motion to the camera's, which the focus is carried ahead by (default: %(default)s)",
+        default=0.0,
+        help="time by which the states of other robots are held back, for experiments (default: %(default)s)",
     )
     parser.add_argument(
         "--duration-s", type=float, default=None, help="time to follow for (default: for ever)"

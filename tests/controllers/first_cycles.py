@@ -216,7 +216,7 @@ async def by_controller(
 
 async def by_camera(cell: QuietCell, name: str) -> None:
     """A camera controller, from far off its focus to where it evades the leader."""
-    scene = Scene(CellModel.load("lab"), "fr", "gr", 0.06)
+    scene = Scene(CellModel.load("lab"), "fr", "gr")
     camera = camera_controller_named(name, scene, 1.25)
     limits = IncrementLimits.of(scene.robot, scene.cycle_s)
 
