@@ -26,7 +26,7 @@ from deltaq_verification.virtual_cell.cell import VirtualCell
 def follow_in_virtual_time(given: argparse.Namespace) -> dict[str, Any]:
     """Run the cell of two sites with both controllers behind wires that are late and lossy; the figures."""
     with tempfile.TemporaryDirectory() as folder:
-        stack = VirtualCell(write_cell(Path(folder), lookahead_cycles=given.lookahead_cycles))
+        stack = VirtualCell(write_cell(Path(folder)))
     cycle_s = stack.cell.description.cycle_s
     camera = camera_controller(stack.cell, given.controller)
     leader = ScriptedLeader(stack.cell.robots[LEADER], cycle_s, given.leader_speed_m_s, given.seed)

@@ -40,7 +40,7 @@ class PlayoutMemory:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class PlayoutTurn:
     """What a cycle brings.
 
     Attributes:
@@ -97,7 +97,7 @@ class PlayoutBuffer:
         self._waiting[cycle] = asked
         return replaced
 
-    def turn(self, newest_cycle: int) -> Turn:
+    def turn(self, newest_cycle: int) -> PlayoutTurn:
         """A state has come: whose turn it is.
 
         Where there are several, as after the delay has become shorter, the newest takes the turn of all.
@@ -106,7 +106,7 @@ class PlayoutBuffer:
             return self._begin_anew()
         due = sorted(cycle for cycle in self._waiting if newest_cycle - cycle >= self._delay_cycles)
         if not due:
-            return Turn(None, ())
+            return PlayoutTurn(None, ())
         late = [self._waiting.pop(cycle) for cycle in due[:-1]]
         self._late += len(late)
         asked = self._waiting.pop(due[-1])
@@ -114,7 +114,7 @@ class PlayoutBuffer:
         if self._passed_on_in >= 0 and missed <= self.max_cycles:  # else the controller had paused
             self._empty += missed
         self._answered_cycle, self._passed_on_in = due[-1], newest_cycle
-        return Turn(asked, late)
+        return PlayoutTurn(asked, late)
 
     def drop(self) -> list[Asked]:
         """Forget the increments that wait, and return them."""
@@ -169,8 +169,8 @@ class PlayoutBuffer:
         in_time = len(in_order) - int(_LATE_SHARE * len(in_order))
         return in_order[in_time - 1]
 
-    def _begin_anew(self) -> Turn:
+    def _begin_anew(self) -> PlayoutTurn:
         late = self.drop()
         self._late += len(late)
         self._answered_cycle = self._passed_on_in = -1
-        return Turn(None, late)
+        return PlayoutTurn(None, late)
