@@ -129,8 +129,13 @@ class QuietCell(Cell):
         still.cycle = self.leased.cycle if self.leased is not None else 0
         return still.state()
 
+    async def round_trip_s(self) -> float:
+        return 0.0
+
     @asynccontextmanager
-    async def lease(self, robot: str, client: str | None = None, take: bool = False) -> AsyncIterator[Any]:
+    async def lease(
+        self, robot: str, client: str | None = None, take: bool = False, playout: bool = False
+    ) -> AsyncIterator[Any]:
         self.leased = Leased(robot, self.places[robot], self)
         self.early = self.waits.told()
         try:

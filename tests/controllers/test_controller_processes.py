@@ -101,6 +101,7 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
         assert counts["admitted"] > 10, summary
     # how well is a figure of the machine, which others may use as well; `test_tracking_table.py` holds the law's own
     assert followed["angle_deg"]["max"] < 45.0
+    assert followed["view"]["fresh"] > 20
     assert followed["distance_m"]["max"] < 1.0
 
 

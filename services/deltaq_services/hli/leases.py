@@ -133,4 +133,4 @@ class Leases:
 def _copied(leases: Iterable[tuple[str, Lease | None]]) -> Iterator[tuple[str, Lease | None]]:
     """With leases that nobody else renews."""
     for robot, lease in leases:
-        yield robot, None if lease is None else replace(lease, sequence=lease.sequence.copy())
+        yield robot, None if lease is None else replace(lease, sequence=replace(lease.sequence))
