@@ -38,6 +38,7 @@ class VirtualController:
         decide: is asked for each increment.
         send: puts what it says on the wire to the HLI.
         client: its own name.
+        told: is shown all that the HLI says.
 
     Attributes:
         robot: its name.
@@ -45,16 +46,25 @@ class VirtualController:
         misbehaviour: None while it behaves.
     """
 
-    def __init__(self, robot: str, decide: Decide, send: Say, client: str = "mover") -> None:
+    def __init__(
+        self,
+        robot: str,
+        decide: Decide,
+        send: Say,
+        client: str = "mover",
+        told: Callable[[Message], None] = lambda _: None,
+    ) -> None:
         self.robot = robot
         self.token: str | None = None
         self.misbehaviour: Misbehaviour | None = None
         self._decide, self._send, self._client = decide, send, client
+        self._told = told
         self._seq = 0
         self._asked_cycle = -_RETRY_CYCLES
 
     def take(self, message: Message) -> None:
         """A message of the HLI has come."""
+        self._told(message)
         if isinstance(message, LeaseReply):
             self.token = message.lease if message.granted else None
         elif isinstance(message, Verdict) and message.robot == self.robot:
@@ -105,4 +115,6 @@ def plain(dq: Any) -> Any:
     """What a controller returned, as it goes over a wire: the HLI judges whether that is an increment."""
     if isinstance(dq, np.ndarray):
         return dq.tolist()
-    return [float(one) if isinstance(one, np.number) else one for one in dq] if isinstance(dq, Iterable) else dq
+    return (
+        [float(one) if isinstance(one, np.number) else one for one in dq] if isinstance(dq, Iterable) else dq
+    )
