@@ -5,7 +5,7 @@ pytest loads it in every run where deltaq is installed, so nothing heavy is impo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from typing import TYPE_CHECKING
 
 import pytest
@@ -57,15 +57,17 @@ def new_virtual_cell(pytestconfig: pytest.Config) -> Callable[..., CellUnderTest
 @pytest.fixture
 def virtual_cell(
     request: pytest.FixtureRequest, new_virtual_cell: Callable[..., CellUnderTest]
-) -> CellUnderTest:
+) -> Iterator[CellUnderTest]:
     """A fresh cell in virtual time, its robots ready and at home; the marker `deltaq` says which."""
     from deltaq_protocol.errors import DeltaqError
 
     marker = request.node.get_closest_marker("deltaq")
     try:
-        return new_virtual_cell(*marker.args, **marker.kwargs) if marker is not None else new_virtual_cell()
+        cell = new_virtual_cell(*marker.args, **marker.kwargs) if marker is not None else new_virtual_cell()
     except (DeltaqError, TypeError) as error:
         pytest.fail(f"no cell could be made: {error}", pytrace=False)
+    yield cell
+    cell.close()
 
 
 @pytest.hookimpl(wrapper=True)

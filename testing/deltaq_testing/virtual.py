@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -15,6 +16,8 @@ from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Error, Message, Outcome, RobotState, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
+from deltaq_testing.controller_process import ControllerProcess
+from deltaq_testing.line_controller import LineController
 from deltaq_testing.observed import Observed
 from deltaq_testing.schedule import TimedFault, checked
 from deltaq_verification.faults.controller import Decide, VirtualController
@@ -22,7 +25,7 @@ from deltaq_verification.faults.panel import PanelError, pendant_message
 from deltaq_verification.faults.rsi_cell import load_rsi_cell, must_have
 from deltaq_verification.faults.virtual_inject import BACK_S, ErringClient, VirtualInjector
 from deltaq_verification.virtual_cell.cell import VirtualCell
-from deltaq_verification.virtual_cell.clients import Say
+from deltaq_verification.virtual_cell.clients import Connection, Say
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 
 CLIENT = "controller under test"
@@ -83,7 +86,8 @@ class CellUnderTest(Observed):
         self._waiting: tuple[TimedFault, ...] = ()
         self._standing: list[TimedFault] = []
         self._injector: VirtualInjector | None = None
-        self._driven: set[str] = set()
+        self._connections: dict[str, Connection] = {}
+        self._programs: list[ControllerProcess] = []
         self._record()
         self._get_ready()
 
@@ -126,9 +130,33 @@ class CellUnderTest(Observed):
         name = self._free(robot)
         if name == self.robot:
             self._injector = VirtualInjector(self._stack, name, begin, self.seed, self._cycle)
+            self._connections[name] = self._injector.connection
         else:
-            self._stack.connect(begin)
-        self._driven.add(name)
+            self._connections[name] = self._stack.connect(begin)
+
+    def drive_process(self, command: Sequence[str], robot: str | None = None) -> None:
+        """Let a program of its own drive a robot over a socket; virtual time stands still until it has answered.
+
+        It speaks JSON lines as with a running cell, is shown the states of the robot that it drives, and answers each
+        with one line: an increment, or where it wants none the renewal of its lease.
+
+        Args:
+            command: the program and its arguments, in which `{port}` stands for the port of 127.0.0.1 to connect to.
+            robot: as of `drive`.
+
+        Raises:
+            ControllerProcessError: now or during the run: it cannot be started, or does not answer.
+        """
+        name = self._free(robot)
+        program = ControllerProcess(command)
+        weakref.finalize(self, program.close)
+        self._programs.append(program)
+        self.connect(partial(LineController, name, program, self.note, partial(self._gone, name)), robot)
+
+    def close(self) -> None:
+        """End the programs that drive."""
+        for program in self._programs:
+            program.close()
 
     def suffer(self, *faults: TimedFault) -> None:
         """Let faults befall the robot under test when their time comes.
@@ -261,9 +289,13 @@ class CellUnderTest(Observed):
         name = robot or self.robot
         if name not in self.history:
             raise CellUseError(f"no robot {name!r} in this cell; it has {', '.join(self.history)}")
-        if name in self._driven:
+        if name in self._connections:
             raise CellUseError(f"{name} is driven already: one controller a robot, one cell a test")
         return name
+
+    def _gone(self, robot: str) -> None:
+        self._tell(f"the controller of {robot} has closed its connection")
+        self._stack.kill_client(self._connections[robot])
 
     def _may_move(self) -> bool:
         return self.phase in MAY_MOVE and self._stack.krc_arms[self.robot].krc.state is KrcState.RSI_RUNNING
