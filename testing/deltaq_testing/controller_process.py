@@ -6,6 +6,7 @@ import socket
 import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_protocol.errors import DeltaqError
@@ -26,19 +27,22 @@ class ControllerProcess:
 
     Args:
         command: the program and its arguments; `{port}` stands for the port to connect to.
+        folder: that it is started in; None for the one that this program runs in.
         patience_s: how long it is waited for.
 
     Raises:
         ControllerProcessError: there is no command.
     """
 
-    def __init__(self, command: Sequence[str], patience_s: float = PATIENCE_S) -> None:
+    def __init__(
+        self, command: Sequence[str], folder: Path | None = None, patience_s: float = PATIENCE_S
+    ) -> None:
         if not command:
             raise ControllerProcessError("command must name a program, got an empty list")
         self._server = socket.create_server(("127.0.0.1", 0))
         port = self._server.getsockname()[1]
         self._command = [str(word).replace("{port}", str(port)) for word in command]
-        self._patience_s = patience_s
+        self._folder, self._patience_s = folder, patience_s
         self._program: subprocess.Popen[bytes] | None = None
         self._connection: socket.socket | None = None
         self._received = bytearray()
@@ -51,7 +55,7 @@ class ControllerProcess:
         """
         self.end()
         try:
-            self._program = subprocess.Popen(self._command)
+            self._program = subprocess.Popen(self._command, cwd=self._folder)
         except OSError as error:
             raise ControllerProcessError(f"{self._command[0]} cannot be started: {error.strerror}") from None
         self._server.settimeout(self._patience_s)

@@ -81,6 +81,11 @@ class Observed:
         return (len(self._own.q) - 1 - self.ready_row) * self.cycle_s
 
     @property
+    def home(self) -> Array:
+        """(n,) where the robot is at home, and where a test begins [rad or m]."""
+        return self.model.robots[self.robot].home
+
+    @property
     def q(self) -> Array:
         """(n,) where the robot is [rad or m]."""
         return self._own.q[-1]

@@ -7,20 +7,18 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-from deltaq_controllers.interface import RobotView, View
 from deltaq_emulator.states import KrcState
-from deltaq_protocol.arrays import Array
-from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.messages import Error, Message, Outcome, RobotState, Verdict
+from deltaq_protocol.messages import Error, Message, Outcome, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.controller_process import ControllerProcess
+from deltaq_testing.deciding import CellUseError, begun, deciding
 from deltaq_testing.line_controller import LineController
 from deltaq_testing.observed import Observed
 from deltaq_testing.schedule import TimedFault, checked
-from deltaq_verification.faults.controller import Decide, VirtualController
+from deltaq_verification.faults.controller import VirtualController
 from deltaq_verification.faults.panel import PanelError, pendant_message
 from deltaq_verification.faults.rsi_cell import load_rsi_cell, must_have
 from deltaq_verification.faults.virtual_inject import BACK_S, ErringClient, VirtualInjector
@@ -33,19 +31,6 @@ CLIENT = "controller under test"
 _START_CYCLES = 100
 _ATTEMPTS = 4
 _ROUNDING_S = 1e-9
-
-
-class CellUseError(DeltaqError):
-    """The cell under test is asked for what it cannot do: run undriven, be driven twice, have a seed below zero."""
-
-
-@runtime_checkable
-class Viewing(Protocol):
-    """A controller as `deltaq_controllers.interface.Controller` has it."""
-
-    def increment(self, view: View) -> Array:
-        """The increment (n,) for this cycle [rad or m]."""
-        ...
 
 
 class CellUnderTest(Observed):
@@ -85,11 +70,17 @@ class CellUnderTest(Observed):
         self._running = dict.fromkeys(self.history, 0)
         self._waiting: tuple[TimedFault, ...] = ()
         self._standing: list[TimedFault] = []
+        self._begun: list[TimedFault] = []
         self._injector: VirtualInjector | None = None
         self._connections: dict[str, Connection] = {}
         self._programs: list[ControllerProcess] = []
         self._record()
         self._get_ready()
+
+    @property
+    def fault_times_s(self) -> tuple[tuple[float, float], ...]:
+        """Beginning and end of each fault that has begun [s]."""
+        return tuple((timed.at_s, timed.end_s) for timed in self._begun)
 
     def account(self) -> str:
         """What befell the cell, a line each; with the seed the run can be had again."""
@@ -116,12 +107,12 @@ class CellUnderTest(Observed):
             CellUseError: the robot is driven already, or there is none of that name.
         """
         name = self._free(robot)
+        states = self._stack.states
         if not isinstance(controller, type):
-            self._decide(controller, name)  # refused here rather than when its process starts
+            deciding(controller, states)  # refused here rather than when its process starts
 
         def begin(say: Say) -> VirtualController:
-            made = controller() if isinstance(controller, type) else controller
-            return VirtualController(name, self._decide(made, name), say, CLIENT, self.note)
+            return VirtualController(name, deciding(begun(controller), states), say, CLIENT, self.note)
 
         self.connect(begin, name)
 
@@ -134,7 +125,9 @@ class CellUnderTest(Observed):
         else:
             self._connections[name] = self._stack.connect(begin)
 
-    def drive_process(self, command: Sequence[str], robot: str | None = None) -> None:
+    def drive_process(
+        self, command: Sequence[str], robot: str | None = None, folder: Path | None = None
+    ) -> None:
         """Let a program of its own drive a robot over a socket; virtual time stands still until it has answered.
 
         It speaks JSON lines as with a running cell, is shown the states of the robot that it drives, and answers each
@@ -143,12 +136,13 @@ class CellUnderTest(Observed):
         Args:
             command: the program and its arguments, in which `{port}` stands for the port of 127.0.0.1 to connect to.
             robot: as of `drive`.
+            folder: that it is started in; None for the one that this program runs in.
 
         Raises:
             ControllerProcessError: now or during the run: it cannot be started, or does not answer.
         """
         name = self._free(robot)
-        program = ControllerProcess(command)
+        program = ControllerProcess(command, folder)
         weakref.finalize(self, program.close)
         self._programs.append(program)
         self.connect(partial(LineController, name, program, self.note, partial(self._gone, name)), robot)
@@ -223,6 +217,7 @@ class CellUnderTest(Observed):
             self.fault_rows.append(len(self._own.q) - 1)
             self._try(timed, "begins", partial(injector.inject, timed.what))
             self._standing.append(timed)
+            self._begun.append(timed)
 
     def _try(self, timed: TimedFault, what: str, act: Callable[[], object]) -> None:
         """Do it, unless the emulated controller is in no state for it, as a program that has ended is for a stop."""
@@ -268,22 +263,6 @@ class CellUnderTest(Observed):
                 self.refusals[message.code] += 1
 
     # --- the controller -----------------------------------------------------------------------------------
-
-    def _decide(self, controller: Any, robot: str) -> Decide:
-        if isinstance(controller, Viewing):
-            return partial(self._viewed, controller, robot)
-        if callable(controller):
-            decide: Decide = controller
-            return decide
-        raise CellUseError(
-            f"a controller is a function of a state, or has a method increment(view); got {type(controller).__name__}"
-        )
-
-    def _viewed(self, controller: Viewing, robot: str, state: RobotState) -> Array:
-        others = {
-            name: RobotView.from_state(one) for name, one in self._stack.states.items() if name != robot
-        }
-        return controller.increment(View(RobotView.from_state(state), others))
 
     def _free(self, robot: str | None) -> str:
         name = robot or self.robot
