@@ -49,6 +49,7 @@ class CellUnderTest(Observed):
         CellError: there is no such cell, or its file has errors.
 
     Attributes:
+        seed: as given.
         verdicts: that reached the controllers, by outcome.
         refusals: why increments were refused or held, by reason.
         events: what has befallen the cell, with the time since the beginning of the test [s].
