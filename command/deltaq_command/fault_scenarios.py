@@ -11,7 +11,7 @@ from deltaq_command.errors import BAD
 from deltaq_command.options import JsonOption
 
 if TYPE_CHECKING:
-    from deltaq_testing.scenario.run import Outcome
+    from deltaq_testing.scenario.run import ScenarioOutcome
 
 SeedOption = Annotated[
     int | None,
@@ -34,7 +34,7 @@ def run(
     from deltaq_testing.scenario.write import write_report
 
     scenarios = [(file, load_scenario(file)) for file in files]
-    outcomes: list[Outcome] = []
+    outcomes: list[ScenarioOutcome] = []
     for file, scenario in scenarios:
         seeded = scenario if seed is None else scenario.model_copy(update={"seed": seed})
         outcomes.append(Runner(file.resolve().parent).run(seeded, file.name))
@@ -93,16 +93,16 @@ def search(
     raise typer.Exit(BAD)
 
 
-def _title(outcome: Outcome) -> str:
+def _title(outcome: ScenarioOutcome) -> str:
     cell = outcome.cell
     return f"{outcome.name}: cell {cell.model.description.cell}, robot {cell.robot}, seed {cell.seed}"
 
 
-def _rows(outcome: Outcome) -> list[tuple[str, str, str]]:
+def _rows(outcome: ScenarioOutcome) -> list[tuple[str, str, str]]:
     return [(check.what, "yes" if check.finding else "no", check.finding.told) for check in outcome.checks]
 
 
-def _as_map(outcome: Outcome) -> dict[str, object]:
+def _as_map(outcome: ScenarioOutcome) -> dict[str, object]:
     return {
         "name": outcome.name,
         "good": outcome.good,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Finding:
+class RunFinding:
     """The answer to a question about a run; true if what was asked for was so.
 
     Attributes:
@@ -27,7 +27,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class TrackingError:
+class JointTrackingError:
     """How far a robot was from where it should have been: the largest joint's error [rad or m].
 
     Attributes:

@@ -55,7 +55,7 @@ class LineController:
         """
         self._note(message)
         if isinstance(message, LeaseReply):
-            self.token = message.lease if message.granted else None
+            self.token = message.lease if message.granted else self.token
             message = message.model_copy(update={"lease": None})
         if not isinstance(message, RobotState):
             self._program.say(to_line(message))

@@ -12,7 +12,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_testing.finding import Finding, TrackingError
+from deltaq_testing.finding import JointTrackingError, RunFinding
 from deltaq_verification.faults.report import Kept, is_good, judged
 from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle, LeastDistance
 
@@ -108,7 +108,7 @@ class Observed:
             now for before, now in zip([None, *rows], rows, strict=False) if now not in (None, before)
         )
 
-    def kept_clear(self) -> Finding:
+    def kept_clear(self) -> RunFinding:
         """Whether all robots kept their stop distances to each other, to the structure and to themselves.
 
         Measured by an independent oracle on every recorded configuration.
@@ -127,9 +127,9 @@ class Observed:
                     f"{' and '.join(near.pair)} came to {1000 * near.distance_m:.1f} mm at {self._time_s(row):.3f} s, "
                     f"at least {1000 * allowed_m:.1f} mm must be left"
                 )
-        return Finding(good, "; ".join(told) or "there are no two bodies that could touch")
+        return RunFinding(good, "; ".join(told) or "there are no two bodies that could touch")
 
-    def kept_limits(self) -> Finding:
+    def kept_limits(self) -> RunFinding:
         """Whether no robot was sent beyond a limit of position, speed or acceleration, and its KRC took all."""
         told, good = [], True
         for name, history in self.history.items():
@@ -142,9 +142,9 @@ class Observed:
                     f"too fast, {kept.abrupt_cycles} abrupt with {kept.unanswered_cycles} cycles unanswered"
                     + (f", and its KRC said {kept.protest!r}" if kept.protest else "")
                 )
-        return Finding(good, "; ".join(told) or "no limit was passed")
+        return RunFinding(good, "; ".join(told) or "no limit was passed")
 
-    def rested_within(self, cycles: int, after_s: float | None = None) -> Finding:
+    def rested_within(self, cycles: int, after_s: float | None = None) -> RunFinding:
         """Whether the robot came to rest so soon.
 
         Args:
@@ -162,13 +162,13 @@ class Observed:
         steps = np.abs(np.diff(np.array(self._own.setpoints[first:]), axis=0)).max(axis=1, initial=0.0)
         rest = _first_rest(steps)
         if rest is None:
-            return Finding(False, f"still moving after {len(steps)} cycles; at most {cycles} were allowed")
-        return Finding(
+            return RunFinding(False, f"still moving after {len(steps)} cycles; at most {cycles} were allowed")
+        return RunFinding(
             rest <= cycles,
             f"at rest after {rest} cycles ({1000 * rest * self.cycle_s:.0f} ms); at most {cycles} were allowed",
         )
 
-    def ended_at(self, goal: Sequence[float] | Array, within: float) -> Finding:
+    def ended_at(self, goal: Sequence[float] | Array, within: float) -> RunFinding:
         """Whether the robot is where it should be.
 
         Args:
@@ -178,11 +178,11 @@ class Observed:
         off = np.abs(self.q - self._vector(goal, "goal"))
         worst = int(off.argmax())
         joint = self.model.robots[self.robot].joint_names[worst]
-        return Finding(
+        return RunFinding(
             bool(off[worst] <= within), f"{joint} is {off[worst]:.4f} off; at most {within:g} were allowed"
         )
 
-    def tracking_error(self, reference: Callable[[float], Sequence[float] | Array]) -> TrackingError:
+    def tracking_error(self, reference: Callable[[float], Sequence[float] | Array]) -> JointTrackingError:
         """How far the robot was from where it should have been.
 
         Args:
@@ -191,7 +191,7 @@ class Observed:
         rows = np.array(self._own.q[self.ready_row :])
         wanted = [self._vector(reference(row * self.cycle_s), "reference") for row in range(len(rows))]
         off = np.abs(rows - np.array(wanted)).max(axis=1)
-        return TrackingError(float(off.max()), float(np.sqrt(np.mean(off**2))), float(off[-1]))
+        return JointTrackingError(float(off.max()), float(np.sqrt(np.mean(off**2))), float(off[-1]))
 
     # --- how it is found out ------------------------------------------------------------------------------
 

@@ -37,7 +37,7 @@ def schedules(
     """
     if most < 1:
         raise ScheduleError(f"most must be 1 or more, got {most}")
-    longest = round(min(longest_s, within_s) / GRID_S)
+    longest = _cycles(min(longest_s, within_s))
     if longest < 1:
         raise ScheduleError(
             f"within_s and longest_s must be {GRID_S:g} s or more, got {within_s:g} and {longest_s:g}"
@@ -45,7 +45,7 @@ def schedules(
     rows = VIRTUAL if names is None else tuple(fault(name, at_s=0.0).what for name in names)
     if not rows:
         raise ScheduleError("names must have at least one fault, got none")
-    cycles = round(within_s / GRID_S)
+    cycles = _cycles(within_s)
 
     def timed(what: Fault, length: int, begin: int) -> TimedFault:
         # whatever is drawn ends in time, so that nothing has to be thrown away
@@ -58,3 +58,8 @@ def schedules(
 def in_order(faults: Iterable[TimedFault]) -> tuple[TimedFault, ...]:
     """The same by the times at which they begin."""
     return tuple(sorted(faults, key=lambda timed: timed.at_s))
+
+
+def _cycles(duration_s: float) -> int:
+    """Whole cycles within a time, whatever its last bit says."""
+    return int(duration_s / GRID_S + 1e-6)

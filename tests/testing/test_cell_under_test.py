@@ -156,6 +156,12 @@ def test_one_seed_is_one_run(lab):
     assert (one != other).any()
 
 
+def test_a_lease_that_is_refused_late_does_not_take_away_the_one_that_was_granted(lab):
+    overtaken = fault("link_reordering", at_s=0, for_s=0.024)
+    cell = run(lab, ClosedRamp, overtaken, duration_s=1.5)
+    assert cell.ended_at(goal_of(cell), within=0.01)
+
+
 def test_the_tracking_error_is_that_of_the_joint_that_is_furthest_off(lab):
     cell = run(lab, lambda state: [0.0] * 6, duration_s=0.5)
     error = cell.tracking_error(lambda time_s: cell.model.robots["fr"].home + np.eye(6)[2] * time_s)

@@ -107,7 +107,7 @@ def test_nothing(virtual_cell):
     result.stdout.no_fnmatch_line("*plugin.py:*")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_hypothesis_finds_the_shortest_schedule_that_fails(run):
     result = run(
         """

@@ -227,7 +227,7 @@ def test_a_report_that_cannot_be_written_is_said(folder):
     assert str(result.exception).endswith("report.xml: cannot be written: No such file or directory")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_search_finds_the_fault_writes_it_and_the_file_fails_again(folder):
     search = "search: {faults: [krc_duplicating, link_cut], most: 2, longest_s: 0.12}\nexpect:"
     file, found = (

@@ -8,14 +8,14 @@ from typing import Any
 
 from deltaq_command.reference.markdown import fields, table
 from deltaq_testing import plugin, schedule, strategies
-from deltaq_testing.finding import Finding, TrackingError
+from deltaq_testing.finding import JointTrackingError, RunFinding
 from deltaq_testing.observed import Observed
 from deltaq_testing.scenario.model import (
     EndsAt,
     Expectations,
     FaultEntry,
+    FaultSearch,
     Scenario,
-    Search,
     Tracking,
 )
 from deltaq_testing.virtual import CellUnderTest
@@ -39,7 +39,7 @@ def testing() -> str:
         )
         for row in schedule.VIRTUAL
     )
-    models = (Scenario, FaultEntry, Expectations, EndsAt, Tracking, Search)
+    models = (Scenario, FaultEntry, Expectations, EndsAt, Tracking, FaultSearch)
     return "\n\n".join(
         [
             "# Testing controllers",
@@ -50,8 +50,8 @@ def testing() -> str:
             "## What a test does, and asks",
             table(("of a cell", "what it does or tells"), [*_members(CellUnderTest), *_members(Observed)]),
             table(("of a cell", "what it holds"), [*_attributes(CellUnderTest), *_attributes(Observed)]),
-            f"A `Finding` is true or false, and `told` says why: {_text(Finding)}",
-            f"A `TrackingError` has `max`, `rms` and `final`: {_text(TrackingError)}",
+            f"A `RunFinding` is true or false, and `told` says why: {_text(RunFinding)}",
+            f"A `JointTrackingError` has `max`, `rms` and `final`: {_text(JointTrackingError)}",
             "## Faults",
             _documented(schedule.fault, "deltaq_testing.schedule"),
             "Two faults that change the same part cannot befall at the same time.",

@@ -6,13 +6,13 @@ import re
 from collections.abc import Iterable
 from xml.etree import ElementTree as ET
 
-from deltaq_testing.scenario.run import Outcome
+from deltaq_testing.scenario.run import ScenarioOutcome
 
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd]")
 """Characters that XML 1.0 cannot have."""
 
 
-def junit_xml(outcomes: Iterable[Outcome]) -> str:
+def junit_xml(outcomes: Iterable[ScenarioOutcome]) -> str:
     """The document."""
     suites = ET.Element("testsuites", name="deltaq fault run")
     for outcome in outcomes:

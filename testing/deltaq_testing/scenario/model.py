@@ -16,8 +16,8 @@ MAX_S = 3600.0
 
 Time = Annotated[float, Field(ge=0, le=MAX_S)]
 Duration = Annotated[float, Field(gt=0, le=MAX_S)]
-Bound = Annotated[float, Field(gt=0)]
-Vector = Annotated[list[float], Field(min_length=1, max_length=32)]
+ErrorBound = Annotated[float, Field(gt=0)]
+JointVector = Annotated[list[float], Field(min_length=1, max_length=32)]
 Reference = Annotated[str, Field(pattern=r"^[^:]+:[A-Za-z_]\w*$")]
 """`file.py:name`, the file beside the scenario's, or `package.module:name`."""
 
@@ -56,9 +56,9 @@ class EndsAt(ScenarioModel):
     No joint may be further off than `within` [rad or m].
     """
 
-    q: Vector | None = None
-    from_home: Vector | None = None
-    within: Bound
+    q: JointVector | None = None
+    from_home: JointVector | None = None
+    within: ErrorBound
 
     @model_validator(mode="after")
     def _says_where(self) -> Self:
@@ -74,9 +74,9 @@ class Tracking(ScenarioModel):
     """
 
     reference: Reference
-    max: Bound | None = None
-    rms: Bound | None = None
-    final: Bound | None = None
+    max: ErrorBound | None = None
+    rms: ErrorBound | None = None
+    final: ErrorBound | None = None
 
     @model_validator(mode="after")
     def _bounds_something(self) -> Self:
@@ -101,7 +101,7 @@ class Expectations(ScenarioModel):
     tracking: Tracking | None = None
 
 
-class Search(ScenarioModel):
+class FaultSearch(ScenarioModel):
     """What `deltaq fault search` draws instead of `faults`: at most `most` of these, of `longest_s` [s] each.
 
     `faults` names them; all that can be had in virtual time if it is left out.
@@ -137,7 +137,7 @@ class Scenario(ScenarioModel):
     faults: Annotated[list[FaultEntry], Field(max_length=100)] = []
     recover_at_s: Time | None = None
     expect: Expectations = Expectations()
-    search: Search = Search()
+    search: FaultSearch = FaultSearch()
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

@@ -13,14 +13,14 @@ from deltaq_experiments.run_report.svg import COLOURS, inlined, outline, setting
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Phase
 from deltaq_testing.scenario.file import dumped
-from deltaq_testing.scenario.run import Outcome
+from deltaq_testing.scenario.run import ScenarioOutcome
 from deltaq_testing.virtual import CellUnderTest
 
 _SIZE_IN = (9.4, 2.6)
 _STYLES = ("-", "--", ":", "-.")
 
 
-def html_page(outcomes: Sequence[Outcome]) -> str:
+def html_page(outcomes: Sequence[ScenarioOutcome]) -> str:
     """The whole page."""
     failed = sum(not outcome.good for outcome in outcomes)
     tiles = (("scenarios", len(outcomes)), ("failed", failed))
@@ -36,7 +36,7 @@ def html_page(outcomes: Sequence[Outcome]) -> str:
     return document("Faults", parts)
 
 
-def _parts(outcome: Outcome, number: int) -> list[str]:
+def _parts(outcome: ScenarioOutcome, number: int) -> list[str]:
     cell = outcome.cell
     checks = [(_mark(bool(check.finding)), check.what, check.finding.told) for check in outcome.checks]
     events = [(f"{time_s:.3f}", what) for time_s, what in cell.events]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deltaq_protocol.errors import DeltaqError
-from deltaq_testing.finding import Finding
+from deltaq_testing.finding import RunFinding
 from deltaq_testing.scenario.file import ScenarioError
 from deltaq_testing.scenario.model import Scenario, Tracking
 from deltaq_testing.scenario.references import resolved, where
@@ -24,11 +24,11 @@ class Check:
     """An expectation, and whether it was met."""
 
     what: str
-    finding: Finding
+    finding: RunFinding
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ScenarioOutcome:
     """What came of a scenario.
 
     Attributes:
@@ -62,7 +62,7 @@ class Runner:
     folder: Path
     _loaded: dict[str, LoadedCell] = field(default_factory=dict)
 
-    def run(self, scenario: Scenario, name: str) -> Outcome:
+    def run(self, scenario: Scenario, name: str) -> ScenarioOutcome:
         """Run a scenario; an error of the controller is an expectation that was not met.
 
         Raises:
@@ -77,9 +77,9 @@ class Runner:
             error = _run(cell, scenario)
         finally:
             cell.close()
-        ended = Finding(error is None, error or f"{cell.time_s:g} s")
+        ended = RunFinding(error is None, error or f"{cell.time_s:g} s")
         checks = (Check(ENDED, ended), *self._checks(cell, scenario))
-        return Outcome(name, scenario, checks, cell, time.perf_counter() - began_s)
+        return ScenarioOutcome(name, scenario, checks, cell, time.perf_counter() - began_s)
 
     def _cell(self, name: str) -> LoadedCell:
         beside = self.folder / name
@@ -108,11 +108,11 @@ class Runner:
             held = ", ".join(cell.reasons) or "never"
             wanted = ", ".join(expect.reasons) or "never"
             yield Check(
-                "held for", Finding(list(cell.reasons) == expect.reasons, f"{held}; expected: {wanted}")
+                "held for", RunFinding(list(cell.reasons) == expect.reasons, f"{held}; expected: {wanted}")
             )
         if expect.phase is not None:
             yield Check(
-                "phase", Finding(cell.phase == expect.phase, f"{cell.phase}; expected: {expect.phase}")
+                "phase", RunFinding(cell.phase == expect.phase, f"{cell.phase}; expected: {expect.phase}")
             )
         if expect.ends_at is not None:
             goal = expect.ends_at.q or [
@@ -129,13 +129,13 @@ class Runner:
         except DeltaqError:
             raise
         except Exception as raised:
-            yield Check("tracking", Finding(False, f"the reference raised {where(raised)}"))
+            yield Check("tracking", RunFinding(False, f"the reference raised {where(raised)}"))
             return
         for name in ("max", "rms", "final"):
             bound, value = getattr(tracking, name), getattr(error, name)
             if bound is not None:
                 told = f"{value:.4f} off; at most {bound:g} were allowed"
-                yield Check(f"tracking, {name}", Finding(value <= bound, told))
+                yield Check(f"tracking, {name}", RunFinding(value <= bound, told))
 
     def _from_home(self, cell: CellUnderTest, moved: list[float] | None) -> Iterator[tuple[float, float]]:
         if moved is None or len(moved) != len(cell.home):

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, find, settings
 from hypothesis.errors import NoSuchExample
 
 from deltaq_testing.scenario.model import FaultEntry, Scenario
-from deltaq_testing.scenario.run import Outcome, Runner
+from deltaq_testing.scenario.run import Runner, ScenarioOutcome
 from deltaq_testing.schedule import TimedFault
 from deltaq_testing.strategies import schedules
 
@@ -21,7 +21,7 @@ def shortest_failure(
     examples: int,
     seed: int,
     on_run: Callable[[int], None] = lambda _: None,
-) -> Outcome | None:
+) -> ScenarioOutcome | None:
     """The outcome of the shortest schedule that was found to fail; None if all that were drawn went well.
 
     Args:

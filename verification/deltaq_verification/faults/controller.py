@@ -66,7 +66,8 @@ class VirtualController:
         """A message of the HLI has come."""
         self._told(message)
         if isinstance(message, LeaseReply):
-            self.token = message.lease if message.granted else None
+            # one that was refused may answer a request that was overtaken by the one that was granted
+            self.token = message.lease if message.granted else self.token
         elif isinstance(message, Verdict) and message.robot == self.robot:
             if any(reason.code is ReasonCode.LEASE_NOT_HELD for reason in message.reasons):
                 self.token = None
