@@ -23,7 +23,7 @@ PAGES = [
     *sorted((DOCS / "tutorial").glob("*.md")),
     *sorted((DOCS / "how-to").glob("*.md")),
 ]
-SHORT = ("first-motion.md", "find-the-bug.md")
+SHORT = ("first-motion.md",)
 """What a reader does first; the other pages follow in `make nightly`."""
 
 NOT_RUN = {
