@@ -90,24 +90,6 @@ class Observed:
         """(n,) where the robot is [rad or m]."""
         return self._own.q[-1]
 
-    @property
-    def phase(self) -> Phase:
-        """Phase of the robot; `offline` while its server is dead."""
-        return self._own.phases[-1] or Phase.OFFLINE
-
-    @property
-    def reason(self) -> ReasonCode | None:
-        """Why the robot is held; None while it is not."""
-        return self._own.reasons[-1]
-
-    @property
-    def reasons(self) -> tuple[ReasonCode, ...]:
-        """Why the robot was held since the beginning of the test, each time once, in order."""
-        rows = self._own.reasons[self.ready_row :]
-        return tuple(
-            now for before, now in zip([None, *rows], rows, strict=False) if now not in (None, before)
-        )
-
     def kept_clear(self) -> RunFinding:
         """Whether all robots kept their stop distances to each other, to the structure and to themselves.
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from deltaq_testing.live import LiveCell
+    from deltaq_testing.live_cells import LiveCells
     from deltaq_testing.virtual import CellUnderTest
     from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 
@@ -68,6 +70,38 @@ def virtual_cell(
         pytest.fail(f"no cell could be made: {error}", pytrace=False)
     yield cell
     cell.close()
+
+
+@pytest.fixture(scope="session")
+def live_cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveCells]:
+    """Keeps the cell of `live_cell` between tests, and ends it with the session."""
+    from deltaq_testing.live_cells import LiveCells
+
+    with LiveCells(lambda: tmp_path_factory.mktemp("cell")) as cells:
+        yield cells
+
+
+@pytest.fixture
+def live_cell(
+    request: pytest.FixtureRequest, pytestconfig: pytest.Config, live_cells: LiveCells
+) -> Iterator[LiveCell]:
+    """A cell of real processes on free ports, its robots ready and the one under test at home.
+
+    It is started once and made ready again between tests; the marker `deltaq` says which cell and robot. Its controller
+    connects by itself, to `url` or `tcp_port`, or is started by `drive_process`. Time is real.
+    """
+    from deltaq_protocol.errors import DeltaqError
+
+    marker = request.node.get_closest_marker("deltaq")
+    asked = {} if marker is None else marker.kwargs
+    try:
+        cell = live_cells.get(
+            str(asked.get("cell") or pytestconfig.getoption("--deltaq-cell")), asked.get("robot")
+        )
+    except DeltaqError as error:
+        pytest.fail(f"no cell could be started: {error}", pytrace=False)
+    yield cell
+    cell.end_programs()
 
 
 @pytest.hookimpl(wrapper=True)

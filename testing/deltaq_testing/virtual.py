@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deltaq_emulator.states import KrcState
-from deltaq_protocol.messages import Error, Message, Outcome, Verdict
+from deltaq_protocol.messages import Error, Message, Outcome, Phase, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.controller_process import ControllerProcess
@@ -77,6 +77,24 @@ class CellUnderTest(Observed):
         self._programs: list[ControllerProcess] = []
         self._record()
         self._get_ready()
+
+    @property
+    def phase(self) -> Phase:
+        """Phase of the robot; `offline` while its server is dead."""
+        return self._own.phases[-1] or Phase.OFFLINE
+
+    @property
+    def reason(self) -> ReasonCode | None:
+        """Why the robot is held; None while it is not."""
+        return self._own.reasons[-1]
+
+    @property
+    def reasons(self) -> tuple[ReasonCode, ...]:
+        """Why the robot was held since the beginning of the test, each time once, in order."""
+        rows = self._own.reasons[self.ready_row :]
+        return tuple(
+            now for before, now in zip([None, *rows], rows, strict=False) if now not in (None, before)
+        )
 
     @property
     def fault_times_s(self) -> tuple[tuple[float, float], ...]:
