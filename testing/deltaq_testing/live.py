@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
-import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from deltaq_emulator.states import KrcState
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.launcher import Launcher
-from deltaq_launch.private_cell import write_private_cell
-from deltaq_launch.services import cell_services
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase, RobotStatus
@@ -25,20 +22,34 @@ from deltaq_services.phases import MAY_MOVE
 from deltaq_testing.deciding import CellUseError
 from deltaq_testing.observed import Observed, RobotHistory
 from deltaq_testing.schedule import ScheduleError, TimedFault, checked
-from deltaq_verification.faults.actions import Freeze, Kill, PressStop
-from deltaq_verification.faults.live_cell import MovingCell, Needs, recorded, rows_of
+from deltaq_verification.faults.actions import Bombard, Freeze, Kill, PressStop, ReadNothing
+from deltaq_verification.faults.catalogue import Fault
+from deltaq_verification.faults.live_cell import MovingCell, Needs, rows_of
 from deltaq_verification.faults.live_inject import Injector
 from deltaq_verification.faults.panel import PanelClient, PanelError, pendant_message, recovery
-from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Process
 
 CLIENT = "deltaq testing"
 _BACK_S = 20.0
 """How long a cell may take to be ready again."""
+_PROGRAM_S = 3.0
+"""How long a program that was started may take to run."""
 _POLL_S = 0.02
+_RECORD_BYTES = 50_000_000
+"""Of a record before a test begins the next one: well below what an emulated controller writes into one."""
+_APPROACH = 0.2
+"""Share of what is missing to home that is asked for in a cycle: an increment or two are in flight."""
 _HOME_SHARE = 0.1
 """Share of the largest increment with which a robot is brought home."""
+
+
+def may_befall(fault: Fault) -> bool:
+    """Whether a live cell under test can suffer it: as it is, without a relay, a recorder or other clocks."""
+    needs = Needs.of(fault)
+    own = fault.action in (Kill(Process.CONTROLLER), Freeze(Process.CONTROLLER), ReadNothing())
+    port_zero = fault.action is Bombard.PORT_ZERO  # needs a privilege
+    return fault.live and not (own or port_zero or needs.place or needs.recorder or needs.clocks)
 
 
 class LiveCell(Observed):
@@ -52,7 +63,7 @@ class LiveCell(Observed):
         robot: the one under test.
         launcher: of its processes.
         panels: of each robot's emulated controller.
-        records: that each of these keeps.
+        folder: in which these begin records.
 
     Attributes:
         url: where its HLI serves zenoh clients.
@@ -65,13 +76,15 @@ class LiveCell(Observed):
         robot: str,
         launcher: Launcher,
         panels: dict[str, PanelClient],
-        records: dict[str, Path],
+        folder: Path,
     ) -> None:
         super().__init__(loaded.model, robot)
         description = loaded.model.description
         self.url, self.tcp_port = description.hli, description.tcp_port
-        self._launcher, self._panels, self._records = launcher, panels, records
-        moving = MovingCell(launcher, panels[robot], records, None, None)
+        self._launcher, self._panels, self._folder = launcher, panels, folder
+        self._records: dict[str, Path] = {}
+        self._begun = 0
+        moving = MovingCell(launcher, panels[robot], {}, None, None)
         self._injector = Injector(moving, loaded, robot)
         self._waiting: tuple[TimedFault, ...] = ()
         self._standing: list[TimedFault] = []
@@ -82,6 +95,11 @@ class LiveCell(Observed):
     def time_s(self) -> float:
         """Time since the test began [s]."""
         return time.monotonic() - self._began_s
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The processes of the cell, by name."""
+        return {name: child.pid for name, child in self._launcher.children.items()}
 
     @property
     def phase(self) -> Phase:
@@ -126,9 +144,7 @@ class LiveCell(Observed):
             ScheduleError: one cannot be had here, would have had to begin before now, or two change the same part.
         """
         for timed in faults:
-            needs = Needs.of(timed.what)
-            own = timed.what.action in (Kill(Process.CONTROLLER), Freeze(Process.CONTROLLER))
-            if not timed.what.live or own or needs.place or needs.recorder or needs.clocks:
+            if not may_befall(timed.what):
                 raise ScheduleError(
                     f"{timed.what.name} cannot befall a live cell under test; take virtual_cell, or a fault of hli, "
                     "sim, robot-server or the KRC"
@@ -158,8 +174,7 @@ class LiveCell(Observed):
         while time.monotonic() < deadline:
             with suppress(PanelError, RefusedError, ServiceUnreachableError):
                 for name, panel in self._panels.items():
-                    for request in recovery(panel.ask({"op": "status"})["state"]):
-                        panel.ask(request)
+                    _bring_back(panel)
                     with connect(self.model.description, CLIENT) as cell:
                         if cell.status().robots[name].phase is Phase.HELD:
                             cell.reset(name)
@@ -186,9 +201,24 @@ class LiveCell(Observed):
 
     def begin(self) -> None:
         """Begin a test: what is recorded from now on counts."""
+        sizes = [record.stat().st_size for record in self._records.values()]
+        if not sizes or max(sizes) > _RECORD_BYTES:
+            self._begin_records()
+        self._from_byte = {name: record.stat().st_size for name, record in self._records.items()}
         self.fault_rows = []
         self._first = {name: panel.ask({"op": "status"}) for name, panel in self._panels.items()}
         self._began_s = time.monotonic()
+
+    def _begin_records(self) -> None:
+        """Let every emulated controller go on in a new file, before the one that it writes is full."""
+        self._begun += 1
+        before, self._records = self._records, {}
+        for name, panel in self._panels.items():
+            file = f"{name}-{self._begun}.csv"
+            panel.ask({"op": "record", "path": file})
+            self._records[name] = self._folder / file
+        for record in before.values():
+            record.unlink()
 
     def _status(self) -> RobotStatus:
         with connect(self.model.description, CLIENT) as cell:
@@ -211,7 +241,7 @@ class LiveCell(Observed):
                 missing = home - np.array(state.q_cmd)
                 if np.abs(missing).max() < 1e-5:
                     return
-                robot.send(np.clip(missing, -limits, limits).tolist())
+                robot.send(np.clip(_APPROACH * missing, -limits, limits).tolist())
 
     def _read(self) -> None:
         """Read what the emulated controllers have recorded since the test began, as many cycles of each."""
@@ -227,6 +257,7 @@ class LiveCell(Observed):
                 q=list(kept[:, 1 : 1 + n]),
                 setpoints=list(kept[:, 1 + n : 1 + 2 * n]),
                 unanswered=unanswered,
+                altered=_flipped(last) - _flipped(self._first[name]),
                 protest=pendant_message(last["message"]),
             )
 
@@ -234,41 +265,17 @@ class LiveCell(Observed):
         return int(last["counters"][counter] - self._first[robot]["counters"][counter])
 
     def _rows(self, robot: str) -> Array:
-        rows = rows_of(self._records[robot])
-        since: Array = rows[rows[:, 0] >= self._first[robot]["cycle"]]
-        return since
+        return rows_of(self._records[robot], self._from_byte[robot])
 
 
-@contextmanager
-def live_cell(folder: Path, cell: str | Path = "lab", robot: str | None = None) -> Iterator[LiveCell]:
-    """Start a cell of real processes on free ports; everything is ended after the block.
+def _bring_back(panel: PanelClient) -> None:
+    """Do at the pendant what it takes, and wait for the program: one that is started again and again never runs."""
+    requests = recovery(panel.ask({"op": "status"})["state"])
+    for request in requests:
+        panel.ask(request)
+    if requests:
+        panel.ask({"op": "await", "state": KrcState.RSI_RUNNING, "within_s": _PROGRAM_S})
 
-    Args:
-        folder: for its file and records.
-        cell: name or file of a cell whose robots are driven over RSI.
-        robot: the one under test; None for the first.
 
-    Raises:
-        UnknownFaultError: the cell has no such robot, or one without a KRC.
-        LaunchError: a process does not come up.
-    """
-    load_rsi_cell(cell, robot)
-    loaded = load_rsi_cell(write_private_cell(folder, cell))
-    description = loaded.model.description
-    records = {name: folder / f"{name}.csv" for name in loaded.model.robots}
-    services = [recorded(service, records) for service in cell_services(description, str(loaded.file))]
-    with ExitStack() as stack:
-        interrupted = signal.getsignal(signal.SIGINT)
-        launcher = stack.enter_context(Launcher(services, lambda *_: None))
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, interrupted)  # Ctrl-C ends the tests, whose end ends the cell
-        panels = {name: stack.enter_context(PanelClient(description, name)) for name in records}
-        launcher.start()
-        live = LiveCell(loaded, robot or next(iter(records)), launcher, panels, records)
-        if not live.recover():
-            raise CellUseError(
-                f"the robots are not ready after {_BACK_S:g} s; is the machine busy with other work?"
-            )
-        live.begin()
-        stack.callback(live.end_programs)
-        yield live
+def _flipped(status: dict[str, Any]) -> int:
+    return int(status["faults"]["to_pc"]["counts"]["flipped"])

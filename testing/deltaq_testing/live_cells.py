@@ -8,7 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from deltaq_testing.live import LiveCell, live_cell
+from deltaq_testing.live import LiveCell
+from deltaq_testing.live_start import live_cell
 
 
 class LiveCells:

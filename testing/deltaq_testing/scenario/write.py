@@ -8,6 +8,18 @@ from pathlib import Path
 from deltaq_testing.scenario.file import ScenarioError
 
 
+def must_be_folder(folder: Path) -> None:
+    """Make a folder for reports, before a long run is begun for them.
+
+    Raises:
+        ScenarioError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"{folder}: is no folder for reports: {error.strerror}") from None
+
+
 def write_report(file: Path, text: str) -> None:
     """Write a report in place of an older one; never half of it.
 

@@ -97,7 +97,7 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         records = {name: folder / f"{name}.csv" for name in loaded.model.robots}
-        services = [recorded(service, records) for service in cell_services(description, str(loaded.file))]
+        services = [_recorded(service, records) for service in cell_services(description, str(loaded.file))]
         port, relay = description.tcp_port, None
         if needs.place is not None:
             relay = stack.enter_context(placed(needs.place, description, robot, seed))
@@ -116,16 +116,22 @@ def moving_cell(loaded: LoadedCell, robot: str, needs: Needs, seed: int = 0) -> 
         yield MovingCell(launcher, panel, records, relay, clocks)
 
 
-def recorded(service: Service, records: dict[str, Path]) -> Service:
-    """A service, which keeps a record if it is an emulated controller: the file of its robot."""
+def _recorded(service: Service, records: dict[str, Path]) -> Service:
     if service.role is not Role.EMULATOR or service.robot is None:
         return service
     return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
 
 
-def rows_of(record: Path) -> Array:
-    """Whole rows of a record that is being written: cycle, q (n), setpoint (n), 1 while RSI runs."""
-    text = record.read_text(encoding="utf-8")
+def rows_of(record: Path, from_byte: int = 0) -> Array:
+    """Whole rows of a record that is being written: cycle, q (n), setpoint (n), 1 while RSI runs.
+
+    Args:
+        record: the file.
+        from_byte: where to begin; the line there is left out, as the heading is.
+    """
+    with record.open(encoding="utf-8") as file:
+        file.seek(from_byte)
+        text = file.read()
     lines = text[: text.rfind("\n")].splitlines()[1:]
     rows = []
     for line in lines:
