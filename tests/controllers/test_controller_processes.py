@@ -10,12 +10,12 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.interface import RobotView
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_launch.services import cell_services
 from deltaq_protocol.client import Cell
 from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
