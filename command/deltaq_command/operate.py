@@ -107,6 +107,47 @@ def _show(robot: str, held: LeaseStatus, json: bool) -> None:
         typer.echo(f"{robot}: leased by {held.holder} (lease {held.epoch})")
 
 
+def io(
+    robot: RobotOption,
+    outputs: Annotated[
+        list[str] | None, typer.Argument(metavar="[OUTPUT=on|off]...", help="Outputs to set; none: show all.")
+    ] = None,
+    cell: CellOption = "lab",
+    url: UrlOption = None,
+    token: TokenOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Show digital outputs and inputs of a robot, or set outputs; refused while somebody else has its lease."""
+    from deltaq_command.console import print_json
+    from deltaq_launch.cell_connection import Where, connect, known_robot
+
+    asked = dict(_switched(each) for each in outputs or ())
+    with connect(Where.of(cell, url, robot), "deltaq io", token) as running:
+        known_robot(running.description, robot)
+        if asked:
+            with running.lease(robot) as leased:
+                told = leased.io(asked)
+        else:
+            told = running.io(robot)
+    if json:
+        print_json(told.model_dump(mode="json"))
+        return
+    for kind, values in (("output", told.outputs), ("input", told.inputs)):
+        for name, is_on in values.items():
+            typer.echo(f"{kind} {name}: {'on' if is_on else 'off'}")
+    if not told.outputs and not told.inputs:
+        typer.echo(
+            f"{robot} has no digital outputs or inputs; they are named under its driver in the cell's YAML"
+        )
+
+
+def _switched(text: str) -> tuple[str, bool]:
+    name, _, value = text.partition("=")
+    if not name or value not in ("on", "off"):
+        raise typer.BadParameter(f"OUTPUT=on or OUTPUT=off, got {text!r}", param_hint="OUTPUT")
+    return name, value == "on"
+
+
 def contact(
     name: Annotated[str | None, typer.Argument(help="A contact of the cell; none: list them.")] = None,
     forbid: Annotated[bool, typer.Option("--forbid", help="Keep its bodies apart again.")] = False,

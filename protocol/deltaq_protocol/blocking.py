@@ -181,6 +181,10 @@ class BlockingCell:
         """The gate's verdict on an increment (n,) [rad or m] if it came now; see `Cell.dry_run`."""
         return self._background.run(self._cell.dry_run(robot, dq))
 
+    def io(self, robot: str) -> IoReply:
+        """Digital outputs and inputs of a robot; see `Cell.io`."""
+        return self._background.run(self._cell.io(robot))
+
     def allow_contact(self, contact: str, allowed: bool = True) -> Done:
         """Let bodies touch, or forbid it again; see `Cell.allow_contact`."""
         return self._background.run(self._cell.allow_contact(contact, allowed))

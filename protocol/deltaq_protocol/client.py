@@ -46,6 +46,8 @@ from deltaq_protocol.messages import (
     Done,
     DryRunReply,
     DryRunRequest,
+    IoReply,
+    IoRequest,
     LeaseAction,
     LeaseReply,
     LeaseRequest,
@@ -193,6 +195,16 @@ class Cell:
         request = DryRunRequest(robot=self._known(robot), dq=tuple(np.asarray(dq, dtype=float).tolist()))
         payload = await self._wire.ask(topics.DRY_RUN, self.description.cell, request, robot)
         return unpack(DryRunReply, payload).verdict
+
+    async def io(self, robot: str) -> IoReply:
+        """Digital outputs and inputs of a robot; only its lease sets them (`LeasedRobot.io`).
+
+        Raises:
+            RefusedError: the cell has no such robot.
+            ServiceUnreachableError: no answer in time.
+        """
+        request = IoRequest(robot=self._known(robot), outputs={})
+        return unpack(IoReply, await self._wire.ask(topics.IO, self.description.cell, request, robot))
 
     async def allow_contact(self, contact: str, allowed: bool = True) -> Done:
         """Let bodies touch that a contact of the cell names, or forbid it again.

@@ -177,6 +177,27 @@ def test_a_dry_run_tells_what_the_gate_would_say_and_moves_nothing(cell: Running
     wait_for_phases(cell, {"fr": "ready", "gr": "ready"})
 
 
+def test_outputs_are_set_and_shown_and_not_against_the_holder_of_the_lease(cell: RunningCell) -> None:
+    assert cell.deltaq("io", "--robot", "gr", "gripper=on").returncode == 0
+    deadline = time.monotonic() + 60
+    while not json.loads((told := cell.deltaq("io", "--robot", "gr", "--json")).stdout)["outputs"]["gripper"]:
+        assert time.monotonic() < deadline, told
+    assert "output gripper: on\noutput tool_changer: off\ninput " in cell.deltaq("io", "--robot", "gr").stdout
+    unknown = cell.deltaq("io", "--robot", "gr", "horn=on")
+    assert (unknown.returncode, unknown.stdout) == (1, "")
+    assert "'horn' is not an output of gr; it has gripper, tool_changer" in unknown.stderr
+    command = [DELTAQ, "lease", "--robot", "gr", "--take", "--json", "--cell", str(cell.file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline()
+        refused = cell.deltaq("io", "--robot", "gr", "gripper=off")
+        holder.send_signal(signal.SIGINT)
+    assert refused.returncode == 1
+    assert "deltaq lease" in refused.stderr, "who holds it"
+    assert json.loads(cell.deltaq("io", "--robot", "gr", "--json").stdout)["outputs"]["gripper"]
+    assert cell.deltaq("io", "--robot", "gr", "gripper=off").returncode == 0
+
+
 def test_a_contact_is_allowed_seen_and_forbidden_again(cell: RunningCell) -> None:
     assert cell.deltaq("contact", "gripper_on_valves").returncode == 0
     wait_for_contacts(cell, {"gripper_on_valves": True})
