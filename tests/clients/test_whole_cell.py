@@ -29,7 +29,7 @@ def test_the_example_turns_a1_by_ten_degrees(language: Language, stack) -> None:
         env=language.environment(),
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -53,8 +53,9 @@ classdef Client < handle
             [obj.cell_name, obj.cycle_s, obj.robots] = deal(welcome.cell, welcome.cycle_s, welcome.robots);
         end
 
-        function acquire(obj, robot)
-        % Take the lease of a robot.
+        function acquire(obj, robot, playout)
+        % Take the lease of a robot; playout: true from farther away than a cycle, increments then wait for their turn.
+            if nargin < 3, playout = false; end
             robot = char(robot);
             if ~isfield(obj.robots, matlab.lang.makeValidName(robot))
                 error('deltaq:unknown_robot', '%s', sprintf('cell %s has no robot ''%s''; it has %s', ...
@@ -63,7 +64,7 @@ classdef Client < handle
                 error('deltaq:lease_taken', '%s', sprintf( ...
                     'this client holds the lease of %s; release it, or connect a second client', obj.robot));
             end
-            lease = obj.ask(request('lease', robot, 'action', 'acquire'), @(answer) strcmp(answer.type, 'lease'));
+            lease = obj.ask(request('lease', robot, 'action', 'acquire', 'playout', logical(playout)), @(answer) strcmp(answer.type, 'lease'));
             if ~lease.granted
                 why = 'needs a controller''s token';
                 if ~isempty(lease.holder), why = ['is held by ' lease.holder]; end

@@ -9,6 +9,7 @@ classdef InFlight < handle
         q = [];            % (n,1) setpoint that the newest state tells [rad or m]
         dq = [];           % (n,1) increment that led to it
         answered = -1;     % newest cycle that was answered
+        playout = [];      % of the newest state, where the lease has a playout buffer
     end
 
     properties (SetAccess = private)
@@ -54,7 +55,13 @@ classdef InFlight < handle
                 obj.dq = (q - obj.q) / passed;
             end
             lookahead = max(obj.lookahead, first - state.cycle);
-            if ~isempty(obj.rows)
+            obj.playout = state.playout;
+            if ~isempty(obj.playout) && ~isempty(obj.rows)
+                shown = obj.playout.answered_cycle;
+                if ~isempty(shown), obj.rows(obj.rows(:, 2) <= shown, :) = []; end
+                longest = 2 * obj.playout.delay_cycles + 4;
+                obj.forget(obj.rows(:, 2) <= state.cycle - longest);
+            elseif ~isempty(obj.rows)
                 rows = obj.rows;
                 undecided = find(isnan(rows(:, 3)), 1);
                 if passed > 0 && ~isempty(undecided) && max(abs(obj.q' + rows(undecided, 4:end) - q')) < 1e-12
@@ -75,7 +82,13 @@ classdef InFlight < handle
             q = obj.q;
             dq = obj.dq;
             cycle = obj.first - 1;
+            if ~isempty(obj.playout), cycle = cycle + obj.playout.delay_cycles; end
             if isempty(obj.rows), return, end
+            if ~isempty(obj.playout)  % the state says what is in its setpoint: all else is on its way
+                q = q + sum(obj.rows(:, 4:end), 1)';
+                dq = obj.rows(end, 4:end)';
+                return
+            end
             undecided = find(isnan(obj.rows(:, 3)));
             undecided = undecided(max(1, end - obj.lookahead + 1):end);
             counted = obj.rows([find(~isnan(obj.rows(:, 3))); undecided], 3:end);
@@ -87,11 +100,14 @@ classdef InFlight < handle
         end
 
         function cycles = cycles_to_answer(obj)
-        % That of the newest state, and of states before it that were missed: a lookahead has room for their answers.
+        % That of the newest state, and of states before it that were missed, for whose answers a lookahead or a playout
+        % buffer has room.
             [~, ~, ahead] = obj.ahead();
             missed = 0;
             if obj.answered >= 0, missed = max(0, obj.cycle - obj.answered - 1); end
-            count = min(max(1, obj.cycle + obj.lookahead - ahead), 1 + missed);
+            room = obj.cycle + obj.lookahead - ahead;
+            if ~isempty(obj.playout), room = 5; end  % what is older comes too late for its turn
+            count = min(max(1, room), 1 + missed);
             cycles = obj.cycle - count + 1:obj.cycle;
         end
     end
