@@ -79,6 +79,7 @@ NOT_RUN = {
         "takes a quarter of an hour; tests/live run its parts",
     ],
     "install.md": ["installs from a package index"],
+    "train-a-policy.md": ["installs from a package index"],
     "run-a-cell.md": [
         "tests/launch/test_running_cell.py kills a service and starts it again this way",
         "needs real robots",
