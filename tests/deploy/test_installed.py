@@ -63,7 +63,9 @@ def test_an_install_for_training_has_what_the_environment_imports(wheel: Path, t
 def test_without_gymnasium_the_environment_says_what_to_install(bare: Installed) -> None:
     done = bare.run("python", "-c", "import deltaq_experiments.training")
     assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].endswith("gymnasium is not installed: pip install 'deltaq[gymnasium]'")
+    assert done.stderr.splitlines()[-1].endswith(
+        "gymnasium is not installed: pip install 'deltaq[gymnasium]'"
+    )
 
 
 def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Installed, tmp_path: Path) -> None:
