@@ -6,7 +6,7 @@ import signal
 import pytest
 from hypothesis import settings
 
-pytest_plugins = ["installed"]
+pytest_plugins = ["installed", "pytester"]
 
 # a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
 settings.register_profile("repeatable", deadline=None, derandomize=True)

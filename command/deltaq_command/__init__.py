@@ -56,8 +56,9 @@ def _tell_what_is_missing(error: ModuleNotFoundError) -> NoReturn:
     package = (error.name or "").partition(".")[0]
     if not package or package.startswith("deltaq"):
         raise error
+    extra = "testing" if package in ("hypothesis", "pytest") else "all"
     print(
-        f"deltaq: {package} is not installed, and this command needs it: pip install 'deltaq[all]'\n"
+        f"deltaq: {package} is not installed, and this command needs it: pip install 'deltaq[{extra}]'\n"
         "deltaq: controllers do without: what they import is deltaq_protocol, and it is complete",
         file=sys.stderr,
     )

@@ -25,6 +25,7 @@ from deltaq_command import (
     operate,
     recordings,
     rsi,
+    soak,
     streams,
     study,
     up,
@@ -86,6 +87,7 @@ app.command(rich_help_panel=REAL)(krc.krc)
 app.add_typer(rsi.rsi, name="rsi", rich_help_panel=REAL)
 app.command(rich_help_panel=STUDY)(study.experiment)
 app.add_typer(fault.fault, name="fault", rich_help_panel=STUDY)
+app.command(rich_help_panel=STUDY)(soak.soak)
 app.command(rich_help_panel=STUDY)(study.peg_and_valve)
 app.command(rich_help_panel=STUDY)(bench.bench)
 app.command(rich_help_panel=STUDY)(recordings.replay)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deltaq_command.errors import BAD
+from deltaq_command.fault_scenarios import run, search
 from deltaq_command.impair import impair
 from deltaq_command.options import CellOption, JsonOption, RobotOption
 
@@ -20,6 +21,8 @@ fault = typer.Typer(
     rich_markup_mode="rich",
 )
 fault.command()(impair)
+fault.command()(run)
+fault.command()(search)
 
 
 @fault.command("list")

@@ -2,7 +2,8 @@
 
 In a cell with a lookahead the verdict may take longer than a cycle: each state is answered as it comes, and what is in
 flight is reckoned with (`deltaq_protocol.in_flight`). In one without (`q_ahead` is null) each verdict is awaited before
-the next state is answered: not to wait gained nothing there in a running cell (docs/explanation/timing.md).
+the next state is answered: not to wait gained nothing there in a running cell (docs/explanation/timing.md). Where
+either takes longer, the lease asks for a playout buffer, and what waits there is in flight too.
 """
 
 from __future__ import annotations
@@ -17,9 +18,23 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight
+from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight, is_awaited
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import RobotState, Verdict
+from deltaq_protocol.opening import Opening
+
+
+async def lease(cell: Cell, robot: str) -> Opening[LeasedRobot]:
+    """A lease for `Answers`: with a playout buffer, if the way there and back is longer than answers may take.
+
+    Raises:
+        RefusedError: the cell has no such robot.
+        ServiceUnreachableError: the HLI is gone.
+    """
+    state = cell.state(robot)
+    ahead = 1 if state is None or state.setpoint_cycle is None else state.setpoint_cycle - state.cycle
+    is_far = await cell.round_trip_s() > max(1, ahead) * cell.description.cycle_s
+    return cell.lease(robot, playout=is_far)
 
 
 class Answers:
@@ -49,7 +64,7 @@ class Answers:
             RefusedError: the lease was lost.
             ServiceUnreachableError: the HLI is gone.
         """
-        if state.q_ahead is None:
+        if is_awaited(state):
             self._before, self._awaited = self._awaited, None
             return (state.cycle,)
         self._come += [v for v in await self._leased.new_verdicts() if self._in_flight.take(v)]
@@ -57,10 +72,11 @@ class Answers:
 
     def own(self, state: RobotState) -> RobotView:
         """The robot with all that is in flight, after `due`: what the next increment is added to."""
-        if state.q_ahead is None:
+        if is_awaited(state):
             return own_view(state, self._before)
         ahead = self._in_flight.ahead(state)
-        return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd)
+        ahead_cycles = ahead.cycle - state.cycle
+        return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
 
     def view(self, state: RobotState) -> View:
         """The same, and the newest states of all others."""
@@ -73,7 +89,7 @@ class Answers:
             RefusedError: the lease was lost.
             ServiceUnreachableError: the HLI is gone. That a verdict is missing is no error.
         """
-        if state.q_ahead is not None:
+        if not is_awaited(state):
             self._in_flight.sent(await self._leased.send(dq.tolist(), cycle), dq, cycle)
             return
         with suppress(TimeoutError, ServiceUnreachableError):

@@ -7,16 +7,18 @@ import asyncio
 import contextlib
 import logging
 import math
+from collections import Counter
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
-from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.interface import View
+from deltaq_controllers.camera.setpoints import Foreseen, Sight
+from deltaq_controllers.held_back import HeldBack
+from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, run
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
@@ -38,6 +40,9 @@ class FollowerProcess:
         self._statistics = ControlStatistics()
         self._angle, self._distance = ErrorStatistics(), ErrorStatistics()
         self._began_s: float | None = None
+        self._leader: Foreseen | None = None
+        self._sights: Counter[Sight] = Counter()
+        self._sight = Sight.FRESH
 
     async def follow(self) -> None:
         """Follow for as long as asked."""
@@ -46,17 +51,19 @@ class FollowerProcess:
             model = cell_model(cell.description)
             for name in (options.robot, options.leader):
                 model_of(model.robots, name)
-            scene = Scene(model, options.robot, options.leader, options.latency_s)
+            scene = Scene(model, options.robot, options.leader)
             focus = None if options.focus_m is None else np.array(options.focus_m)
             camera = camera_controller_named(options.controller, scene, options.distance_m, focus)
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
+            controller = HeldBack(move_to_start, round(options.view_delay_s / scene.cycle_s))
+            self._leader = Foreseen(scene.leader, scene.robot, scene.cycle_s)
             _log.info("ready: %s follows %s", options.robot, options.leader)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
-                    await drive(cell, options.robot, move_to_start, self._statistics, watch)
+                    await drive(cell, options.robot, controller, self._statistics, watch)
 
     def _watch(
         self, camera: FocusController, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
@@ -69,10 +76,23 @@ class FollowerProcess:
             self._began_s = move_to_start.began_s
             if options.duration_s is not None:
                 timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
+        self._look(view.own, other)
         angle, distance = camera.errors(view.own.q, other.q)
         settled = view.own.time_s - self._began_s >= options.settle_s
         self._angle.add(angle, settled)
         self._distance.add(distance, settled)
+
+    def _look(self, own: RobotView, other: RobotView) -> None:
+        """Count how well the leader is seen, and say so when it changes."""
+        assert self._leader is not None  # it is there before the first view
+        self._leader.update(own, other)
+        sight = self._leader.sight
+        self._sights[sight] += 1
+        if sight is not self._sight:
+            level = logging.INFO if sight is Sight.FRESH else logging.WARNING
+            told = "seen again" if sight is Sight.FRESH else sight
+            _log.log(level, "%s: %s, its state is %.2f s old", self._options.leader, told, self._leader.age_s)
+        self._sight = sight
 
     @property
     def robot(self) -> str:
@@ -86,6 +106,7 @@ class FollowerProcess:
             "robot": self._options.robot,
             "began_s": self._began_s,
             **self._statistics.summary(),
+            "view": {sight.value: self._sights[sight] for sight in Sight},
             "angle_deg": self._angle.figures(math.pi / 180.0),
             "distance_m": self._distance.figures(),
         }
@@ -119,10 +140,10 @@ def main() -> int:
         "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"
     )
     parser.add_argument(
-        "--latency-s",
+        "--view-delay-s",
         type=float,
-        default=FollowerGains().latency_s,
-        help="from the leader's motion to the camera's, which the focus is carried ahead by (default: %(default)s)",
+        default=0.0,
+        help="time by which the states of other robots are held back, for experiments (default: %(default)s)",
     )
     parser.add_argument(
         "--duration-s", type=float, default=None, help="time to follow for (default: for ever)"

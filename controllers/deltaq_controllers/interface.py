@@ -32,26 +32,30 @@ class RobotView:
         q: (n,) measured configuration [rad or m].
         q_cmd: (n,) setpoint that an increment is added to: the one just sent, or with a lookahead the last of
             those that are admitted already [rad or m].
+        dq: (n,) increment that leads to `q_cmd`, where the robot is too far away to see it [rad or m].
+        ahead_cycles: by how many cycles `cycle` is later than the state: an increment takes effect so much later.
     """
 
     cycle: int
     time_s: float
     q: Array
     q_cmd: Array
+    ahead_cycles: int = 0
+    dq: Array | None = None
 
     @classmethod
     def from_state(cls, state: RobotState) -> Self:
         """The same from a state message."""
         q_cmd = state.q_cmd if state.q_ahead is None else state.q_ahead
         cycle = state.cycle if state.setpoint_cycle is None else state.setpoint_cycle - 1
-        return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd))
+        return cls(cycle, state.time_s, np.array(state.q), np.array(q_cmd), cycle - state.cycle)
 
     def after(self, cycle: int, dq: Array) -> RobotView:
         """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
 
         A controller that left it out would request the same motion twice.
         """
-        return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq)
+        return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq, self.ahead_cycles)
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,9 @@ class LastIncrement:
     def update(self, view: RobotView) -> Array:
         """The (n,) increment that led to this setpoint; zero for the first one [rad or m]."""
         cycles = view.cycle - self._cycle
-        if self._q_cmd is None or cycles < -_RECKONED_CYCLES:
+        if view.dq is not None:
+            self._dq = view.dq
+        elif self._q_cmd is None or cycles < -_RECKONED_CYCLES:
             self._dq = np.zeros_like(self._max_ddq)
         elif cycles > 0:
             self._dq = self._last_of(view.q_cmd - self._q_cmd, cycles)

@@ -16,7 +16,7 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
-from deltaq_controllers.answers import Answers
+from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.interface import Controller, ControllerError, View
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import log
@@ -88,7 +88,7 @@ async def drive(
         ServiceUnreachableError: the HLI is gone.
     """
     settle_memory()
-    async with cell.lease(robot) as leased:
+    async with await lease(cell, robot) as leased:
         answers = Answers(cell, leased)
         async for state in leased.states():
             for cycle in await answers.due(state):

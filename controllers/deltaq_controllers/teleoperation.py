@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deltaq_controllers.answers import Answers
+from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.live import settle_memory
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
@@ -147,7 +147,7 @@ async def teleoperate(
     settle_memory()
     if enough.is_set():
         return
-    async with cell.lease(robot) as leased:
+    async with await lease(cell, robot) as leased:
         answers = Answers(cell, leased)
         async for state in leased.states():
             if state.phase is Phase.HELD:

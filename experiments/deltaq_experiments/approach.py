@@ -72,7 +72,7 @@ RunViews = tuple[RunRecord, Array]
 
 
 def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> RunViews:
-    camera = camera_controller(cell, options.controller, options.latency_s)
+    camera = camera_controller(cell, options.controller)
     start = start_with_error(cell, camera, error, seed)
     recording = (
         _run_live(options, cell, start) if options.live else record(options, camera, start={FOLLOWER: start})

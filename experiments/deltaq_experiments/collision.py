@@ -51,7 +51,7 @@ def run(options: Options) -> ExperimentOutcome:
         raise DeltaqError(f"--target {options.target}: there are {', '.join(TARGETS)}")
     leader_model = cell.robots[LEADER]
     focus = leader_model.forward(leader_model.home)[:3, 3]
-    camera = camera_controller(cell, options.controller, options.latency_s, focus=focus)
+    camera = camera_controller(cell, options.controller, focus=focus)
     began_s = time.perf_counter()
     recording = _run_live(options, cell, focus) if options.live else _run_virtual(options, cell, camera)
     elapsed_s = time.perf_counter() - began_s

@@ -119,7 +119,7 @@ class FarController:
         self._say, self._controller, self._other = say, controller, other
         self._in_flight = InFlight()
         self._seq = 0
-        say(LeaseRequest(robot=robot, action=LeaseAction.ACQUIRE, client=f"far-{robot}"))
+        say(LeaseRequest(robot=robot, action=LeaseAction.ACQUIRE, client=f"far-{robot}", playout=True))
 
     def take(self, message: Message) -> None:
         """The HLI has said something."""
@@ -136,7 +136,8 @@ class FarController:
             return
         for cycle in self._in_flight.cycles_to_answer(state):
             ahead = self._in_flight.ahead(state)
-            own = RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd)
+            ahead_cycles = ahead.cycle - state.cycle
+            own = RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
             dq = self._controller.increment(View(own, {other.robot: RobotView.from_state(other)}))
             self._seq += 1
             self._in_flight.sent(self._seq, dq, cycle)

@@ -22,21 +22,13 @@ from deltaq_verification.counts import GateCounts
 from deltaq_verification.two_sites import write_cell
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
-OWN_LATENCY_S = 0.06
-"""From the leader's motion to the camera's where both controllers are beside the cell."""
-
-
-def latency_s(given: argparse.Namespace, cycle_s: float) -> float:
-    """From the leader's motion to the camera's: their own, the way there and back, and the lookahead."""
-    return float(OWN_LATENCY_S + 2 * given.delay_s + given.lookahead_cycles * cycle_s)
-
 
 def follow_in_virtual_time(given: argparse.Namespace) -> dict[str, Any]:
     """Run the cell of two sites with both controllers behind wires that are late and lossy; the figures."""
     with tempfile.TemporaryDirectory() as folder:
-        stack = VirtualCell(write_cell(Path(folder), lookahead_cycles=given.lookahead_cycles))
+        stack = VirtualCell(write_cell(Path(folder)))
     cycle_s = stack.cell.description.cycle_s
-    camera = camera_controller(stack.cell, given.controller, latency_s(given, cycle_s))
+    camera = camera_controller(stack.cell, given.controller)
     leader = ScriptedLeader(stack.cell.robots[LEADER], cycle_s, given.leader_speed_m_s, given.seed)
     stack.run_until_ready()
     wires = _connect(stack, given, {FOLLOWER: camera, LEADER: leader})

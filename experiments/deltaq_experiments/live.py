@@ -12,6 +12,7 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.last_lines import LastLines
 from deltaq_experiments.options import Options
+from deltaq_experiments.scene import added_delay_cycles
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord
 from deltaq_launch.bring_to_rest import bring_to_rest
@@ -50,7 +51,8 @@ def run_live(
         records = {name: Path(folder, f"{name}.csv") for name in cell.robots}
         services = [_recorded(service, records) for service in cell_services(description, str(options.cell))]
         leader, follower = demo_controllers(description)
-        follower = _with(follower, "--controller", options.controller, "--latency-s", f"{options.latency_s}")
+        view_delay_s = added_delay_cycles(cell, options.latency_s) * description.cycle_s
+        follower = _with(follower, "--controller", options.controller, "--view-delay-s", f"{view_delay_s}")
         follower = _with(follower, "--duration-s", f"{options.length_s}", *following)
         if leading is not None:
             speed, seed = f"{options.leader_speed_m_s}", f"{options.seed}"

@@ -43,7 +43,6 @@ def require_both(cell: CellModel, purpose: str) -> None:
 def camera_controller(
     cell: CellModel,
     name: str = "paper",
-    latency_s: float = 0.06,
     distance_m: float = VIEW_DISTANCE_M,
     focus: Array | None = None,
 ) -> FocusController:
@@ -52,7 +51,7 @@ def camera_controller(
     Raises:
         DeltaqError: if there is none of that name.
     """
-    scene = Scene(cell, FOLLOWER, LEADER, latency_s)
+    scene = Scene(cell, FOLLOWER, LEADER)
     return camera_controller_named(name, scene, distance_m, focus)
 
 

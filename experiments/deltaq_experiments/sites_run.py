@@ -100,9 +100,9 @@ class TwoSites:
         cell: its description.
     """
 
-    def __init__(self, sites: Sites, folder: Path, lookahead_cycles: int, stack: ExitStack) -> None:
+    def __init__(self, sites: Sites, folder: Path, stack: ExitStack) -> None:
         self.sites, self._folder, self._stack = sites, folder, stack
-        self.file = write_cell(folder, lookahead_cycles=lookahead_cycles)
+        self.file = write_cell(folder)
         self.cell: CellDescription = load_cell(str(self.file))
         key, self._controller_token = folder / "guarded.key", secrets.token_hex(16)
         write_new_key(key)
@@ -181,14 +181,14 @@ class TwoSites:
 
 
 @contextmanager
-def two_sites(sites: Sites, folder: Path, lookahead_cycles: int = 8) -> Iterator[TwoSites]:
+def two_sites(sites: Sites, folder: Path) -> Iterator[TwoSites]:
     """Bring both halves up, the robots' first; they are ended in the reverse order.
 
     Raises:
         SiteError: if one does not come up.
     """
     with ExitStack() as stack:
-        running = TwoSites(sites, folder, lookahead_cycles, stack)
+        running = TwoSites(sites, folder, stack)
         running.up(sites.robots, "robot-server,emulator,sim")
         running.up(sites.office, "hli")
         yield running

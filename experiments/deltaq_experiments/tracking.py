@@ -37,7 +37,7 @@ def run(options: Options) -> ExperimentOutcome:
 
 
 def _run_virtual(options: Options, cell: CellModel) -> RunRecord:
-    camera = camera_controller(cell, options.controller, options.latency_s)
+    camera = camera_controller(cell, options.controller)
     speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
     return record(options, camera, ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed))
 

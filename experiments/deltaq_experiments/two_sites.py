@@ -17,7 +17,7 @@ from typing import Any
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_emulator.faults import LinkFaults
-from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time, latency_s
+from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time
 from deltaq_experiments.live import trace_of
 from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
@@ -51,7 +51,7 @@ async def measure(given: argparse.Namespace) -> dict[str, Any]:
 
 def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, Any]:
     record = folder / "run.mcap"
-    with two_sites(made, folder, given.lookahead_cycles) as running:
+    with two_sites(made, folder) as running:
         recorder = running.run(
             "recorder", made.office, (*DELTAQ, "record", str(record), "--cell", str(running.file))
         )
@@ -68,7 +68,6 @@ def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, A
         follower = running.controller(
             "follower", "deltaq_controllers.camera_follower", "--controller", given.controller,
             "--duration-s", f"{given.duration_s}", "--settle-s", f"{given.settle_s}",
-            "--latency-s", f"{latency_s(given, running.cell.cycle_s):.3f}",
         )  # fmt: skip
         if status := follower.wait(_TO_START_S + given.duration_s):
             raise SiteError(f"the follower ended with status {status}:\n{follower.text()}")
@@ -109,8 +108,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--loss-share", type=float, default=0.01, help="of packets, each way (default: %(default)s)"
     )
-    parser.add_argument("--lookahead-cycles", type=int, default=8, help="of the gate (default: %(default)s)")
-    parser.add_argument("--controller", default="paper", help="that follows (default: %(default)s)")
+    parser.add_argument("--controller", default="predictive", help="that follows (default: %(default)s)")
     parser.add_argument(
         "--leader-speed-m-s", type=float, default=0.1, help="of its tool (default: %(default)s)"
     )
@@ -125,17 +123,14 @@ def main(argv: Sequence[str] | None = None) -> None:
         parser.error(f"--duration-s {given.duration_s:g}: more than --settle-s, which is not negative")
     if not 0.0 <= given.loss_share < 1.0:
         parser.error(f"--loss-share {given.loss_share:g}: from 0 to less than 1")
-    if given.leader_speed_m_s <= 0.0 or given.lookahead_cycles < 1 or given.jitter_s < 0.0:
-        parser.error(
-            "--leader-speed-m-s is more than 0, --lookahead-cycles at least 1, --jitter-s not negative"
-        )
+    if given.leader_speed_m_s <= 0.0 or given.jitter_s < 0.0:
+        parser.error("--leader-speed-m-s is more than 0, --jitter-s not negative")
     if given.delay_s < given.jitter_s:
         parser.error("--jitter-s: more than --delay-s, and no packet arrives before it was sent")
     asked = (
         "delay_s",
         "jitter_s",
         "loss_share",
-        "lookahead_cycles",
         "controller",
         "leader_speed_m_s",
         "seed",

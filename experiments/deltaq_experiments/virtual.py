@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles
@@ -67,12 +67,11 @@ def _run(
     before_cycle: Callable[[float], None] | None,
 ) -> RunRecord:
     cycle_s = stack.cell.description.cycle_s
-    delay_cycles = added_delay_cycles(stack.cell, options.latency_s)
+    late_camera = HeldBack(camera, added_delay_cycles(stack.cell, options.latency_s))
     stack.run_until_ready()
     stack.acquire(FOLLOWER, "camera-follower")
     if leader is not None:
         stack.acquire(LEADER, "scripted-leader")
-    seen: deque[RobotView] = deque(maxlen=delay_cycles + 1)
     q: dict[str, list[Array]] = {name: [] for name in stack.arms}
     setpoints: dict[str, list[Array]] = {name: [] for name in stack.arms}
     cycles = max(1, round(options.length_s / cycle_s))
@@ -81,10 +80,9 @@ def _run(
         if before_cycle is not None:
             before_cycle(cycle * cycle_s)
         own, other = (RobotView.from_state(stack.states[name]) for name in (FOLLOWER, LEADER))
-        seen.append(other)
         if leader is not None:
             stack.ask(LEADER, leader.increment(View(other, {FOLLOWER: own})))
-        stack.ask(FOLLOWER, camera.increment(View(own, {LEADER: seen[0]})))
+        stack.ask(FOLLOWER, late_camera.increment(View(own, {LEADER: other})))
         for name, arm in stack.krc_arms.items():
             q[name].append(arm.krc.sample.q)
             setpoints[name].append(arm.krc.sample.q_setpoint)

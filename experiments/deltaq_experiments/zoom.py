@@ -78,7 +78,7 @@ def run(options: Options) -> ExperimentOutcome:
     options = options.lasting(DURATION_S)
     cell = load(options, "zoom")
     hold_s = options.length_s / len(DISTANCES_M)
-    camera = camera_controller(cell, options.controller, options.latency_s)
+    camera = camera_controller(cell, options.controller)
     began_s = time.perf_counter()
     recording = (
         _run_live(options, cell, hold_s) if options.live else _run_virtual(options, cell, camera, hold_s)

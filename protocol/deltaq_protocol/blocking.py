@@ -36,6 +36,7 @@ from deltaq_protocol.messages import (
     Status,
     Verdict,
 )
+from deltaq_protocol.opening import Opening
 
 T = TypeVar("T")
 
@@ -192,21 +193,23 @@ class BlockingCell:
         """The running cell: phases, leases, ages, counters; see `Cell.status`."""
         return self._background.run(self._cell.status())
 
+    def round_trip_s(self) -> float:
+        """The shortest of five ways to the server and back [s]; see `Cell.round_trip_s`."""
+        return self._background.run(self._cell.round_trip_s())
+
     def lease(
-        self, robot: str, client: str | None = None, take: bool = False
+        self, robot: str, client: str | None = None, take: bool = False, playout: bool = False
     ) -> BlockingOpening[BlockingRobot]:
         """Hold the lease of a robot for the length of a block, or from `open` to `close`; see `Cell.lease`."""
         opening: BlockingOpening[BlockingRobot] = BlockingOpening(
-            self._leased(robot, client, take, close=lambda: opening.close())
+            self._leased(self._cell.lease(robot, client, take, playout), close=lambda: opening.close())
         )
         return opening
 
     @contextmanager
-    def _leased(
-        self, robot: str, client: str | None, take: bool, close: Callable[[], None]
-    ) -> Iterator[BlockingRobot]:
-        with self._background.entered(self._cell.lease(robot, client, take)) as leased:
-            yield BlockingRobot(leased, self._background, lambda: self.states(robot), close)
+    def _leased(self, lease: Opening[LeasedRobot], close: Callable[[], None]) -> Iterator[BlockingRobot]:
+        with self._background.entered(lease) as leased:
+            yield BlockingRobot(leased, self._background, lambda: self.states(leased.name), close)
 
     def close(self) -> None:
         """Give back every lease and end the connection, as leaving the block does; `with` is the safer way."""

@@ -8,6 +8,9 @@
         in_flight.sent(robot.send(dq, state.cycle), dq, state.cycle)
 
 Pure: states, verdicts and increments are handed in, in whatever order they come.
+
+Where the lease has a playout buffer (`deltaq_protocol.messages.Playout`) each state says which increments are in its
+setpoint, so that no verdict has to be known.
 """
 
 from __future__ import annotations
@@ -19,7 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.messages import Outcome, Phase, RobotState, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Playout, RobotState, Verdict
+
+MOST_MISSED = 4
+"""States that a controller answers belatedly where there is a playout buffer; what is older comes too late."""
 
 PATIENCE_CYCLES = 4
 """An increment without a verdict so many cycles after its setpoint could have been sent is given up."""
@@ -34,12 +40,14 @@ class Ahead:
     Attributes:
         cycle: whose setpoint it is.
         q_cmd: (n,) setpoint, if all that was sent is admitted as it was asked for [rad or m].
+        dq: (n,) increment that leads to it, where an increment leads to it that was sent [rad or m].
         room: increments for which there is a setpoint to be decided, if none of those sent was lost.
     """
 
     cycle: int
     q_cmd: Array
     room: int
+    dq: Array | None = None
 
 
 @dataclass(slots=True)
@@ -48,6 +56,7 @@ class _Sent:
     cycle: int
     dq: Array
     is_answered: bool = False
+    is_refused: bool = False
     setpoint_cycle: int | None = None
 
 
@@ -58,6 +67,11 @@ class _Account:
     decided_cycle: int
     decided: list[Array]
     undecided: list[Array]
+
+
+def is_awaited(state: RobotState) -> bool:
+    """Whether the verdict on an answer to this state comes in time to be waited for."""
+    return state.q_ahead is None and state.playout is None
 
 
 class InFlight:
@@ -90,6 +104,7 @@ class InFlight:
             return False
         is_first, sent.is_answered = not sent.is_answered, True
         sent.setpoint_cycle = verdict.setpoint_cycle
+        sent.is_refused = verdict.outcome is Outcome.REFUSED
         if verdict.setpoint_cycle is not None:
             sent.dq = np.array(verdict.dq)
             self._decided_cycle = max(self._decided_cycle, verdict.setpoint_cycle)
@@ -104,6 +119,8 @@ class InFlight:
         self._cycle_passed(state)
         if state.phase not in _MAY_MOVE:
             return Ahead(state.cycle, np.array(state.q_cmd), 1)
+        if state.playout is not None:
+            return self._behind_playout(state, state.playout)
         q_cmd, account = np.array(_told(state)[1]), self._account(state)
         for dq in (*account.decided, *account.undecided):
             q_cmd = q_cmd + dq
@@ -131,6 +148,9 @@ class InFlight:
             self._lookahead_cycles = 1
             self._answered_cycle = self._decided_cycle = -1
         self._newest_cycle, self._shape = state.cycle, (len(state.q_cmd),)
+        if state.playout is not None:
+            self._give_up_beside(state, state.playout)
+            return
         self._lookahead_cycles = max(self._lookahead_cycles, _told(state)[0] - state.cycle)
         if state.phase not in _MAY_MOVE:
             for one in self._sent:
@@ -138,6 +158,21 @@ class InFlight:
                 self._decided_seq = max(self._decided_seq, one.seq)
         self._infer_decided(state)
         oldest = state.cycle - self._lookahead_cycles - PATIENCE_CYCLES
+        self._give_up([one for one in self._sent if one.cycle <= oldest])
+
+    def _behind_playout(self, state: RobotState, playout: Playout) -> Ahead:
+        """What the increments behind the one that is in the setpoint make of it, if each has its turn."""
+        first, q_ahead = _told(state)
+        q_cmd, dq = np.array(q_ahead), None
+        for one in self._sent:
+            if one.cycle > _answered(playout) and not one.is_refused and self._can_be_admitted(one):
+                q_cmd, dq = q_cmd + one.dq, one.dq
+        return Ahead(first - 1 + playout.delay_cycles, q_cmd, 1 + MOST_MISSED, dq)
+
+    def _give_up_beside(self, state: RobotState, playout: Playout) -> None:
+        """Of those that had their turn the verdict has come, or was lost; others have been under way for too long."""
+        longest_cycles = 2 * playout.delay_cycles + PATIENCE_CYCLES
+        oldest = max(_answered(playout) - PATIENCE_CYCLES, state.cycle - longest_cycles)
         self._give_up([one for one in self._sent if one.cycle <= oldest])
 
     def _infer_decided(self, state: RobotState) -> None:
@@ -160,11 +195,10 @@ class InFlight:
 
     def _unanswered(self) -> list[_Sent]:
         """Those without a verdict that can be admitted."""
-        return [
-            one
-            for one in self._sent
-            if not one.is_answered and one.dq.shape == self._shape and np.isfinite(one.dq).all()
-        ]
+        return [one for one in self._sent if not one.is_answered and self._can_be_admitted(one)]
+
+    def _can_be_admitted(self, one: _Sent) -> bool:
+        return one.dq.shape == self._shape and bool(np.isfinite(one.dq).all())
 
     def _give_up(self, increments: Sequence[_Sent]) -> None:
         self._given_up += sum(not one.is_answered for one in increments)
@@ -186,6 +220,10 @@ class InFlight:
         in_order = [decided[cycle] for cycle in sorted(decided)]
         undecided = [one.dq for one in self._undecided()[-self._lookahead_cycles :]]
         return _Account(last, [*in_order, *filled], undecided)
+
+
+def _answered(playout: Playout) -> int:
+    return -1 if playout.answered_cycle is None else playout.answered_cycle
 
 
 def _told(state: RobotState) -> tuple[int, tuple[float, ...]]:

@@ -75,12 +75,29 @@ class ToolPose(Message):
     quaternion_wxyz: Quaternion
 
 
+class Playout(Message):
+    """The increments of a lease that wait for their turn in the HLI, so that each cycle has one though they jitter.
+
+    An increment that answers cycle k is passed on with the state of cycle k + `delay_cycles`, which follows from how
+    long those before it were under way. `waiting` have come before their turn. The setpoint of this state has in it all
+    increments that answer a cycle up to `answered_cycle`, and none behind it; null before the first. `late` increments
+    came when their turn was over and were refused; `empty` cycles had none and braked. Both count from the grant.
+    """
+
+    delay_cycles: Count
+    waiting: Count
+    answered_cycle: Count | None = None
+    late: Count = 0
+    empty: Count = 0
+
+
 class RobotState(Message):
     """State of one robot, published every cycle of its KRC.
 
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
     brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
+    `playout` is there where the robot's lease asked for it.
     `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
     the gate has been heard.
     """
@@ -98,6 +115,7 @@ class RobotState(Message):
     gate: str = ""
     q_ahead: Joints | None = None
     setpoint_cycle: Count | None = None
+    playout: Playout | None = None
 
 
 class Increment(Message):
@@ -159,11 +177,14 @@ class LeaseRequest(Message):
     `take` needs the operator where the HLI has been given the operator's token. `token` and `lease` are never sent, and
     not read if they are: over zenoh proofs stand for them (`deltaq_protocol.proof`), over TCP the hello and the
     connection.
+
+    `playout` is for a controller that is far away: increments wait for their turn (`Playout`).
     """
 
     type: Literal["lease"] = "lease"
     robot: Name
     action: LeaseAction
+    playout: bool = False
     client: str | None = Field(default=None, max_length=64)
     lease: Secret = None
     token: Secret = None

@@ -26,6 +26,7 @@ class ReasonCode(StrEnum):
     STALE_CYCLE = "stale_cycle"
     STALE_EPOCH = "stale_epoch"
     FUTURE_CYCLE = "future_cycle"
+    LINK_TOO_SLOW = "link_too_slow"
     REPLAYED_SEQUENCE = "replayed_sequence"
     SUPERSEDED = "superseded"
     UNKNOWN_ROBOT = "unknown_robot"
@@ -68,6 +69,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.NOT_FINITE: "dq has an element that is not a finite number",
     ReasonCode.STALE_CYCLE: "it answers a cycle of the robot that is too old",
     ReasonCode.STALE_EPOCH: "the command is for a gate that has ended",
+    ReasonCode.LINK_TOO_SLOW: "it was under way for longer than the cell lets an increment be",
     ReasonCode.FUTURE_CYCLE: "the increment answers a cycle that has not begun",
     ReasonCode.REPLAYED_SEQUENCE: "the sequence number is not greater than the last one",
     ReasonCode.SUPERSEDED: "a newer increment of the same cycle took its place",

@@ -4,10 +4,10 @@ import os
 import shutil
 
 import pytest
-from private_cell import write_private_cell
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_launch.services import cell_services, console_service
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

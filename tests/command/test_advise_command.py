@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from private_cell import free_ports
 from typer.testing import CliRunner
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_command.app import app
+from deltaq_launch.private_cell import free_ports
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 DAWM = CellModel.load("dawm").robots["dawm"]

@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_command.up import audit_file_of
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.hli.audit import as_line
 

@@ -7,10 +7,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
 
 from deltaq_command.errors import exit_status
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
 
 DELTAQ = str(Path(sys.executable).with_name("deltaq"))

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
+
+from deltaq_launch.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 

@@ -15,11 +15,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
 
 import deltaq_command
 from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.messages import RobotState, RobotStatus
 
 pytestmark = pytest.mark.live

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 from emulated import emulator
-from private_cell import free_ports, write_private_cell
 from typer.testing import CliRunner
 
 from deltaq_cell.load import load_cell
 from deltaq_command.app import app
+from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 
 PATIENCE_S = 60.0

@@ -83,26 +83,32 @@ def track(
     variants: Variants = CORRECTED,
     distance_m: float = 1.2,
 ) -> Run:
-    """Follow the scripted leader from the homes; `delay_cycles` is the age of what is known of the leader."""
+    """Follow the scripted leader from the homes.
+
+    Args:
+        delay_cycles: age of what is known of the leader.
+        lag: the drives of both lag.
+    """
     robot, leader_model = lab().robots["fr"], lab().robots["gr"]
     leader = ScriptedLeader(leader_model, CYCLE_S, speed_m_s, seed)
     follower = CameraFollower(robot, leader_model, CYCLE_S, gains, variants)
     controller = CameraController(follower, leader_model, distance_m)
     q_cmd, q_leader = np.array(robot.home), np.array(leader_model.home)
-    servo, dq = Servo(q_cmd), np.zeros(robot.n)
-    known = deque([q_leader] * (delay_cycles + 1), maxlen=delay_cycles + 1)
+    servo, leaders_servo, dq = Servo(q_cmd), Servo(q_leader), np.zeros(robot.n)
+    first = RobotView(-delay_cycles, -delay_cycles * CYCLE_S, q_leader, q_leader)
+    known = deque([first] * (delay_cycles + 1), maxlen=delay_cycles + 1)
     angles, distances, violations = [], [], 0
     for cycle in range(round(duration_s / CYCLE_S)):
         time_s = cycle * CYCLE_S
         q_leader = q_leader + leader.increment(View(RobotView(cycle, time_s, q_leader, q_leader)))
-        known.append(q_leader)
+        measured = leaders_servo.follow(q_leader).copy() if lag else q_leader
+        known.append(RobotView(cycle, time_s, measured, q_leader))
         q = servo.q if lag else q_cmd
-        others = {"gr": RobotView(cycle, time_s, known[0], known[0])}
-        increment = controller.increment(View(RobotView(cycle, time_s, q, q_cmd), others))
+        increment = controller.increment(View(RobotView(cycle, time_s, q, q_cmd), {"gr": known[0]}))
         violations += limit_violations(robot, q_cmd, increment, dq)
         q_cmd, dq = q_cmd + increment, increment
         servo.follow(q_cmd)
-        angle, distance = controller.errors(servo.q if lag else q_cmd, q_leader)
+        angle, distance = controller.errors(servo.q if lag else q_cmd, measured)
         angles.append(np.rad2deg(angle))
         distances.append(distance)
     return Run(np.array(angles), np.array(distances), violations)

@@ -129,8 +129,13 @@ class QuietCell(Cell):
         still.cycle = self.leased.cycle if self.leased is not None else 0
         return still.state()
 
+    async def round_trip_s(self) -> float:
+        return 0.0
+
     @asynccontextmanager
-    async def lease(self, robot: str, client: str | None = None, take: bool = False) -> AsyncIterator[Any]:
+    async def lease(
+        self, robot: str, client: str | None = None, take: bool = False, playout: bool = False
+    ) -> AsyncIterator[Any]:
         self.leased = Leased(robot, self.places[robot], self)
         self.early = self.waits.told()
         try:
@@ -216,7 +221,7 @@ async def by_controller(
 
 async def by_camera(cell: QuietCell, name: str) -> None:
     """A camera controller, from far off its focus to where it evades the leader."""
-    scene = Scene(CellModel.load("lab"), "fr", "gr", 0.06)
+    scene = Scene(CellModel.load("lab"), "fr", "gr")
     camera = camera_controller_named(name, scene, 1.25)
     limits = IncrementLimits.of(scene.robot, scene.cycle_s)
 

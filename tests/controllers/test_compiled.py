@@ -52,7 +52,7 @@ robot, leader = cell.robots["fr"], cell.robots["gr"]
 focus = leader.forward(leader.home)[:3, 3]
 for name in ("paper", "predictive", "qp"):
     for fixed in (None, focus):
-        controller = camera_controller_named(name, Scene(cell, "fr", "gr", 0.06), 1, fixed)
+        controller = camera_controller_named(name, Scene(cell, "fr", "gr"), 1, fixed)
         before = kinds()
         q = np.array(robot.home)
         for cycle in range(80):

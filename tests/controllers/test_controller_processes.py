@@ -10,12 +10,12 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.interface import RobotView
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_launch.services import cell_services
 from deltaq_protocol.client import Cell
 from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
@@ -101,6 +101,7 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
         assert counts["admitted"] > 10, summary
     # how well is a figure of the machine, which others may use as well; `test_tracking_table.py` holds the law's own
     assert followed["angle_deg"]["max"] < 45.0
+    assert followed["view"]["fresh"] > 20
     assert followed["distance_m"]["max"] < 1.0
 
 

@@ -21,7 +21,7 @@ def seen(cycle: int, q: np.ndarray) -> View:
 
 
 def test_the_robot_goes_to_its_start_comes_to_rest_there_and_then_follows() -> None:
-    camera = camera_controller_named("qp", Scene(lab(), "fr", "gr", 0.06), 1.25)
+    camera = camera_controller_named("qp", Scene(lab(), "fr", "gr"), 1.25)
     start = ROBOT.home + np.array([0.3, -0.2, 0.1, 1.0, -0.4, 0.2])
     move_to_start = MoveToStart(camera, IncrementLimits.of(ROBOT, CYCLE_S), start)
     q, dq_last, q_began = np.array(ROBOT.home), np.zeros(6), None
@@ -39,7 +39,7 @@ def test_the_robot_goes_to_its_start_comes_to_rest_there_and_then_follows() -> N
 
 
 def test_the_distance_is_turned_by_the_stamps_and_the_last_one_stays() -> None:
-    camera = camera_controller_named("paper", Scene(lab(), "fr", "gr", 0.06), 1.25)
+    camera = camera_controller_named("paper", Scene(lab(), "fr", "gr"), 1.25)
     move_to_start = MoveToStart(
         camera, IncrementLimits.of(ROBOT, CYCLE_S), distances_m=(1.25, 1.0), hold_s=0.5
     )
@@ -51,6 +51,6 @@ def test_the_distance_is_turned_by_the_stamps_and_the_last_one_stays() -> None:
 
 
 def test_a_start_of_another_length_is_refused() -> None:
-    camera = camera_controller_named("paper", Scene(lab(), "fr", "gr", 0.06), 1.25)
+    camera = camera_controller_named("paper", Scene(lab(), "fr", "gr"), 1.25)
     with pytest.raises(ControllerError, match="the robot has 6 joints, got 3 values"):
         MoveToStart(camera, IncrementLimits.of(ROBOT, CYCLE_S), np.zeros(3))

@@ -17,7 +17,7 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 def test_it_turns_round_to_the_leader_and_then_follows_it(name: str) -> None:
     cell = seven_axes.cell()
     arm, leader_model = cell.robots["fr"], cell.robots["gr"]
-    controller = camera_controller_named(name, Scene(cell, "fr", "gr", 2 * CYCLE_S), 1.25)
+    controller = camera_controller_named(name, Scene(cell, "fr", "gr"), 1.25)
     leader = ScriptedLeader(leader_model, CYCLE_S, 0.25, 0)
     q, q_leader, dq_last = np.array(arm.home), np.array(leader_model.home), np.zeros(arm.n)
     before, errors = q_leader, []

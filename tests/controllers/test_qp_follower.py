@@ -21,7 +21,7 @@ from deltaq_protocol.arrays import Array
 def follower(
     cell: CellModel | None = None, focus: Array | None = None, distance_m: float = 1.25
 ) -> QpFollower:
-    return QpFollower(Scene(cell or lab(), "fr", "gr", 0.06), distance_m, focus)
+    return QpFollower(Scene(cell or lab(), "fr", "gr"), distance_m, focus)
 
 
 def look_at(controller: QpFollower, q: Array, duration_s: float) -> tuple[Array, int]:
@@ -44,24 +44,27 @@ def follow(
     duration_s: float,
     delay_cycles: int = 2,
 ) -> tuple[Array, int]:
-    """(k, 3) the same and the clearance [m] while the leader moves about, and the follower's drives lag."""
+    """(k, 3) the same and the clearance [m] while the leader moves about, and the drives of both lag."""
     cell = lab()
     q, q_leader = np.array(cell.robots["fr"].home), np.array(cell.robots["gr"].home)
-    servo, known, dq_last, seen, violations = Servo(q), [q_leader], np.zeros(6), [], 0
+    servo, leaders_servo, dq_last, violations = Servo(q), Servo(q_leader), np.zeros(6), 0
+    known: list[RobotView] = []
+    seen: list[tuple[float, float, float]] = []
     for cycle in range(round(duration_s / CYCLE_S)):
         time_s = cycle * CYCLE_S
         own = RobotView(cycle, time_s, servo.q.copy(), q)
         q_leader = q_leader + leader.increment(
             View(RobotView(cycle, time_s, q_leader, q_leader), {"fr": own})
         )
-        known.append(q_leader)
+        measured = leaders_servo.follow(q_leader).copy()
+        known.append(RobotView(cycle, time_s, measured, q_leader))
         old = known[max(0, len(known) - 1 - delay_cycles)]
-        dq = controller.increment(View(own, {"gr": RobotView(cycle, time_s, old, old)}))
+        dq = controller.increment(View(own, {"gr": old}))
         violations += limit_violations(cell.robots["fr"], q, dq, dq_last)
         q, dq_last = q + dq, dq
         servo.follow(q)
-        angle, distance = controller.errors(servo.q, q_leader)
-        seen.append((np.rad2deg(angle), distance, controller.clearance(servo.q, q_leader)))
+        angle, distance = controller.errors(servo.q, measured)
+        seen.append((float(np.rad2deg(angle)), distance, controller.clearance(servo.q, measured)))
     assert controller.unsolved == 0
     return np.array(seen), violations
 
@@ -70,7 +73,7 @@ def attack(duration_s: float, seed: int = 0, gains: QpGains | None = None) -> Ar
     """(k, 3) the same while the leader attacks the lens at 0.75 m/s, with no gate to stop it."""
     robots = lab().robots
     focus = robots["gr"].forward(robots["gr"].home)[:3, 3]
-    controller = QpFollower(Scene(lab(), "fr", "gr", 0.06), 1.25, focus, gains)
+    controller = QpFollower(Scene(lab(), "fr", "gr"), 1.25, focus, gains)
     leader = AttackingLeader(robots["gr"], robots["fr"], CYCLE_S, 0.75, seed)
     seen, violations = follow(controller, leader, duration_s)
     assert violations == 0
@@ -163,7 +166,7 @@ def test_with_nobody_near_room_to_turn_round_is_no_concern() -> None:
     q, q_leader = np.array(lab().robots["fr"].home), lab().robots["gr"].home
     q[0] = lab().robots["fr"].lower[0] + 0.1
     view = View(RobotView(0, 0.0, q, q), {"gr": RobotView(0, 0.0, q_leader, q_leader)})
-    careless = QpFollower(Scene(lab(), "fr", "gr", 0.06), 1.25, gains=QpGains(room_weight=0.0))
+    careless = QpFollower(Scene(lab(), "fr", "gr"), 1.25, gains=QpGains(room_weight=0.0))
     assert follower().clearance(q, q_leader) == follower().evades_below_m
     assert (follower().increment(view) == careless.increment(view)).all()
 
@@ -176,12 +179,12 @@ def test_it_comes_to_rest_while_the_leader_has_not_been_heard_of() -> None:
 
 def test_a_robot_without_a_camera_is_refused() -> None:
     with pytest.raises(ControllerError, match="has no camera"):
-        QpFollower(Scene(lab(), "gr", "fr", 0.06), 1.25)
+        QpFollower(Scene(lab(), "gr", "fr"), 1.25)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_makes_a_controller(name: str) -> None:
-    controller = camera_controller_named(name, Scene(lab(), "fr", "gr", 0.06), 1.25)
+    controller = camera_controller_named(name, Scene(lab(), "fr", "gr"), 1.25)
     home, q_leader = lab().robots["fr"].home, lab().robots["gr"].home
     assert controller.errors(home, q_leader)[0] < np.deg2rad(1.0)
     assert controller.clearance(home, q_leader) > 0.3
@@ -192,4 +195,4 @@ def test_every_name_makes_a_controller(name: str) -> None:
 )
 def test_a_name_that_is_none_is_refused(name: str, said: str) -> None:
     with pytest.raises(ControllerError, match=said):
-        camera_controller_named(name, Scene(lab(), "fr", "gr", 0.06), 1.25)
+        camera_controller_named(name, Scene(lab(), "fr", "gr"), 1.25)

@@ -75,6 +75,15 @@ def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Insta
     assert "ModuleNotFoundError" in done.stderr
 
 
+def test_pytest_finds_the_plug_in_of_an_installed_wheel(complete: Installed, tmp_path: Path) -> None:
+    for package in ("iniconfig", "packaging", "pluggy", "Pygments", "pytest"):
+        complete.add(package)
+    listed = complete.run(
+        "python", "-m", "pytest", "--fixtures", "--markers", "-p", "no:cacheprovider", str(tmp_path)
+    )
+    assert "@pytest.mark.deltaq(cell='lab', robot=None, seed=0)" in listed.stdout, listed.stderr
+
+
 @pytest.mark.parametrize("page", [ROOT / "README.md", INSTALL_PAGE], ids=lambda page: page.name)
 def test_every_extra_for_users_is_named_where_installing_is_explained(page: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulated import emulator
-from private_cell import write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_deploy.krc.pendant import PENDANT, table
 from deltaq_emulator.catalogue import Code
 from deltaq_emulator.settings import KrcSettings
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_launch.real import refuse_unreal
 from deltaq_verification.virtual_cell.cell import VirtualCell
 

@@ -78,6 +78,7 @@ NOT_RUN = {
         "takes some minutes; tests/verification runs every fault",
         "takes a quarter of an hour; tests/live run its parts",
     ],
+    "find-the-bug.md": ["installs from a package index"],
     "install.md": ["installs from a package index"],
     "train-a-policy.md": ["installs from a package index"],
     "run-a-cell.md": [
@@ -89,7 +90,12 @@ NOT_RUN = {
 }
 """All that no test does as it is printed, and why: whoever adds to the pages' marks adds it here."""
 
-INSTALLED_BESIDE = {"bring-your-own-robot.md": ("example-robot-data",)}
+_TESTING = ("hypothesis", "iniconfig", "packaging", "pluggy", "Pygments", "pytest", "sortedcontainers")
+INSTALLED_BESIDE = {
+    "bring-your-own-robot.md": ("example-robot-data",),
+    "find-the-bug.md": _TESTING,
+    "test-a-controller.md": _TESTING,
+}
 """What a page has its reader install, from a package index that no test asks."""
 
 OTHER_COMMENTS = {"table"}

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import RSIPI
-from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
+from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 
 pytestmark = pytest.mark.live

@@ -25,7 +25,7 @@ def figures(capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]
 def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_passes_no_limit(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    told = figures(capsys, "--delay-s", "0.06", "--loss-share", "0.05")
+    told = figures(capsys, "--delay-s", "0.06", "--loss-share", "0.2")
     assert told["messages_lost"] > 0
     assert told["limits"] == NO_VIOLATION
     assert told["robots_clearance_m"] >= 0.05
@@ -33,14 +33,19 @@ def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_pa
 
 
 @pytest.mark.long
-def test_a_controller_half_as_far_follows_though_packets_are_lost(capsys: pytest.CaptureFixture[str]) -> None:
-    told = figures(capsys, "--delay-s", "0.02", "--loss-share", "0.01")
+@pytest.mark.parametrize("seed", ["3", "4"])
+def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
+    capsys: pytest.CaptureFixture[str], seed: str
+) -> None:
+    link = ("--delay-s", "0.04", "--jitter-s", "0.01", "--loss-share", "0.01", "--seed", seed)
+    told = figures(capsys, *link)
     assert told["messages_lost"] > 0
     assert told["limits"] == NO_VIOLATION
-    assert told["angle_deg"]["rms"] < 2.0
-    assert told["distance_cm"]["rms"] < 4.0
+    assert told["angle_deg"]["rms"] < 1.0
+    assert told["distance_cm"]["rms"] < 2.0
     assert min(told["admission_rate"].values()) > 0.9
-    assert figures(capsys, "--delay-s", "0.02", "--loss-share", "0.01") == told
+    if seed == "3":
+        assert figures(capsys, *link) == told
 
 
 def test_a_wire_keeps_the_order_and_a_loss_holds_up_what_is_behind_it() -> None:
@@ -74,7 +79,6 @@ def test_a_jitter_beyond_the_delay_is_refused(capsys: pytest.CaptureFixture[str]
         ["--settle-s", "-1"],
         ["--loss-share", "1"],
         ["--leader-speed-m-s", "0"],
-        ["--lookahead-cycles", "0"],
         ["--jitter-s", "-0.1"],
     ],
     ids=" ".join,

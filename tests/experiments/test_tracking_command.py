@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
+
+from deltaq_launch.private_cell import write_private_cell
 
 DELTAQ = Path(sys.executable).with_name("deltaq")
 

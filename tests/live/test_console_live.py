@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
-from private_cell import write_private_cell
 from websockets.sync.client import connect as open_websocket
 
 from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_launch.services import cell_services, console_service
 from deltaq_protocol.messages import Phase
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from json_client import json_client
-from private_cell import free_ports
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_launch.private_cell import free_ports
 
 pytestmark = pytest.mark.live
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 from json_client import json_client
 from own_robot import write_cell, write_package
-from private_cell import free_ports
 
 from deltaq_cell.load import load_cell
 from deltaq_cell.packages import find_file
+from deltaq_launch.private_cell import free_ports
 from deltaq_protocol import connect
 from deltaq_protocol.client import Cell
 

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import pytest
 from krc_side import FR, KRC, telegram
-from private_cell import write_private_cell
 
 from deltaq_cell.load import load_cell
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.codec import unpack
 from deltaq_protocol.guarded import ServerState

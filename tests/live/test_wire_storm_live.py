@@ -1,8 +1,8 @@
 """A storm on RSI's wire of real processes: each correction is an admission, its brake, a probe, or the last again."""
 
 import pytest
-from private_cell import write_private_cell
 
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
 from deltaq_verification.storm.run import run_storm
 from deltaq_verification.storm.witness import UNHEARD

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight
-from deltaq_protocol.messages import Outcome, Phase, RobotState, ToolPose, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Playout, RobotState, ToolPose, Verdict
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 
@@ -161,3 +161,60 @@ def test_without_a_lookahead_the_setpoint_just_sent_counts_and_what_is_behind_it
     in_flight.take(verdict(1, 12, 0.05))
     assert reckoned(in_flight, state(11, 1.0)) == (12, 1.05)
     assert reckoned(in_flight, state(12, 1.05)) == (12, 1.05)
+
+
+# --- with a playout buffer ------------------------------------------------------------------------
+
+
+def played(cycle: int, q_cmd: float, answered: int | None, delay: int = 5) -> RobotState:
+    """A state that has in it all increments up to the one that answers cycle `answered`."""
+    return state(cycle, q_cmd, playout=Playout(delay_cycles=delay, waiting=0, answered_cycle=answered))
+
+
+def test_with_a_playout_buffer_what_no_state_shows_yet_is_reckoned_with_whatever_became_of_verdicts() -> None:
+    in_flight = InFlight()
+    for seq, cycle in enumerate(range(10, 16), start=1):
+        in_flight.sent(seq, [0.1 * seq], cycle)
+    ahead = in_flight.ahead(played(16, 1.0, answered=None))
+    assert (ahead.cycle, float(ahead.q_cmd[0])) == (21, pytest.approx(1.0 + 2.1))
+    assert ahead.dq == pytest.approx([0.6])
+    ahead = in_flight.ahead(played(17, 1.3, answered=11))
+    assert (ahead.cycle, float(ahead.q_cmd[0])) == (22, pytest.approx(1.3 + 1.8))
+    ahead = in_flight.ahead(played(21, 3.1, answered=15))
+    assert (float(ahead.q_cmd[0]), ahead.dq) == (pytest.approx(3.1), None)
+
+
+def test_with_a_playout_buffer_one_that_was_refused_is_reckoned_with_no_more() -> None:
+    in_flight = InFlight()
+    in_flight.sent(1, [0.1], 10)
+    in_flight.sent(2, [0.2], 11)
+    assert in_flight.take(verdict(1, 10, 0.0, Outcome.REFUSED))
+    assert reckoned(in_flight, played(12, 1.0, answered=9)) == (17, 1.2)
+
+
+def test_with_a_playout_buffer_a_verdict_that_never_comes_is_given_up_once_its_turn_is_over() -> None:
+    in_flight = InFlight()
+    in_flight.sent(1, [0.1], 10)
+    in_flight.ahead(played(16, 1.0, answered=10 + PATIENCE_CYCLES - 1))
+    assert in_flight.take_given_up() == 0
+    in_flight.ahead(played(17, 1.0, answered=10 + PATIENCE_CYCLES))
+    assert in_flight.take_given_up() == 1
+
+
+def test_with_a_playout_buffer_nothing_is_kept_for_ever_though_no_increment_has_its_turn() -> None:
+    in_flight = InFlight()
+    for cycle in range(1000):
+        in_flight.ahead(played(cycle, 1.0, answered=None))
+        in_flight.sent(cycle, [0.1], cycle)
+    left = float(in_flight.ahead(played(1000, 1.0, answered=None)).q_cmd[0]) - 1.0
+    assert left <= 0.1 * (2 * 5 + PATIENCE_CYCLES + 1)
+
+
+def test_states_that_were_missed_on_a_long_way_are_answered_too_but_not_many() -> None:
+    in_flight = InFlight()
+    assert list(in_flight.cycles_to_answer(played(10, 1.0, answered=None))) == [10]
+    in_flight.sent(1, [0.1], 10)
+    assert list(in_flight.cycles_to_answer(played(12, 1.0, answered=None))) == [11, 12]
+    in_flight.sent(2, [0.1], 11)
+    in_flight.sent(3, [0.1], 12)
+    assert list(in_flight.cycles_to_answer(played(60, 1.0, answered=12))) == [56, 57, 58, 59, 60]

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 import websockets
-from private_cell import free_ports, write_private_cell
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.console.shell import Console

@@ -78,7 +78,8 @@ class Day:
     def increment(self, robot):
         dq = (0.001,) * ROBOTS[robot]
         lease = self.random.choice([self.token(robot), self.token(robot), None])
-        return Increment(robot=robot, seq=self.seq, cycle=self.cycle, dq=dq, lease=lease)
+        cycle = self.cycle - self.random.choice([0, 0, 1, 5])
+        return Increment(robot=robot, seq=self.seq, cycle=cycle, dq=dq, lease=lease)
 
     def verdict(self, robot):
         bound = self.random.choice([1.0, 1e6])
@@ -105,7 +106,8 @@ class Day:
 
     def lease(self, robot):
         action = self.random.choice([*LeaseAction])
-        return LeaseRequest(robot=robot, action=action, client="x", lease=self.token(robot))
+        playout = self.random.random() < 0.5
+        return LeaseRequest(robot=robot, action=action, client="x", lease=self.token(robot), playout=playout)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -152,7 +154,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     assert set(vars(state.commands)) == {
         "_id", "_epoch", "_outdated_id", "_stop_id", "_awaited", "_stops",
     } | {"_tell"}  # fmt: skip
-    fixed = {"joints", "_max_age_cycles", "_max_state_age_s"}
+    fixed = {"joints", "_max_age_cycles", "_max_state_age_s", "_max_playout_cycles"}
     remembered = {
         "state",
         "received_s",
@@ -161,6 +163,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "_waiting",
         "_admitted",
         "_answered_cycle",
+        "playout",
     }
     assert all(set(vars(link)) == remembered | fixed for link in state.links.values())
     assert set(memory.links) == set(ROBOTS)

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 from krc_side import CELL, FR, XML, preparing, telegram
-from private_cell import free_ports
 
+from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.krc_file import preparation, sensor_codec

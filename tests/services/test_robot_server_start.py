@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
 
 import deltaq_deploy
+from deltaq_launch.private_cell import write_private_cell
 
 KRC = Path(deltaq_deploy.__file__).parent / "krc"
 PATIENCE_S = 60.0

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, XML, preparing, telegram
-from private_cell import free_ports
 
 from deltaq_cell.identity import content_identity
+from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from private_cell import write_private_cell
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Phase

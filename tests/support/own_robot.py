@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from private_cell import free_ports
+
+from deltaq_launch.private_cell import free_ports
 
 PACKAGE = "toy_arm"
 URDF = """<robot name="toy_arm">

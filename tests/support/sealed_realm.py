@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from private_cell import write_private_cell
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol import topics
 from deltaq_protocol.codec import pack
 from deltaq_protocol.guarded import Admission, Command, Request, ServerState, Supervision

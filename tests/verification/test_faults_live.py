@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from private_cell import write_private_cell
 
 from deltaq_cell.load import load_cell
 from deltaq_launch.launcher import Launcher
+from deltaq_launch.private_cell import write_private_cell
 from deltaq_launch.services import cell_services
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_verification.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named

@@ -109,13 +109,12 @@ def sites() -> Iterator[Sites]:
         yield made
 
 
-def write_cell(folder: Path, base: str = "lab", lookahead_cycles: int = 8) -> Path:
+def write_cell(folder: Path, base: str = "lab") -> Path:
     """Write the cell's file as both sites have it: Robot Servers and SIM with the robots, the HLI in the office.
 
     Args:
         folder: to write it to.
         base: the cell that it extends.
-        lookahead_cycles: of the gate; what a controller's answers may be late by.
     """
     file = folder / "two-sites.yaml"
     file.write_text(
@@ -129,8 +128,6 @@ robots:
 # in the office
 hli: {HLI}
 clients_need_tokens: true
-# answers of a controller far away may be so late
-gate: {{lookahead_cycles: {lookahead_cycles}}}
 """,
         encoding="utf-8",
     )

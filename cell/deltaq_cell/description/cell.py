@@ -109,3 +109,5 @@ class CellDescription(DescriptionModel):
     """Where the console serves browsers."""
     lease_s: Positive = 1.0
     """How long a lease lasts while its holder is silent; whatever the holder sends renews it."""
+    max_playout_s: Annotated[float, Field(gt=0, le=5)] = 1.0
+    """How long an increment may be under way and wait for its turn, where a lease asks for a playout buffer."""

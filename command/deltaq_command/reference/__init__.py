@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_command.reference import installation, robots, rooms, sequences, wire
+from deltaq_command.reference import installation, robots, rooms, sequences, testing, wire
 
 FOLDER = Path(__file__).parents[3] / "docs" / "reference"
 _WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
@@ -26,6 +26,7 @@ PAGES = {
     "cell.md": installation.cell,
     "services.md": installation.services,
     "cli.md": installation.cli,
+    "testing.md": testing.testing,
     "rooms.md": rooms.rooms,
     "sequences.md": sequences.sequences,
 }

@@ -10,6 +10,7 @@ from deltaq_command.reference.markdown import table
 
 ROOMS = (
     ("command", "the `deltaq` command, its pages of reference included"),
+    ("testing", "faults for users' own controllers: a plug-in of pytest, scenario files, their reports"),
     ("experiments", "the papers' experiments and benchmarks, each from a cell to a table and a figure"),
     ("verification", "virtual cell, faults, impaired wires, model checker, attack, oracle, replay"),
     ("launch", "what starts things: the table of services, the launcher, compose, a connection to what runs"),

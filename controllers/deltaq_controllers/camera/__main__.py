@@ -41,7 +41,7 @@ def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     from deltaq_controllers.camera.scene import Scene
 
     chosen = [name for name in NAMES if not names or name in names]
-    scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr", latency_s=0.06)
+    scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr")
     with told_of_compiling(lambda function: print(f"compiling {function}", flush=True)):
         for name in chosen:
             camera_controller_named(name, scene, distance_m=1.25)

@@ -7,6 +7,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.follower import CameraFollower
+from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.interface import LastIncrement, View
 from deltaq_protocol.arrays import Array
 
@@ -40,6 +41,7 @@ class CameraController:
         self.evades_below_m = follower.gains.repulsion_range_m
         self._leader = leader
         self._last = LastIncrement(follower.limits.max_ddq)
+        self._foreseen = Foreseen(leader, follower.robot, follower.cycle_s)
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
@@ -47,13 +49,11 @@ class CameraController:
         dq_last = self._last.update(own)
         if leader is None:
             return self.follower.limits.admissible(np.zeros_like(own.q_cmd), own.q_cmd, dq_last)
+        self._foreseen.update(own, leader)
+        q_leader = self._foreseen.ahead() if self.follower.variants.extrapolated_focus else leader.q
+        focus = self.focus_at(q_leader)
         return self.follower.increment(
-            own.q_cmd,
-            dq_last,
-            self.focus_at(leader.q),
-            leader.q,
-            self.desired_distance_m,
-            leader.time_s,
+            own.q_cmd, dq_last, focus, q_leader, self.desired_distance_m, leader.time_s
         )
 
     def focus_at(self, q_leader: Array) -> Array:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from deltaq_controllers.camera.controller import CameraController
-from deltaq_controllers.camera.follower import CameraFollower, FollowerGains
+from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene
@@ -60,8 +60,7 @@ def camera_controller_named(
         ControllerError: there is no controller of that name.
     """
     if name in BY_NAME:
-        gains = FollowerGains(latency_s=scene.latency_s)
-        follower = CameraFollower(scene.robot, scene.leader, scene.cycle_s, gains, BY_NAME[name])
+        follower = CameraFollower(scene.robot, scene.leader, scene.cycle_s, variants=BY_NAME[name])
         return CameraController(follower, scene.leader, distance_m, focus)
     if name == "qp":
         return QpFollower(scene, distance_m, focus)

@@ -1,15 +1,9 @@
-"""Where the focus will be when the follower's increment takes effect.
-
-The error of a follower that chases the measured focus is pure latency, speed times latency over distance
-(errata on III-F). The focus is therefore extrapolated once by the known latency, along a velocity that an
-alpha-beta filter estimates, and then held during the integration as the paper does.
-"""
+"""How fast the focus moves, which a view that is to be kept has to make up for."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from deltaq_controllers.interface import ControllerError
 from deltaq_protocol.arrays import Array
 
 
@@ -31,11 +25,6 @@ class FocusTracker:
         self._time_s = 0.0
         self.velocity: Array = np.zeros(3)
 
-    @property
-    def started(self) -> bool:
-        """Whether anything was measured yet."""
-        return self._position is not None
-
     def update(self, position: Array, time_s: float) -> None:
         """Add a measurement.
 
@@ -52,10 +41,3 @@ class FocusTracker:
             self._position = expected + self._alpha * innovation
             self.velocity = self.velocity + (self._beta / elapsed) * innovation
         self._time_s = time_s
-
-    def ahead(self, time_s: float) -> Array:
-        """(3,) the point expected `time_s` after the last measurement [m]."""
-        if self._position is None:
-            raise ControllerError("no focus was measured yet: call update() first")
-        expected: Array = self._position + time_s * self.velocity
-        return expected

@@ -90,10 +90,10 @@ class CameraFollower:
         Args:
             q_cmd: (n,) commanded reference: the last setpoint, with all increments in flight [rad or m].
             dq_last: (n,) increment that led to it [rad or m].
-            p_focus: (3,) measured focus in the world [m].
-            q_leader: (m,) measured configuration of the leader, None if it is not known.
+            p_focus: (3,) focus in the world, as it was measured or where it will be [m].
+            q_leader: (m,) configuration of the leader, None if it is not known.
             desired_distance: desired view distance d_r [m].
-            time_s: when focus and leader were measured, on any one clock [s].
+            time_s: stamp of the leader's state, on any one clock [s].
 
         Returns:
             (n,) increment within the robot's limits of position, speed and acceleration [rad or m].
@@ -101,8 +101,6 @@ class CameraFollower:
         self._tracker.update(p_focus, time_s)
         # one kind of array: for another one, or one that is read-only, the law would be recompiled within a cycle
         q_cmd, focus = np.array(q_cmd, dtype=np.float64), np.array(p_focus, dtype=np.float64)
-        if self.variants.extrapolated_focus:
-            focus = self._tracker.ahead(self.gains.latency_s)
         speed = float(np.linalg.norm(self._tracker.velocity))
         obstacles, radii = self._obstacles(q_leader)
         self.clearance_m = self._law.aim(q_cmd, focus, speed, float(desired_distance), obstacles, radii)

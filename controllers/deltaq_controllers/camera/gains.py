@@ -24,7 +24,6 @@ class FollowerGains(NamedTuple):
         damping: ratio of view angle to joint angle at which the damping of (7) halves the task rate.
         horizon_s: virtual horizon of one increment [s].
         max_step_s: longest Runge-Kutta step [s].
-        latency_s: how far ahead the focus is extrapolated: its measurement's age plus the own robot's lag [s].
         turn_rad_s2: deceleration of the view angle that approaching the focus counts on [rad/s^2].
         zoom_m_s2: deceleration of the view distance that approaching the desired one counts on [m/s^2].
         spin_rad_s2: deceleration of the roll that levelling the picture counts on [rad/s^2].
@@ -43,7 +42,6 @@ class FollowerGains(NamedTuple):
     damping: float = 0.03
     horizon_s: float = 0.06
     max_step_s: float = 0.06
-    latency_s: float = 0.06
     turn_rad_s2: float = 10.0
     zoom_m_s2: float = 2.0
     spin_rad_s2: float = 30.0
@@ -58,7 +56,7 @@ class Variants(NamedTuple):
             away; else they are reduced as fast as it can move.
         one_sided_weights: joints that leave a limit are not weighed; else (10) as printed.
         gradient_repulsion: the gradient of the potential; else (12) as printed.
-        extrapolated_focus: the focus is extrapolated by the latency; else held where it was measured.
+        extrapolated_focus: the focus is where the leader will be; else held where it was measured.
     """
 
     angle_law: bool = True

@@ -107,7 +107,7 @@ class QpFollower:
         """Compile everything: the first cycle, and the first attack, have no time for it."""
         robots, own = self._scene.cell.robots, self._scene.robot_name
         at_home = {name: RobotView(0, 0.0, robot.home, robot.home) for name, robot in robots.items()}
-        self._others.update(at_home)
+        self._others.update(View(at_home[own], at_home))
         q = np.array(robots[own].home)
         near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, 1e3))
         tasks = self._tasks(q, *self._focus_ahead(), evade=True)
@@ -121,12 +121,12 @@ class QpFollower:
         q, dq_last = np.array(view.own.q_cmd, dtype=np.float64), self._last.update(view.own)
         if self._scene.leader_name not in view.others:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
-        self._others.update(view.others)
+        self._others.update(view)
         focus, velocity = self._focus_ahead()
         cycles = brake_cycles(dq_last, self.limits.max_ddq)
         # the rest of the present brake
         travel = dq_last * (0.5 * (cycles - 1))
-        others = self._others.ahead(self._scene.latency_s)
+        others = self._others.ahead()
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
         tasks = self._tasks(q, focus, velocity, evade=True in foreign)
@@ -160,11 +160,9 @@ class QpFollower:
         """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
         if self.focus is not None:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
-        tracker = self._others.leader
-        # the present request arrives after the latency; its starting point, a cycle earlier
-        self._leader.update(tracker.ahead(self._scene.latency_s - self._cycle_s))
+        self._leader.update(self._others.leader.ahead(-self._cycle_s))  # what the increment starts from
         focus = self._leader.position
-        return focus, self._leader.at_point(focus) @ tracker.velocity
+        return focus, self._leader.at_point(focus) @ self._others.leader.velocity
 
     def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
         """What the increment is for, at configuration `q` (n,)."""
@@ -198,8 +196,8 @@ class QpFollower:
         The positions extrapolated by `reaction_s` count: the barriers keep these free, and a follower that begins
         to slide aside only there is held by the gate.
         """
-        ahead_s = self._scene.latency_s + self.gains.reaction_s
-        force = self._repulsion.field_of(self._camera, Obstacles(*self._others.spheres_ahead(ahead_s)))
+        obstacles = Obstacles(*self._others.spheres_ahead(self.gains.reaction_s))
+        force = self._repulsion.field_of(self._camera, obstacles)
         return inverse_weights(self._limit_weights, q, force) * force
 
     def _room(self, q: Array) -> Array:

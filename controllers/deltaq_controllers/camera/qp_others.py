@@ -1,4 +1,4 @@
-"""The other robots of a cell as the quadratic programme sees them: where they will be, and how fast."""
+"""The other robots of a cell as a camera controller sees them: where their setpoints will be, and how fast."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deltaq_controllers.camera.focus import FocusTracker
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.interface import RobotView
+from deltaq_controllers.camera.setpoints import Foreseen
+from deltaq_controllers.interface import View
 from deltaq_controllers.spheres import PlacedSpheres
 from deltaq_protocol.arrays import Array
 
 
 class OtherRobots:
-    """Estimates of the joints of every robot but the own one; vectors over the cell are in the cell's order.
+    """Setpoints of every robot but the own one; vectors over the cell are in the cell's order.
 
     Args:
         scene: the cell and who is who in it.
@@ -22,26 +22,30 @@ class OtherRobots:
 
     def __init__(self, scene: Scene) -> None:
         self._robots, self._own, self._leader = scene.cell.robots, scene.robot_name, scene.leader_name
-        self._trackers = {name: FocusTracker() for name in self._robots if name != self._own}
-        self._bodies = {name: PlacedSpheres(self._robots[name]) for name in self._trackers}
+        self._others = {
+            name: Foreseen(robot, scene.robot, scene.cycle_s)
+            for name, robot in self._robots.items()
+            if name != self._own
+        }
+        self._bodies = {name: PlacedSpheres(self._robots[name]) for name in self._others}
 
-    def update(self, views: Mapping[str, RobotView]) -> None:
-        """Add what was measured."""
-        for name, view in views.items():
-            if name in self._trackers:
-                self._trackers[name].update(view.q, view.time_s)
+    def update(self, view: View) -> None:
+        """Add what was seen."""
+        for name, other in view.others.items():
+            if name in self._others:
+                self._others[name].update(view.own, other)
 
     @property
-    def leader(self) -> FocusTracker:
-        """The estimate of the leader's joints."""
-        return self._trackers[self._leader]
+    def leader(self) -> Foreseen:
+        """The leader."""
+        return self._others[self._leader]
 
-    def ahead(self, time_s: float) -> dict[str, Array]:
-        """(m,) joints of each robot that was heard, a time after it was measured [rad or m]."""
-        return {name: tracker.ahead(time_s) for name, tracker in self._trackers.items() if tracker.started}
+    def ahead(self, time_s: float = 0.0) -> dict[str, Array]:
+        """(m,) setpoint of each robot that was heard, a time after the own robot's next increment [rad or m]."""
+        return {name: other.ahead(time_s) for name, other in self._others.items() if other.setpoints.started}
 
     def spheres_ahead(self, time_s: float) -> tuple[Array, Array]:
-        """Centres (k, 3) and radii (k,) of their bounding spheres, a time after they were measured [m]."""
+        """Centres (k, 3) and radii (k,) of their bounding spheres, a time after the next increment [m]."""
         expected = self.ahead(time_s)
         centres = [self._bodies[name].at(joints) for name, joints in expected.items()]
         return np.concatenate(centres), np.concatenate([self._bodies[name].radii for name in expected])
@@ -53,11 +57,11 @@ class OtherRobots:
         )
 
     def rates(self) -> Array:
-        """(m,) estimated rates of all joints of the cell, the own ones zero [rad/s or m/s]."""
+        """(m,) rates of all joints of the cell, the own ones zero [rad/s or m/s]."""
         return np.concatenate(
             [
-                self._trackers[name].velocity
-                if name in self._trackers and self._trackers[name].started
+                self._others[name].velocity
+                if name in self._others and self._others[name].setpoints.started
                 else np.zeros(robot.n)
                 for name, robot in self._robots.items()
             ]

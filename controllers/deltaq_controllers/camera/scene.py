@@ -16,13 +16,11 @@ class Scene:
         cell: the cell; a client builds it from the description that the HLI gives it.
         robot_name: the robot that carries the camera.
         leader_name: the robot that is watched.
-        latency_s: from the leader's motion to the camera's [s].
     """
 
     cell: CellModel
     robot_name: str
     leader_name: str
-    latency_s: float
 
     @property
     def robot(self) -> RobotModel:

@@ -14,7 +14,6 @@ from contextlib import ExitStack
 from functools import partial
 
 from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
-from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.live import (
@@ -120,7 +119,7 @@ def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> FocusC
     model = cell_model(cell.description)
     if not others or model.robots[robot].description.camera is None:
         raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
-    scene = Scene(model, robot, others[0], FollowerGains().latency_s)
+    scene = Scene(model, robot, others[0])
     return camera_controller_named(FOLLOWS, scene, VIEW_M)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from html import escape
 from pathlib import Path
 
@@ -51,6 +51,11 @@ def page(run: RecordedRun) -> str:
         "<h2>The recording</h2>",
         _recording(run),
     ]
+    return document(title, parts)
+
+
+def document(title: str, parts: Iterable[str]) -> str:
+    """A self-contained page in the style of the reports; `parts` are escaped already."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -131,7 +136,7 @@ def _events(run: RecordedRun) -> str:
     ]  # fmt: skip
     more = len(run.events) - len(rows)
     rest = f'<p class="soft">and {more} more events</p>' if more else ""
-    return _table(("time [s]", "event", "robot", "what"), rows, numbers={0}) + rest
+    return table(("time [s]", "event", "robot", "what"), rows, numbers={0}) + rest
 
 
 def _often(text: str, count: int) -> str:
@@ -160,7 +165,7 @@ def _gate(robot: RobotRun) -> str:
     if not groups:
         return head
     columns = ("outcome", "reason", "verdicts", "from [s]", "to [s]", "on")
-    return head + _table(columns, [_reason_row(group) for group in groups], numbers={2, 3, 4})
+    return head + table(columns, [_reason_row(group) for group in groups], numbers={2, 3, 4})
 
 
 def _reason_row(group: ReasonGroup) -> Cells:
@@ -192,7 +197,7 @@ def _cycles(run: RecordedRun) -> str:
         "The admission rate is the share of cycles in which a fresh, admitted increment reached the robot, "
         "from the first such cycle to the last."
     )
-    return _table(columns, rows, numbers=set(range(1, 8))) + f'<p class="soft">{told}</p>'
+    return table(columns, rows, numbers=set(range(1, 8))) + f'<p class="soft">{told}</p>'
 
 
 def _joints(robot: RobotRun, length_s: float) -> str:
@@ -212,7 +217,7 @@ def _joints(robot: RobotRun, length_s: float) -> str:
     columns_told = ("joint", "limits", "travelled", "left to a limit", "greatest speed, of its limit")
     return (
         f'<h3>{escape(robot.name)}</h3><figure class="wide">{drawing.joints(robot, length_s)}</figure>'
-        + _table(columns_told, rows, numbers={1, 2, 3, 4})
+        + table(columns_told, rows, numbers={1, 2, 3, 4})
     )
 
 
@@ -230,7 +235,9 @@ def _recording(run: RecordedRun) -> str:
     return f'<dl class="facts">{shown}</dl><p class="soft">{told}</p>'
 
 
-def _table(columns: Cells, rows: Iterable[Cells], numbers: set[int]) -> str:
+def table(columns: Cells, rows: Iterable[Cells], numbers: Collection[int] = ()) -> str:
+    """A table of a page; the columns at the places `numbers` are aligned as such."""
+
     def cells(tag: str, texts: Cells) -> str:
         return "".join(
             f'<{tag} class="number">{escape(text)}</{tag}>'

@@ -187,6 +187,7 @@ class HliCore:
         link.take_state(state, time_s)
         self._state.commands.suppose(state.epoch)
         waited = link.waits
+        playout = None if link.playout is None else link.playout.told()
         asked = self.increments.on_cycle(state.robot, link, time_s)
         q_ahead, setpoint_cycle = link.told_ahead()
         placed = RobotState(
@@ -202,6 +203,7 @@ class HliCore:
             gate=self._gate.fingerprint if self._gate else "",
             q_ahead=q_ahead,
             setpoint_cycle=setpoint_cycle,
+            playout=playout,
         )
         told = ToTopic(topics.STATE, state.robot, placed)
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]

@@ -10,10 +10,12 @@ from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.asked import Asked
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.leases import Lease
+from deltaq_services.hli.playout import PlayoutBuffer
 from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
-from deltaq_services.hli.robot_link import Asked, RobotLink
+from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender, ToTopic
 
@@ -39,11 +41,12 @@ class Increments:
             return outputs + self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
         lease.used = True
         assert link.state is not None  # without one it would have been refused
-        send, replaced = link.offer(Asked(increment, lease.epoch, sender, came=link.state.cycle))
+        asked = Asked(increment, lease.epoch, sender, came=link.state.cycle)
+        if link.playout is not None:
+            return outputs + self._put_into(link.playout, asked)
+        send, replaced = link.offer(asked)
         if replaced is not None:
-            outputs += self._state.refuse_asked(
-                replaced, Reason(code=ReasonCode.SUPERSEDED, what="increment")
-            )
+            outputs += self._state.refuse_asked(replaced, _superseded())
         if send is not None:
             outputs.append(self._request(robot, link, send))
         return outputs
@@ -83,35 +86,58 @@ class Increments:
         return [ToSender(sender, Error(code=error.code, message=str(error), hint=hint, **answered))]
 
     def on_cycle(self, robot: str, link: RobotLink, time_s: float) -> list[Output]:
-        """A state has come: ask the gate for the increment that waited, or send a heartbeat."""
-        outputs: list[Output] = []
-        waited = link.drop()
-        if waited is not None:
-            # the robot may have been held, or a state been lost
-            reason = self._state.mismatch() or link.fault(waited.increment, time_s) or link.outdated(waited)
-            if reason is not None:
-                outputs = self._state.refuse_asked(waited, reason)
-            else:
-                send, _ = link.offer(waited)
-                if send is not None:
-                    return [self._request(robot, link, send)]
+        """A state has come: ask the gate for the increment whose turn it is, or send a heartbeat."""
+        asked, outputs = self._whose_turn(link, time_s)
+        if asked is not None:
+            return [self._request(robot, link, asked), *outputs]
         self._state.counters["signs_of_life"] += 1
         assert link.state is not None  # it has just come
         lease = self._state.leases.of(robot)
         alive = Request(robot=robot, cycle=link.state.cycle, lease_epoch=lease.epoch if lease else 0)
         return [ToTopic(topics.REQUEST, robot, alive), *outputs]
 
+    def _whose_turn(self, link: RobotLink, time_s: float) -> tuple[Asked | None, list[Output]]:
+        """The increment to be sent now, if there is one, and refusals of others."""
+        outputs: list[Output] = []
+        if link.playout is None:
+            asked = link.take_waiting()
+        else:
+            assert link.state is not None  # it has just come
+            turn = link.playout.turn(link.state.cycle)
+            asked = turn.asked
+            for late in turn.late:
+                outputs += self._state.refuse_asked(late, _superseded())
+        if asked is None:
+            return None, outputs
+        # the robot may have been held, or a state been lost
+        reason = self._state.mismatch() or link.outdated(asked, time_s)
+        if reason is not None:
+            return None, [*outputs, *self._state.refuse_asked(asked, reason)]
+        send, _ = link.offer(asked)
+        return send, outputs
+
+    def _put_into(self, playout: PlayoutBuffer, asked: Asked) -> list[Output]:
+        replaced = playout.put(asked, asked.came)
+        if replaced is None:
+            return []
+        if replaced is not asked:
+            return self._state.refuse_asked(replaced, _superseded())
+        cycle, oldest = asked.increment.cycle, playout.oldest_cycle
+        late = Reason(code=ReasonCode.STALE_CYCLE, what="cycle", value=float(cycle), bound=float(oldest))
+        return self._state.refuse_asked(asked, late)
+
     def _request(self, robot: str, link: RobotLink, asked: Asked) -> Output:
         self._state.counters["requests"] += 1
         assert link.state is not None  # nothing is due before the first state
-        increment = asked.increment
+        increment, newest = asked.increment, link.state.cycle
         return ToTopic(
             topics.REQUEST,
             robot,
             Request(
                 robot=robot,
-                cycle=increment.cycle,
-                newest=link.state.cycle,
+                # the age of one that waited for its turn has been looked at, and is no fault of the way to the gate
+                cycle=increment.cycle if link.playout is None else newest,
+                newest=newest,
                 lease_epoch=asked.lease_epoch,
                 seq=increment.seq,
                 dq=increment.dq,
@@ -127,10 +153,14 @@ class Increments:
             return unknown_robot(robot)
         if lease is None:
             return Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease")
-        if seq <= lease.last_seq:
+        newest = lease.sequence.newest
+        if not lease.sequence.take(seq):
             return Reason(
-                code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=float(seq), bound=float(lease.last_seq)
+                code=ReasonCode.REPLAYED_SEQUENCE, what="seq", value=float(seq), bound=float(newest)
             )
-        lease.last_seq = seq
         self._state.leases.renew(lease, time_s)
         return None
+
+
+def _superseded() -> Reason:
+    return Reason(code=ReasonCode.SUPERSEDED, what="increment")

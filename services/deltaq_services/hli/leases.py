@@ -7,8 +7,9 @@ with the time of day; if that has been set back, the gate still knows the epochs
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from deltaq_services.hli.sequence import Sequence
 from deltaq_services.outputs import NOBODY, ClientOrigin, Sender
 
 
@@ -17,7 +18,7 @@ class Lease:
     """The right to write to one robot.
 
     Attributes:
-        last_seq: greatest sequence number seen under this lease.
+        sequence: sequence numbers seen under this lease.
         used: True once an increment was accepted; then losing the holder is a reason to stop.
         connection: the holder's connection, where it has one.
         origin: of the holder, for the audit log.
@@ -29,7 +30,7 @@ class Lease:
     token: str
     expires_s: float
     connection: Sender | None = None
-    last_seq: int = -1
+    sequence: Sequence = field(default_factory=Sequence)
     used: bool = False
     origin: ClientOrigin = NOBODY
 
@@ -89,13 +90,21 @@ class Leases:
         lease = self._leases.get(robot)
         return lease.token if lease else None, self._ended.get(robot)
 
-    def grant(self, robot: str, holder: ClientOrigin, connection: Sender | None, time_s: float) -> Lease:
+    def grant(
+        self,
+        robot: str,
+        holder: ClientOrigin,
+        connection: Sender | None,
+        time_s: float,
+        sequence: Sequence | None = None,
+    ) -> Lease:
         """A new lease, in place of the one before."""
         self._epoch += 1
         expires_s = time_s + self._lease_s
         lease = Lease(
             robot, self._epoch, holder.client, self._new_token(), expires_s, connection, origin=holder
         )
+        lease.sequence = sequence or lease.sequence
         self._leases[robot] = lease
         return lease
 
@@ -124,4 +133,4 @@ class Leases:
 def _copied(leases: Iterable[tuple[str, Lease | None]]) -> Iterator[tuple[str, Lease | None]]:
     """With leases that nobody else renews."""
     for robot, lease in leases:
-        yield robot, None if lease is None else replace(lease)
+        yield robot, None if lease is None else replace(lease, sequence=replace(lease.sequence))

@@ -25,6 +25,7 @@ from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.deeds import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease
+from deltaq_services.hli.sequence import Sequence
 from deltaq_services.hli.state import HliState
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
@@ -81,12 +82,19 @@ class Requests:
                 outputs += self._state.end_lease(current)
             self._state.counters["leases_granted"] += 1
             self._state.tell_of_lease(what, asking, robot, text)
-            connection = sender if sender.lasting else None
-            granted = self._state.leases.grant(robot, asking, connection, time_s)
+            granted = self._grant(request, asking, sender, time_s)
         if code is not None:
             self._state.counters[f"lease_refused_{code}"] += 1
             self._tell_of_no_lease(request, asking, code)
         return [*outputs, ToSender(sender, self._lease_reply(robot, code, time_s, granted))]
+
+    def _grant(self, request: LeaseRequest, asking: ClientOrigin, sender: Sender, time_s: float) -> Lease:
+        connection = sender if sender.lasting else None
+        if not request.playout:
+            return self._state.leases.grant(request.robot, asking, connection, time_s)
+        playout = self._state.links[request.robot].begin_playout()
+        overtaking = Sequence(playout.max_cycles)
+        return self._state.leases.grant(request.robot, asking, connection, time_s, overtaking)
 
     def on_stop(self, sender: Sender, time_s: float) -> list[Output]:
         """Bring every robot to rest; anyone may."""

@@ -1,7 +1,7 @@
 """One robot as the HLI sees it: its newest state, and the increments on their way to the gate.
 
 At most one increment goes to the gate per robot and cycle. A second one within the cycle is in hand until the next
-state, and no longer; of several only the newest is kept.
+state, and no longer; of several only the newest is kept. Where the lease asked for a playout buffer, all wait there.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Increment, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead, AheadMemory
+from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.playout import PlayoutBuffer, PlayoutMemory
 from deltaq_services.outputs import Sender
 
 _MAX_AWAITED = 64
@@ -21,16 +23,6 @@ _MAX_AWAITED = 64
 
 _IN_HAND_CYCLES = 1
 """An increment that came in a cycle is passed on in that one or so many later."""
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """An increment that passed all checks, who sent it, under which lease, and in which cycle it came."""
-
-    increment: Increment
-    lease_epoch: int
-    sender: Sender | None
-    came: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +36,7 @@ class LinkMemory:
         awaited: who awaits which verdict.
         waiting: the increment that waits.
         admitted: what is known of the setpoints to come.
+        playout: the increments of a controller far away.
     """
 
     state: ServerState | None
@@ -53,6 +46,7 @@ class LinkMemory:
     awaited: Mapping[int, Sender | None]
     waiting: Asked | None
     admitted: AheadMemory | None
+    playout: PlayoutMemory | None
 
 
 class RobotLink:
@@ -62,14 +56,27 @@ class RobotLink:
         joints: number of joints, n.
         max_age_cycles: an increment that answers a cycle older than this is stale.
         max_state_age_s: a robot whose newest state is older than this is taken for offline.
+        max_playout_cycles: the same where the lease has a playout buffer, with the time in there.
         admitted: what is known of the setpoints to come; None without a lookahead.
+
+    Attributes:
+        joints: as given.
+        playout: keeps the increments of the lease until their turn; None where it did not ask for that.
+        state, received_s: newest state of the robot, and when it came [s].
     """
 
     def __init__(
-        self, joints: int, max_age_cycles: int, max_state_age_s: float, admitted: AdmittedAhead | None = None
+        self,
+        joints: int,
+        max_age_cycles: int,
+        max_state_age_s: float,
+        max_playout_cycles: int,
+        admitted: AdmittedAhead | None = None,
     ) -> None:
         self.joints = joints
         self._max_age_cycles = max_age_cycles
+        self._max_playout_cycles = max_playout_cycles
+        self.playout: PlayoutBuffer | None = None
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
         self._answered_cycle = -1
@@ -91,6 +98,7 @@ class RobotLink:
             awaited,
             self._waiting,
             admitted,
+            None if self.playout is None else self.playout.snapshot(),
         )
 
     def restore(self, memory: LinkMemory) -> None:
@@ -101,12 +109,20 @@ class RobotLink:
         self._awaited = dict(memory.awaited)
         if self._admitted is not None and memory.admitted is not None:
             self._admitted.restore(memory.admitted)
+        self.playout = None
+        if memory.playout is not None:
+            self.begin_playout().restore(memory.playout)
 
     def phase(self, time_s: float) -> Phase:
         """Phase of the robot; offline while no fresh state comes."""
         if self.state is None or time_s - self.received_s > self._max_state_age_s:
             return Phase.OFFLINE
         return self.state.phase
+
+    def begin_playout(self) -> PlayoutBuffer:
+        """From now on, until the lease ends, increments wait for their turn."""
+        self.playout = PlayoutBuffer(self._max_playout_cycles)
+        return self.playout
 
     def fault(self, increment: Increment, time_s: float) -> Reason | None:
         """Why the robot cannot take this increment now, or None if it can."""
@@ -117,6 +133,10 @@ class RobotLink:
                 value=float(len(increment.dq)),
                 bound=float(self.joints),
             )
+        return self.cannot_move(time_s) or self._age_fault(increment.cycle)
+
+    def cannot_move(self, time_s: float) -> Reason | None:
+        """Why the robot can take no increment now, or None if it can."""
         phase = self.phase(time_s)
         if self.state is None or phase is Phase.OFFLINE:
             age = None if self.state is None else time_s - self.received_s
@@ -125,22 +145,37 @@ class RobotLink:
             )
         if phase is Phase.HELD:
             return Reason(code=ReasonCode.STOPPED, what=self.state.reason or "")
+        return None
+
+    def _age_fault(self, cycle: int) -> Reason | None:
+        assert self.state is not None  # it can move
         newest = self.state.cycle
-        if increment.cycle > newest:
-            return Reason(
-                code=ReasonCode.FUTURE_CYCLE, what="cycle", value=float(increment.cycle), bound=float(newest)
+        if cycle > newest:
+            return Reason(code=ReasonCode.FUTURE_CYCLE, what="cycle", value=float(cycle), bound=float(newest))
+        if self.playout is not None:
+            under_way, longest = newest - cycle, self._max_playout_cycles
+            too_slow = Reason(
+                code=ReasonCode.LINK_TOO_SLOW, what="cycles", value=float(under_way), bound=float(longest)
             )
-        if newest - increment.cycle > self._max_age_cycles:
+            return too_slow if under_way > longest else None
+        if newest - cycle > self._max_age_cycles:
             return Reason(
                 code=ReasonCode.STALE_CYCLE,
                 what="cycle",
-                value=float(increment.cycle),
+                value=float(cycle),
                 bound=float(newest - self._max_age_cycles),
             )
         return None
 
-    def outdated(self, waited: Asked) -> Reason | None:
-        """Why an increment that waited is in hand no more: the state after the one in which it came did not come."""
+    def outdated(self, waited: Asked, time_s: float) -> Reason | None:
+        """Why an increment that waited cannot be passed on now, or None if it can.
+
+        Without a playout buffer it is in hand for one cycle, and the state after the one in which it came may be lost.
+        """
+        if self.playout is not None:
+            return self.cannot_move(time_s)
+        if (fault := self.fault(waited.increment, time_s)) is not None:
+            return fault
         assert self.state is not None  # it came after a state
         oldest = self.state.cycle - _IN_HAND_CYCLES
         if waited.came >= oldest:
@@ -178,7 +213,7 @@ class RobotLink:
             The increment to send now, if any, and the one that it took the place of, if any.
         """
         if self._is_due(asked):
-            return self._sent(asked), self.drop()
+            return self._sent(asked), self.take_waiting()
         replaced, self._waiting = self._waiting, asked
         return None, replaced
 
@@ -187,8 +222,20 @@ class RobotLink:
         """Whether an increment waits for the next state."""
         return self._waiting is not None
 
-    def drop(self) -> Asked | None:
-        """Forget the increment that waits, and return it."""
+    def drop(self) -> list[Asked]:
+        """Forget the increments that wait, and return them."""
+        waited = [] if self.playout is None else self.playout.drop()
+        asked = self.take_waiting()
+        return waited if asked is None else [*waited, asked]
+
+    def end_lease(self) -> list[Asked]:
+        """The lease has ended: forget the increments that wait, and return them."""
+        waited = self.drop()
+        self.playout = None
+        return waited
+
+    def take_waiting(self) -> Asked | None:
+        """Take the increment in hand, if there is one."""
         asked, self._waiting = self._waiting, None
         return asked
 

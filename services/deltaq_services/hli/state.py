@@ -14,11 +14,12 @@ from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead
+from deltaq_services.hli.asked import Asked
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.deeds import Deed, Tell, deed_of, told_to_nobody
 from deltaq_services.hli.leases import Lease, Leases
 from deltaq_services.hli.refusals import refusal
-from deltaq_services.hli.robot_link import Asked, RobotLink
+from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.outputs import NOBODY, ClientOrigin, Output, Sender, ToSender, ToTopic
 from deltaq_services.rate_limit import RateLimit
 
@@ -59,6 +60,7 @@ class HliState:
                 len(robot.joints),
                 topics.INCREMENT.age_cycles(cell.cycle_s, age_s),
                 topics.SERVER_STATE.age_s(cell.cycle_s, age_s),
+                max(1, round(cell.max_playout_s / cell.cycle_s)),
                 AdmittedAhead(ahead, cell.cycle_s) if ahead > 1 else None,
             )
             for name, robot in cell.robots.items()
@@ -131,10 +133,9 @@ class HliState:
     def end_lease(self, lease: Lease) -> list[Output]:
         """End a lease; nothing that was queued under it survives."""
         self.leases.end(lease)
-        asked = self.links[lease.robot].drop()
-        if asked is None:
-            return []
-        return self.refuse_asked(asked, Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"))
+        reason = Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease")
+        waited = self.links[lease.robot].end_lease()
+        return [output for asked in waited for output in self.refuse_asked(asked, reason)]
 
     def holder_lost(self, lease: Lease, time_s: float) -> list[Output]:
         """The holder vanished without releasing: stop its robot, if it was used."""
@@ -162,8 +163,8 @@ class HliState:
 
     def drop_all(self, reason: Reason) -> list[Output]:
         """Refuse every increment that waits, of all robots."""
-        dropped = [link.drop() for link in self.links.values()]
-        return [output for asked in dropped if asked for output in self.refuse_asked(asked, reason)]
+        dropped = [asked for link in self.links.values() for asked in link.drop()]
+        return [output for asked in dropped for output in self.refuse_asked(asked, reason)]
 
     def new_command(self, **fields: Any) -> Command:
         """A command with these fields, bound to the gate and to the robots' newest states."""

@@ -48,7 +48,7 @@ _STOPS_LOOKED_FOR = 4
 _SEND_BUFFER_BYTES = 64 * 1024
 """The kernel buffers no more than about this: buffered states can no longer be replaced by newer ones."""
 
-_TYPES: dict[str, type[Message]] = {
+REQUESTS: dict[str, type[Message]] = {
     "hello": Hello,
     "lease": LeaseRequest,
     "increment": Increment,
@@ -59,6 +59,7 @@ _TYPES: dict[str, type[Message]] = {
     "contact": ContactRequest,
     "describe": DescribeRequest,
 }
+"""What a client may say, by the `type` of its line."""
 
 
 class Front(Protocol):
@@ -268,9 +269,9 @@ class TcpConnection(asyncio.Protocol, Sender):
     def _outputs(self, data: dict[str, Any], now: float) -> list[Output]:
         core = self._port.core
         kind = data.get("type")
-        message_type = _TYPES.get(kind) if isinstance(kind, str) else None
+        message_type = REQUESTS.get(kind) if isinstance(kind, str) else None
         if message_type is None:
-            known = ", ".join(_TYPES)
+            known = ", ".join(REQUESTS)
             text = f"type: must be one of {known}, got {shown(kind)}"
             raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
         if message_type is Hello:

@@ -122,9 +122,16 @@ def _recorded(service: Service, records: dict[str, Path]) -> Service:
     return replace(service, arguments=(*service.arguments, "--record", str(records[service.robot])))
 
 
-def rows_of(record: Path) -> Array:
-    """Whole rows of a record that is being written: cycle, q (n), setpoint (n), 1 while RSI runs."""
-    text = record.read_text(encoding="utf-8")
+def rows_of(record: Path, from_byte: int = 0) -> Array:
+    """Whole rows of a record that is being written: cycle, q (n), setpoint (n), 1 while RSI runs.
+
+    Args:
+        record: the file.
+        from_byte: where to begin; the line there is left out, as the heading is.
+    """
+    with record.open(encoding="utf-8") as file:
+        file.seek(from_byte)
+        text = file.read()
     lines = text[: text.rfind("\n")].splitlines()[1:]
     rows = []
     for line in lines:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_cell.description import RsiDescription
+from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_verification.faults.catalogue import UnknownFaultError
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 
@@ -27,8 +27,15 @@ def load_rsi_cell(cell_name: str | Path, robot: str | None = None) -> LoadedCell
                 f"robots.{name}.driver is {one.driver.kind!r}; faults are injected in cells whose robots are "
                 "all driven over RSI: use such a cell, e.g. --cell lab"
             )
-    if robot is not None and robot not in description.robots:
-        raise UnknownFaultError(
-            f"no robot {robot!r} in cell {description.cell}; it has {', '.join(description.robots)}"
-        )
+    must_have(description, robot)
     return loaded
+
+
+def must_have(cell: CellDescription, robot: str | None) -> None:
+    """Refuse a robot that a cell does not have; None is none in particular.
+
+    Raises:
+        UnknownFaultError: there is no such robot.
+    """
+    if robot is not None and robot not in cell.robots:
+        raise UnknownFaultError(f"no robot {robot!r} in cell {cell.cell}; it has {', '.join(cell.robots)}")

@@ -2,61 +2,30 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from deltaq_emulator.faults import LinkFaults
 from deltaq_emulator.states import KrcState
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.messages import Done, Phase
-from deltaq_verification.faults.actions import (
-    AskPanel,
-    BeginInThePast,
-    Bombard,
-    Freeze,
-    Impair,
-    Kill,
-    Misbehave,
-    PressStop,
-    Slow,
-    StepClock,
-)
-from deltaq_verification.faults.bombard import OVERSIZE
-from deltaq_verification.faults.catalogue import CHANGE_S, Fault
+from deltaq_protocol.messages import Phase, RobotState
+from deltaq_verification.faults.catalogue import Fault
 from deltaq_verification.faults.controller import VirtualController
-from deltaq_verification.faults.mover import CRUISE_RAD_S
-from deltaq_verification.faults.panel import checked, describe, pendant_message, recovery
+from deltaq_verification.faults.mover import CRUISE_RAD_S, Mover
+from deltaq_verification.faults.panel import pendant_message
 from deltaq_verification.faults.report import NEVER, FaultEffect, is_good, judged, motion_after, recovery_text
+from deltaq_verification.faults.virtual_inject import BACK_S, VirtualInjector
 from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle
-from deltaq_verification.virtual_cell.arm import HERE, OTHER_PORT, VirtualArm
 from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.clients import Say
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
-from deltaq_verification.virtual_cell.parts import Life, Link, Process, VirtualProcess
-from deltaq_verification.virtual_cell.wires import MessageWire
+from deltaq_verification.virtual_cell.parts import Life
 
 CRUISE_CYCLES = 40
 """From the first full increment to the fault."""
 FAULT_S = 1.4
 """How long a fault stands: longer than every timeout of the shipped cells, and a brake after it."""
-BACK_S = 0.4
-"""How long the robot may take to move again."""
-ANSWER_CYCLES = 10
-"""How long a reset may take to be answered."""
 ATTEMPTS = 4
 _START_CYCLES = 300
-
-_ENDS = {
-    Link.CONTROLLER_HLI: (Process.CONTROLLER, Process.HLI),
-    Link.HLI_SIM: (Process.HLI, Process.SIM),
-    Link.HLI_SERVER: (Process.ROBOT_SERVER, Process.HLI),
-    Link.SIM_SERVER: (Process.SIM, Process.ROBOT_SERVER),
-}
 
 
 class FaultRunError(DeltaqError):
@@ -78,7 +47,7 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Fa
     run = _Run(loaded, robot, seed)
     run.reach_cruise()
     injected = len(run.setpoints) - 1
-    run.inject(fault)
+    run.injector.inject(fault)
     named = None
     for cycle in range(round(FAULT_S / run.cycle_s)):
         run.cycle()
@@ -115,25 +84,16 @@ def run_fault(fault: Fault, loaded: LoadedCell, robot: str, seed: int = 0) -> Fa
 
 
 class _Run:
-    """A cell, the record of its robot, and the oracle that watches.
-
-    Faults befall one robot, its controller, and what they share with the others, whose wires are well.
-    """
+    """A cell, the record of its robot, and the oracle that watches."""
 
     def __init__(self, loaded: LoadedCell, robot: str, seed: int) -> None:
         self.stack = VirtualCell(loaded, seed=seed + 100)
         self.robot = robot
         self.model = self.stack.cell.robots[robot]
         self.arm = self.stack.krc_arms[robot]
-        ends = [(link, to) for link, both in _ENDS.items() for to in both]
-        self.wires = {end: MessageWire(seed + 10 * number) for number, end in enumerate(ends)}
-        for (link, to), wire in self.wires.items():
-            if link is not Link.CONTROLLER_HLI:
-                self.stack.plug(link, to, wire, (robot, None))
-        down, up = (self.wires[Link.CONTROLLER_HLI, to] for to in _ENDS[Link.CONTROLLER_HLI])
-        self.connection = self.stack.connect(self._new_mover, up, down)
         self.cycle_s = self.stack.cell.description.cycle_s
         self.cruise = float(CRUISE_RAD_S * self.cycle_s)
+        self.injector = VirtualInjector(self.stack, robot, self._new_mover, seed, self.cycle)
         self.setpoints: list[Array] = [self.arm.krc.sample.q_setpoint]
         self.running = 0
         self.least_m = self.least_own_m = np.inf
@@ -166,83 +126,14 @@ class _Run:
         for _ in range(CRUISE_CYCLES):
             self.cycle()
 
-    def inject(self, fault: Fault) -> None:
-        """Let the fault begin."""
-        stack = self.stack
-        match fault.action:
-            case Kill(Process.CONTROLLER):
-                stack.kill_client(self.connection)
-            case Kill(process) | BeginInThePast(process, _):
-                self._process(process).kill()
-            case Freeze(process):
-                self._process(process).freeze()
-            case Slow(process, delay_s):
-                for (link, to), wire in self.wires.items():
-                    if process in _ENDS[link] and to is not process:
-                        wire.link.faults = LinkFaults(delay_s=delay_s)
-            case Impair(impaired, faults):
-                for (link, _), wire in self.wires.items():
-                    if link is impaired:
-                        wire.link.faults = faults
-            case Misbehave(how):
-                self.mover.misbehaviour = how
-            case StepClock(Process.HLI, by_s):
-                stack.hli_clock_s = by_s
-            case StepClock(_, by_s):
-                self.arm.clock_s = by_s
-            case AskPanel(request):
-                self._ask_panel(request)
-            case Bombard.OVERSIZED:
-                self.arm.bombard = _oversized
-            case Bombard.PORT_ZERO:
-                self.arm.bombard = _from_port_zero
-            case PressStop():
-                stack.stop()
-
     def recover(self, fault: Fault) -> str:
         """Lift the fault and do what it takes until the robot moves; tells what it took."""
-        steps = self._lift(fault)
+        steps = self.injector.lift(fault)
         for _ in range(ATTEMPTS):
             if self._moves():
                 return recovery_text(steps)
-            requests = recovery(self.arm.krc.state)
-            if requests:
-                for request in requests:
-                    self._ask_panel(request)
-                steps.append(describe(requests))
-                self._wait(BACK_S)
-            if self.phase() is Phase.HELD and self._reset():
-                steps.append("reset")
+            steps += self.injector.bring_back()
         return recovery_text(steps) if self._moves() else NEVER
-
-    def _lift(self, fault: Fault) -> list[str]:
-        stack = self.stack
-        for wire in self.wires.values():
-            wire.link.faults = LinkFaults()
-        self.mover.misbehaviour = self.arm.bombard = None
-        stack.hli_clock_s = self.arm.clock_s = 0.0
-        if fault.changes_program:
-            self._ask_panel({"op": "stop"})
-            self._wait(CHANGE_S)
-        if fault.lift is not None:
-            self._ask_panel(fault.lift)
-        match fault.action:
-            case Kill(process):
-                self._process(process).start()
-                return [f"restart of the {process}"]
-            case BeginInThePast(process, by_s):
-                stack.wall_clock_s = by_s
-                self._process(process).start()
-                return [f"restart of the {process}"]
-            case Freeze(process):
-                self._process(process).thaw()
-        return []
-
-    def _reset(self) -> bool:
-        answers = self.stack.reset(self.robot)
-        for _ in range(ANSWER_CYCLES):
-            self.cycle()
-        return any(isinstance(message, Done) for message in answers)
 
     def _moves(self) -> bool:
         for _ in range(round(BACK_S / self.cycle_s)):
@@ -255,27 +146,10 @@ class _Run:
     def _step(self) -> float:
         return float(np.abs(self.setpoints[-1] - self.setpoints[-2]).max())
 
-    def _wait(self, duration_s: float) -> None:
-        for _ in range(round(duration_s / self.cycle_s)):
-            self.cycle()
-
     def _new_mover(self, say: Say) -> VirtualController:
-        cycle_s, home = self.stack.cell.description.cycle_s, float(self.model.home[0])
-        self.mover = VirtualController(self.robot, self.model.n, cycle_s, home, say)
-        return self.mover
+        mover = Mover(self.model.n, self.cycle_s, float(self.model.home[0]))
 
-    def _process(self, process: Process) -> VirtualProcess[Any] | VirtualArm:
-        return self.connection if process is Process.CONTROLLER else self.stack.process(process, self.robot)
+        def decide(state: RobotState) -> Array:
+            return mover.increment(state.q_cmd)
 
-    def _ask_panel(self, request: Mapping[str, Any]) -> None:
-        answers: list[bytes] = []
-        self.arm.panel.take(json.dumps(request).encode(), answers.append)
-        checked(answers[0])
-
-
-def _oversized(telegram: bytes) -> tuple[bytes, Address]:
-    return telegram + b" " * OVERSIZE, (HERE, OTHER_PORT)
-
-
-def _from_port_zero(telegram: bytes) -> tuple[bytes, Address]:
-    return telegram, (HERE, 0)
+        return VirtualController(self.robot, decide, say)

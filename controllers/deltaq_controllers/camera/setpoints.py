@@ -1,0 +1,154 @@
+"""Where another robot will be: its setpoints, carried on as they go.
+
+A setpoint is what the gate has admitted. It is exact, and the drives reach it only later, as late as the follower's
+own: of two robots whose drives lag alike the one looks at the other at any time, if its setpoints look at the other's.
+So all that is to be foreseen is the time from the setpoint that is known to the one that is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from deltaq_cell.description import ServoLag
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import ControllerError, RobotView
+from deltaq_protocol.arrays import Array
+
+STALE_S = 0.1
+"""Age of a view beyond what the link always takes, from which on it is stale: its motion fades."""
+LOST_S = 1.0
+"""The same, from which on the other robot is lost: it is taken to stand where it was foreseen last."""
+_ACCELERATION_S = 0.03
+"""How long an acceleration that nobody sees goes on; nobody accelerates for long."""
+_STEADY_S, _VELOCITY_S = 0.15, 0.3
+"""How long a velocity that nobody sees is taken to stay, and then to decay."""
+
+
+class Sight(StrEnum):
+    """How well another robot is seen."""
+
+    FRESH = "fresh"
+    STALE = "view_stale"
+    LOST = "view_lost"
+
+
+@dataclass(frozen=True)
+class _Known:
+    cycle: int
+    q_cmd: Array
+
+
+class SetpointTracker:
+    """Setpoints of one robot, their velocity and acceleration.
+
+    Args:
+        cycle_s: cycle of the robot [s]; setpoints are told apart by cycles, since stamps of their arrival jitter.
+
+    Attributes:
+        velocity: (n,) of the newest setpoint [rad/s or m/s]; empty before the first.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._known: _Known | None = None
+        self._mean_velocity: Array | None = None
+        self.velocity: Array = np.zeros(0)
+        self._acceleration: Array = np.zeros(0)
+
+    @property
+    def started(self) -> bool:
+        """Whether a setpoint is known."""
+        return self._known is not None
+
+    def update(self, view: RobotView) -> None:
+        """Add what was seen; a cycle that was seen before changes nothing."""
+        known, q_cmd = self._known, np.array(view.q_cmd, dtype=np.float64)
+        elapsed_s = 0.0 if known is None else (view.cycle - known.cycle) * self._cycle_s
+        if known is not None and elapsed_s == 0.0:
+            return
+        self._known = _Known(view.cycle, q_cmd)
+        if known is None or not 0.0 < elapsed_s < LOST_S:
+            self.velocity, self._acceleration = np.zeros_like(q_cmd), np.zeros_like(q_cmd)
+            self._mean_velocity = None
+            return
+        mean = (q_cmd - known.q_cmd) / elapsed_s
+        before = mean if self._mean_velocity is None else self._mean_velocity
+        self._acceleration = (mean - before) / elapsed_s
+        self._mean_velocity = mean
+        self.velocity = mean + 0.5 * self._cycle_s * self._acceleration
+
+    def ahead(self, time_s: float) -> Array:
+        """(n,) setpoint expected `time_s` after the newest that is known [rad or m].
+
+        The farther ahead, the less of the acceleration counts, and then of the velocity.
+        """
+        if self._known is None:
+            raise ControllerError("no setpoint is known yet: call update() first")
+        time_s = max(time_s, 0.0)
+        moves_s = min(time_s, _STEADY_S) + _faded(max(time_s - _STEADY_S, 0.0), _VELOCITY_S)
+        gains_s2 = _ACCELERATION_S * (moves_s - _faded(moves_s, _ACCELERATION_S))
+        expected: Array = self._known.q_cmd + moves_s * self.velocity + gains_s2 * self._acceleration
+        return expected
+
+
+class Foreseen:
+    """Where another robot's setpoints will be when the next increment of the own one takes effect.
+
+    Stamps of Robot Servers on different machines may be of different clocks. If the first two are farther apart than
+    `LOST_S`, age is what is added to their difference from then on.
+
+    Args:
+        other: the robot that is watched.
+        own: the robot that an increment is for.
+        cycle_s: cycle of both [s].
+
+    Attributes:
+        setpoints: those that were seen.
+        age_s: by how much the other robot's state is older than the own one [s].
+    """
+
+    def __init__(self, other: RobotModel, own: RobotModel, cycle_s: float) -> None:
+        self.setpoints = SetpointTracker(cycle_s)
+        self._cycle_s = cycle_s
+        self._later_s = lag_s(own.description.servo_lag) - lag_s(other.description.servo_lag)
+        self._ahead_s = self.age_s = 0.0
+        self._between_clocks_s: float | None = None
+
+    @property
+    def sight(self) -> Sight:
+        """How well the other robot is seen; lost before it was ever seen."""
+        if not self.setpoints.started or self.age_s > LOST_S:
+            return Sight.LOST
+        return Sight.STALE if self.age_s > STALE_S else Sight.FRESH
+
+    @property
+    def velocity(self) -> Array:
+        """(n,) of the other robot's setpoint when the increment takes effect [rad/s or m/s]."""
+        return math.exp(-max(self._ahead_s - _STEADY_S, 0.0) / _VELOCITY_S) * self.setpoints.velocity
+
+    def update(self, own: RobotView, other: RobotView) -> None:
+        """Add what was seen."""
+        self.setpoints.update(other)
+        apart_s = own.time_s - other.time_s
+        if self._between_clocks_s is None:
+            self._between_clocks_s = apart_s if abs(apart_s) > LOST_S else 0.0
+        self.age_s = apart_s - self._between_clocks_s
+        self._ahead_s = self.age_s + (own.ahead_cycles + 1) * self._cycle_s + self._later_s
+
+    def ahead(self, time_s: float = 0.0) -> Array:
+        """(n,) setpoint of the other robot `time_s` after the own increment takes effect [rad or m]."""
+        return self.setpoints.ahead(self._ahead_s + time_s)
+
+
+def lag_s(lag: ServoLag) -> float:
+    """By how much drives are behind a setpoint that moves evenly [s]."""
+    return lag.dead_time_s + 2.0 * lag.damping / lag.natural_frequency_rad_s
+
+
+def _faded(time_s: float, constant_s: float) -> float:
+    """For how long a rate that decays would have to last to come as far as in `time_s`."""
+    return constant_s * (1.0 - math.exp(-time_s / constant_s))

@@ -1,0 +1,113 @@
+"""A cell on ports of its own, so that a test disturbs nobody."""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import itertools
+import os
+import socket
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from deltaq_cell.description import RsiDescription
+from deltaq_cell.load import find_cell, load_cell
+from deltaq_protocol.errors import DeltaqError
+
+
+class NoFreePortsError(DeltaqError):
+    """Every port that may be used is claimed by a process that runs."""
+
+
+FIRST_PORT = 15_000
+"""Ports from here on are drawn from, to below those that the system gives to sockets that ask for none."""
+PORTS_A_BLOCK = 200
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports of the loopback that nobody listens on, neither over TCP nor over UDP.
+
+    They are never among those that the system gives to a socket that asks for none, since a service which
+    connects while the cell starts would be given one of them now and then. Each process draws from a block of its own.
+    """
+    return list(itertools.islice((port for port in _ports() if _is_free(port)), count))
+
+
+@functools.cache
+def _ports() -> Iterator[int]:
+    """The ports of this process's block, round and round."""
+    ephemeral = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    # a system that gives all its ports to whoever asks leaves none that are safe
+    end = max(ephemeral, 2 * FIRST_PORT) - PORTS_A_BLOCK
+    for first in range(FIRST_PORT, end, PORTS_A_BLOCK):
+        if _claims(first) is not None:
+            return itertools.cycle(range(first, first + PORTS_A_BLOCK))
+    raise NoFreePortsError(
+        f"every block of ports from {FIRST_PORT} to {end} is claimed; end a test that runs"
+    )
+
+
+@functools.cache
+def _claims(first: int) -> int | None:
+    """A lock on a block of ports, kept until this process ends; None if another process has it."""
+    folder = Path(tempfile.gettempdir()) / f"deltaq-ports-{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+    lock = os.open(folder / str(first), os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        return None
+    return lock
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+        # a connection that has ended lately is nobody who listens
+        tcp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tcp.bind(("127.0.0.1", port))
+            udp.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def write_private_cell(
+    folder: Path, base: str | Path = "lab", guarded: str = "127.0.0.1", transport: str = "tcp"
+) -> Path:
+    """Write a cell file that differs from another cell by its ports, and by where the guarded realm listens.
+
+    Args:
+        folder: to write it to.
+        base: name or file of the other cell.
+        guarded: address of SIM and Robot Servers.
+        transport: of the guarded realm.
+
+    Raises:
+        CellError: there is no such cell.
+        NoFreePortsError: every port is claimed.
+    """
+    file = find_cell(base)
+    rsi = {name: isinstance(robot.driver, RsiDescription) for name, robot in load_cell(file).robots.items()}
+    hli, sim, tcp, console, *ports = free_ports(4 + sum(3 if has_krc else 1 for has_krc in rsi.values()))
+    robots: dict[str, dict[str, Any]] = {}
+    for name, has_krc in rsi.items():
+        robots[name] = {"server": f"{transport}/{guarded}:{ports.pop(0)}"}
+        if has_krc:
+            robots[name] |= {"driver": {"port": ports.pop(0), "control_port": ports.pop(0)}}
+    cell = {
+        "extends": str(file.resolve()),
+        "hli": f"tcp/127.0.0.1:{hli}",
+        "sim": f"{transport}/{guarded}:{sim}",
+        "tcp_port": tcp,
+        "console_port": console,
+        "robots": robots,
+    }
+    private = folder / "private.yaml"
+    private.write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
+    return private

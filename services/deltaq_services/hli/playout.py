@@ -1,0 +1,176 @@
+"""A playout buffer: increments of a controller far away wait here for their turn, one a cycle.
+
+On a long way increments come unevenly: none in one cycle, three in the next. Each would be the newest for a moment, the
+robot would brake in the gaps, and most of the motion would be lost. So each waits until as many cycles have passed
+since the state that it answers as nearly all of those before it needed, and goes to the gate then. What that costs is a
+constant delay, with which a controller can reckon; `deltaq_protocol.in_flight` does.
+
+Pure: cycles are handed in, and nothing but the cycles that increments answer is looked at.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from deltaq_protocol.messages import Playout
+from deltaq_services.hli.asked import Asked
+
+_REMEMBERED = 250
+"""Increments whose time under way is remembered, 3 s of them at 12 ms; as many must have been quicker before the delay
+becomes shorter."""
+
+_LATE_SHARE = 0.02
+"""Increments that may come too late for their turn. A longer delay would cost every cycle for the sake of few."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutMemory:
+    """Snapshot of a `PlayoutBuffer`."""
+
+    under_way_cycles: tuple[int, ...]
+    waiting: tuple[Asked, ...]
+    delay_cycles: int
+    needed_lately: tuple[int, ...]
+    answered_cycle: int
+    passed_on_in: int
+    late: int
+    empty: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutTurn:
+    """What a cycle brings.
+
+    Attributes:
+        asked: the increment whose turn it is, if there is one.
+        late: those whose turn is over, to be refused.
+    """
+
+    asked: Asked | None
+    late: Sequence[Asked]
+
+
+class PlayoutBuffer:
+    """Increments of one lease until their turn.
+
+    Args:
+        max_cycles: how long an increment may be under way.
+
+    Attributes:
+        max_cycles: as given.
+    """
+
+    def __init__(self, max_cycles: int) -> None:
+        self.max_cycles = max_cycles
+        self._under_way_cycles: deque[int] = deque(maxlen=_REMEMBERED)
+        self._waiting: dict[int, Asked] = {}
+        self._delay_cycles = 0
+        self._needed_lately: list[int] = []
+        self._answered_cycle = self._passed_on_in = -1
+        self._late = self._empty = 0
+
+    @property
+    def oldest_cycle(self) -> int:
+        """The oldest cycle that an increment may still answer."""
+        return self._answered_cycle + 1
+
+    def put(self, asked: Asked, newest_cycle: int) -> Asked | None:
+        """Keep an increment for its turn, or say that its turn is over.
+
+        Args:
+            asked: the increment, not older than `max_cycles`.
+            newest_cycle: of the robot's newest state.
+
+        Returns:
+            The increment in whose place it came, or itself if others behind it were passed on.
+        """
+        cycle = asked.increment.cycle
+        # it cannot be passed on before the next state
+        self._under_way_cycles.append(newest_cycle + 1 - cycle)
+        self._adapt_delay()
+        if cycle <= self._answered_cycle:
+            self._late += 1
+            return asked
+        replaced = self._waiting.get(cycle)
+        self._waiting[cycle] = asked
+        return replaced
+
+    def turn(self, newest_cycle: int) -> PlayoutTurn:
+        """A state has come: whose turn it is.
+
+        Where there are several, as after the delay has become shorter, the newest takes the turn of all.
+        """
+        if newest_cycle < self._passed_on_in:  # another Robot Server, which counts from one
+            return self._begin_anew()
+        due = sorted(cycle for cycle in self._waiting if newest_cycle - cycle >= self._delay_cycles)
+        if not due:
+            return PlayoutTurn(None, ())
+        late = [self._waiting.pop(cycle) for cycle in due[:-1]]
+        self._late += len(late)
+        asked = self._waiting.pop(due[-1])
+        missed = newest_cycle - self._passed_on_in - 1
+        if self._passed_on_in >= 0 and missed <= self.max_cycles:  # else the controller had paused
+            self._empty += missed
+        self._answered_cycle, self._passed_on_in = due[-1], newest_cycle
+        return PlayoutTurn(asked, late)
+
+    def drop(self) -> list[Asked]:
+        """Forget the increments that wait, and return them."""
+        waiting = list(self._waiting.values())
+        self._waiting.clear()
+        return waiting
+
+    def told(self) -> Playout:
+        """What clients are told: before `turn`, what the setpoint of the newest state has in it."""
+        return Playout(
+            delay_cycles=self._delay_cycles,
+            waiting=len(self._waiting),
+            answered_cycle=None if self._answered_cycle < 0 else self._answered_cycle,
+            late=self._late,
+            empty=self._empty,
+        )
+
+    def snapshot(self) -> PlayoutMemory:
+        """Snapshot for `restore`."""
+        return PlayoutMemory(
+            tuple(self._under_way_cycles),
+            tuple(self._waiting.values()),
+            self._delay_cycles,
+            tuple(self._needed_lately),
+            self._answered_cycle,
+            self._passed_on_in,
+            self._late,
+            self._empty,
+        )
+
+    def restore(self, memory: PlayoutMemory) -> None:
+        """Go on from where another was."""
+        self._under_way_cycles = deque(memory.under_way_cycles, maxlen=_REMEMBERED)
+        self._waiting = {asked.increment.cycle: asked for asked in memory.waiting}
+        self._delay_cycles, self._answered_cycle = memory.delay_cycles, memory.answered_cycle
+        self._needed_lately = list(memory.needed_lately)
+        self._passed_on_in, self._late, self._empty = memory.passed_on_in, memory.late, memory.empty
+
+    def _adapt_delay(self) -> None:
+        """Longer at once, since a gap is a brake; shorter only after a while, since that takes a turn away."""
+        needed = self._needed_cycles()
+        if needed >= self._delay_cycles:
+            self._delay_cycles, self._needed_lately = needed, []
+            return
+        self._needed_lately.append(needed)
+        if len(self._needed_lately) >= _REMEMBERED:
+            self._delay_cycles, self._needed_lately = max(self._needed_lately), []
+
+    def _needed_cycles(self) -> int:
+        """The shortest delay for which all but few of the increments remembered would have been in time."""
+        in_order = sorted(self._under_way_cycles)
+        in_time = len(in_order) - int(_LATE_SHARE * len(in_order))
+        return in_order[in_time - 1]
+
+    def _begin_anew(self) -> PlayoutTurn:
+        late = self.drop()
+        self._late += len(late)
+        self._answered_cycle = self._passed_on_in = -1
+        return PlayoutTurn(None, late)

@@ -1,0 +1,281 @@
+"""A cell of real processes on ports of its own for the controller that is tested."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deltaq_emulator.states import KrcState
+from deltaq_launch.cell_connection import connect
+from deltaq_launch.launcher import Launcher
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.messages import Phase, RobotStatus
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.phases import MAY_MOVE
+from deltaq_testing.deciding import CellUseError
+from deltaq_testing.observed import Observed, RobotHistory
+from deltaq_testing.schedule import ScheduleError, TimedFault, checked
+from deltaq_verification.faults.actions import Bombard, Freeze, Kill, PressStop, ReadNothing
+from deltaq_verification.faults.catalogue import Fault
+from deltaq_verification.faults.live_cell import MovingCell, Needs, rows_of
+from deltaq_verification.faults.live_inject import Injector
+from deltaq_verification.faults.panel import PanelClient, PanelError, pendant_message, recovery
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+from deltaq_verification.virtual_cell.parts import Process
+
+CLIENT = "deltaq testing"
+_BACK_S = 20.0
+"""How long a cell may take to be ready again."""
+_PROGRAM_S = 3.0
+"""How long a program that was started may take to run."""
+_POLL_S = 0.02
+_RECORD_BYTES = 50_000_000
+"""Of a record before a test begins the next one: well below what an emulated controller writes into one."""
+_APPROACH = 0.2
+"""Share of what is missing to home that is asked for in a cycle: an increment or two are in flight."""
+_HOME_SHARE = 0.1
+"""Share of the largest increment with which a robot is brought home."""
+
+
+def may_befall(fault: Fault) -> bool:
+    """Whether a live cell under test can suffer it: as it is, without a relay, a recorder or other clocks."""
+    needs = Needs.of(fault)
+    own = fault.action in (Kill(Process.CONTROLLER), Freeze(Process.CONTROLLER), ReadNothing())
+    port_zero = fault.action is Bombard.PORT_ZERO  # needs a privilege
+    return fault.live and not (own or port_zero or needs.place or needs.recorder or needs.clocks)
+
+
+class LiveCell(Observed):
+    """A cell of real processes, which the controller under test connects to by itself, over zenoh or a socket.
+
+    Questions about it are answered from what the emulated controllers recorded since the test began. Live runs do not
+    repeat to the cycle: ask for what holds on a busy machine too.
+
+    Args:
+        loaded: the cell; nobody else runs it.
+        robot: the one under test.
+        launcher: of its processes.
+        panels: of each robot's emulated controller.
+        folder: in which these begin records.
+
+    Attributes:
+        url: where its HLI serves zenoh clients.
+        tcp_port: where it serves JSON lines, on 127.0.0.1.
+    """
+
+    def __init__(
+        self,
+        loaded: LoadedCell,
+        robot: str,
+        launcher: Launcher,
+        panels: dict[str, PanelClient],
+        folder: Path,
+    ) -> None:
+        super().__init__(loaded.model, robot)
+        description = loaded.model.description
+        self.url, self.tcp_port = description.hli, description.tcp_port
+        self._launcher, self._panels, self._folder = launcher, panels, folder
+        self._records: dict[str, Path] = {}
+        self._begun = 0
+        moving = MovingCell(launcher, panels[robot], {}, None, None)
+        self._injector = Injector(moving, loaded, robot)
+        self._waiting: tuple[TimedFault, ...] = ()
+        self._standing: list[TimedFault] = []
+        self._programs: list[subprocess.Popen[bytes]] = []
+        self.begin()
+
+    @property
+    def time_s(self) -> float:
+        """Time since the test began [s]."""
+        return time.monotonic() - self._began_s
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The processes of the cell, by name."""
+        return {name: child.pid for name, child in self._launcher.children.items()}
+
+    @property
+    def phase(self) -> Phase:
+        """Phase of the robot, as the HLI shows it."""
+        return self._status().phase
+
+    @property
+    def reason(self) -> ReasonCode | None:
+        """Why the robot is held; None while it is not."""
+        return self._status().reason
+
+    def drive_process(self, command: Sequence[str], folder: Path | None = None) -> None:
+        """Start a controller as a program of its own, which connects by itself; it is ended with the test.
+
+        Args:
+            command: the program and its arguments, in which `{port}` stands for `tcp_port` and `{url}` for `url`.
+            folder: that it is started in; None for the one that this program runs in.
+
+        Raises:
+            CellUseError: it cannot be started.
+        """
+        given = {"{port}": str(self.tcp_port), "{url}": self.url}
+        words = [str(word) for word in command]
+        for mark, value in given.items():
+            words = [word.replace(mark, value) for word in words]
+        try:
+            self._programs.append(subprocess.Popen(words, cwd=folder))
+        except (OSError, IndexError) as error:
+            raise CellUseError(f"command {words} cannot be started: {error}") from None
+
+    def end_programs(self) -> None:
+        """`kill -9` of the programs that drive."""
+        while self._programs:
+            program = self._programs.pop()
+            program.kill()
+            program.wait()
+
+    def suffer(self, *faults: TimedFault) -> None:
+        """Let faults befall the cell when their time comes; times are counted from the beginning of the test.
+
+        Raises:
+            ScheduleError: one cannot be had here, would have had to begin before now, or two change the same part.
+        """
+        for timed in faults:
+            if not may_befall(timed.what):
+                raise ScheduleError(
+                    f"{timed.what.name} cannot befall a live cell under test; take virtual_cell, or a fault of hli, "
+                    "sim, robot-server or the KRC"
+                )
+        checked(faults, self.time_s)
+        self._waiting = checked((*self._standing, *self._waiting, *faults))[len(self._standing) :]
+
+    def run(self, duration_s: float) -> None:
+        """Wait for so long, while faults befall the cell; then read what was recorded."""
+        end_s = self.time_s + duration_s
+        while (now_s := self.time_s) < end_s:
+            for timed in [one for one in self._standing if one.end_s <= now_s]:
+                self._standing.remove(timed)
+                self._injector.lift(timed.what)
+            while self._waiting and self._waiting[0].at_s <= now_s:
+                timed, *rest = self._waiting
+                self._waiting = tuple(rest)
+                self.fault_rows.append(self._cycle_of(self.robot) - self._first[self.robot]["cycle"])
+                self._inject(timed)
+                self._standing.append(timed)
+            time.sleep(_POLL_S)
+        self._read()
+
+    def recover(self) -> bool:
+        """Do what an operator does until the robot may move: at the KRC's pendant, then a reset; whether it may."""
+        deadline = time.monotonic() + _BACK_S
+        while time.monotonic() < deadline:
+            with suppress(PanelError, RefusedError, ServiceUnreachableError):
+                for name, panel in self._panels.items():
+                    _bring_back(panel)
+                    with connect(self.model.description, CLIENT) as cell:
+                        if cell.status().robots[name].phase is Phase.HELD:
+                            cell.reset(name)
+                with connect(self.model.description, CLIENT) as cell:
+                    robots = cell.status().robots.values()
+                if all(robot.phase in MAY_MOVE for robot in robots):
+                    return True
+            time.sleep(_POLL_S)
+        return False
+
+    def renew(self) -> bool:
+        """Make it ready for the next test: faults lifted, robots free and the one under test at home; whether it is."""
+        self.end_programs()
+        self._waiting = ()
+        while self._standing:
+            self._injector.lift(self._standing.pop().what)
+        if not self.recover():
+            return False
+        self._go_home()
+        self.begin()
+        return True
+
+    # --- how it is done -----------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Begin a test: what is recorded from now on counts."""
+        sizes = [record.stat().st_size for record in self._records.values()]
+        if not sizes or max(sizes) > _RECORD_BYTES:
+            self._begin_records()
+        self._from_byte = {name: record.stat().st_size for name, record in self._records.items()}
+        self.fault_rows = []
+        self._first = {name: panel.ask({"op": "status"}) for name, panel in self._panels.items()}
+        self._began_s = time.monotonic()
+
+    def _begin_records(self) -> None:
+        """Let every emulated controller go on in a new file, before the one that it writes is full."""
+        self._begun += 1
+        before, self._records = self._records, {}
+        for name, panel in self._panels.items():
+            file = f"{name}-{self._begun}.csv"
+            panel.ask({"op": "record", "path": file})
+            self._records[name] = self._folder / file
+        for record in before.values():
+            record.unlink()
+
+    def _status(self) -> RobotStatus:
+        with connect(self.model.description, CLIENT) as cell:
+            return cell.status().robots[self.robot]
+
+    def _cycle_of(self, robot: str) -> int:
+        return int(self._panels[robot].ask({"op": "status"})["cycle"])
+
+    def _inject(self, timed: TimedFault) -> None:
+        if isinstance(timed.what.action, PressStop):
+            with connect(self.model.description, CLIENT) as cell:
+                cell.stop()
+        else:
+            self._injector.inject(timed.what)
+
+    def _go_home(self) -> None:
+        home, limits = self.home, self.model.robots[self.robot].max_velocity * self.cycle_s * _HOME_SHARE
+        with connect(self.model.description, CLIENT) as cell, cell.lease(self.robot) as robot:
+            for state in robot.states():
+                missing = home - np.array(state.q_cmd)
+                if np.abs(missing).max() < 1e-5:
+                    return
+                robot.send(np.clip(_APPROACH * missing, -limits, limits).tolist())
+
+    def _read(self) -> None:
+        """Read what the emulated controllers have recorded since the test began, as many cycles of each."""
+        rows = {name: self._rows(name) for name in self._records}
+        count = min(map(len, rows.values()))
+        for name, all_rows in rows.items():
+            n, last = self.model.robots[name].n, self._panels[name].ask({"op": "status"})
+            kept = all_rows[len(all_rows) - count :]
+            unanswered = self._since(name, last, "unanswered") + max(
+                0, int(all_rows[:, -1].sum()) - self._since(name, last, "sent")
+            )
+            self.history[name] = RobotHistory(
+                q=list(kept[:, 1 : 1 + n]),
+                setpoints=list(kept[:, 1 + n : 1 + 2 * n]),
+                unanswered=unanswered,
+                altered=_flipped(last) - _flipped(self._first[name]),
+                protest=pendant_message(last["message"]),
+            )
+
+    def _since(self, robot: str, last: dict[str, Any], counter: str) -> int:
+        return int(last["counters"][counter] - self._first[robot]["counters"][counter])
+
+    def _rows(self, robot: str) -> Array:
+        return rows_of(self._records[robot], self._from_byte[robot])
+
+
+def _bring_back(panel: PanelClient) -> None:
+    """Do at the pendant what it takes, and wait for the program: one that is started again and again never runs."""
+    requests = recovery(panel.ask({"op": "status"})["state"])
+    for request in requests:
+        panel.ask(request)
+    if requests:
+        panel.ask({"op": "await", "state": KrcState.RSI_RUNNING, "within_s": _PROGRAM_S})
+
+
+def _flipped(status: dict[str, Any]) -> int:
+    return int(status["faults"]["to_pc"]["counts"]["flipped"])

@@ -1,0 +1,227 @@
+"""What came of a run, in the words of the oracle: distances, limits, rest, reasons and tracking error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_testing.finding import JointTrackingError, RunFinding
+from deltaq_verification.faults.report import Kept, is_good, judged
+from deltaq_verification.oracle import TELEGRAM_STEP, ClearanceOracle, LeastDistance
+
+DECIMALS_M = 1e-4
+"""What the decimals of a telegram may take off a distance [m]."""
+RESTS_CYCLES = 5
+"""Cycles without motion after which a robot counts as at rest: one alone is a reply that was lost."""
+_NOWHERE = (np.inf, np.inf)
+
+
+class NothingObservedError(DeltaqError):
+    """A question about a run that the run cannot answer."""
+
+
+@dataclass
+class RobotHistory:
+    """What is recorded of a robot, a row a cycle; the first is before the cell's first cycle.
+
+    Attributes:
+        q: (n,) where it was [rad or m].
+        setpoints: (n,) of the emulated controller [rad or m].
+        phases: None while its server was dead.
+        reasons: why it was held, where it was.
+        unanswered, altered: KRC cycles without a valid reply, and telegrams with another digit, so far.
+        protest: message with which the KRC refused a setpoint.
+    """
+
+    q: list[Array] = field(default_factory=list)
+    setpoints: list[Array] = field(default_factory=list)
+    phases: list[Phase | None] = field(default_factory=list)
+    reasons: list[ReasonCode | None] = field(default_factory=list)
+    unanswered: int = 0
+    altered: int = 0
+    protest: str | None = None
+
+
+class Observed:
+    """A cell that is run while it is recorded, and the questions that a test asks about it.
+
+    Args:
+        model: of the cell.
+        robot: the one under test, which questions about one robot are about.
+
+    Attributes:
+        model: of the cell.
+        robot: the one under test.
+        history: of each robot.
+        ready_row: first row of the test; those before belong to the start of the cell.
+        fault_rows: first row of each fault that has begun.
+    """
+
+    def __init__(self, model: CellModel, robot: str) -> None:
+        self.model, self.robot = model, robot
+        self.history = {name: RobotHistory() for name in model.robots}
+        self.ready_row = 0
+        self.fault_rows: list[int] = []
+
+    @property
+    def cycle_s(self) -> float:
+        """The robots' sample time [s]."""
+        return self.model.description.cycle_s
+
+    @property
+    def time_s(self) -> float:
+        """Time since the beginning of the test [s]."""
+        return (len(self._own.q) - 1 - self.ready_row) * self.cycle_s
+
+    @property
+    def home(self) -> Array:
+        """(n,) where the robot is at home, and where a test begins [rad or m]."""
+        return self.model.robots[self.robot].home
+
+    @property
+    def q(self) -> Array:
+        """(n,) where the robot is [rad or m]."""
+        return self._own.q[-1]
+
+    def kept_clear(self) -> RunFinding:
+        """Whether all robots kept their stop distances to each other, to the structure and to themselves.
+
+        Measured by an independent oracle on every recorded configuration.
+        """
+        oracle, gate = ClearanceOracle(self.model), self.model.description.gate
+        moments = self._moments()
+        least = [
+            (*_least(oracle.between_robots_and_structure, moments), gate.stop_distance_m),
+            (*_least(oracle.of_one_robot, moments), gate.self_stop_distance_m),
+        ]
+        told, good = [], True
+        for near, row, allowed_m in least:
+            good = good and near.distance_m >= allowed_m - DECIMALS_M
+            if np.isfinite(near.distance_m):
+                told.append(
+                    f"{' and '.join(near.pair)} came to {1000 * near.distance_m:.1f} mm at {self._time_s(row):.3f} s, "
+                    f"at least {1000 * allowed_m:.1f} mm must be left"
+                )
+        return RunFinding(good, "; ".join(told) or "there are no two bodies that could touch")
+
+    def kept_limits(self) -> RunFinding:
+        """Whether no robot was sent beyond a limit of position, speed or acceleration, and its KRC took all."""
+        told, good = [], True
+        for name, history in self.history.items():
+            kept = self._kept(name, history)
+            fine = is_good(kept, (0.0, 0.0))
+            good = good and fine
+            if not fine:
+                told.append(
+                    f"{name}: {kept.position_violations} setpoints beyond a joint limit, {kept.velocity_violations} "
+                    f"too fast, {kept.abrupt_cycles} abrupt with {kept.unanswered_cycles} cycles unanswered"
+                    + (f", and its KRC said {kept.protest!r}" if kept.protest else "")
+                )
+        return RunFinding(good, "; ".join(told) or "no limit was passed")
+
+    def rested_within(self, cycles: int, after_s: float | None = None) -> RunFinding:
+        """Whether the robot came to rest so soon.
+
+        Args:
+            cycles: between the beginning of the fault and the last motion before the rest; the brake may take them.
+            after_s: counted from this time of the test [s]; None for the beginning of the first fault.
+
+        Raises:
+            NothingObservedError: there was no fault, and no time is given.
+        """
+        if after_s is None and not self.fault_rows:
+            raise NothingObservedError(
+                "no fault has begun yet; give after_s, or run the cell past the first fault"
+            )
+        first = self.fault_rows[0] if after_s is None else self.ready_row + round(after_s / self.cycle_s)
+        steps = np.abs(np.diff(np.array(self._own.setpoints[first:]), axis=0)).max(axis=1, initial=0.0)
+        rest = _first_rest(steps)
+        if rest is None:
+            return RunFinding(False, f"still moving after {len(steps)} cycles; at most {cycles} were allowed")
+        return RunFinding(
+            rest <= cycles,
+            f"at rest after {rest} cycles ({1000 * rest * self.cycle_s:.0f} ms); at most {cycles} were allowed",
+        )
+
+    def ended_at(self, goal: Sequence[float] | Array, within: float) -> RunFinding:
+        """Whether the robot is where it should be.
+
+        Args:
+            goal: (n,) configuration [rad or m].
+            within: largest error of a joint [rad or m].
+        """
+        off = np.abs(self.q - self._vector(goal, "goal"))
+        worst = int(off.argmax())
+        joint = self.model.robots[self.robot].joint_names[worst]
+        return RunFinding(
+            bool(off[worst] <= within), f"{joint} is {off[worst]:.4f} off; at most {within:g} were allowed"
+        )
+
+    def tracking_error(self, reference: Callable[[float], Sequence[float] | Array]) -> JointTrackingError:
+        """How far the robot was from where it should have been.
+
+        Args:
+            reference: (n,) configuration [rad or m] from the time since the beginning of the test [s].
+        """
+        rows = np.array(self._own.q[self.ready_row :])
+        wanted = [self._vector(reference(row * self.cycle_s), "reference") for row in range(len(rows))]
+        off = np.abs(rows - np.array(wanted)).max(axis=1)
+        return JointTrackingError(float(off.max()), float(np.sqrt(np.mean(off**2))), float(off[-1]))
+
+    # --- how it is found out ------------------------------------------------------------------------------
+
+    @property
+    def _own(self) -> RobotHistory:
+        return self.history[self.robot]
+
+    def _time_s(self, row: int) -> float:
+        return (row - self.ready_row) * self.cycle_s
+
+    def _moments(self) -> list[dict[str, Array]]:
+        names, rows = list(self.history), zip(*(history.q for history in self.history.values()), strict=True)
+        return [dict(zip(names, row, strict=True)) for row in rows]
+
+    def _kept(self, name: str, history: RobotHistory) -> Kept:
+        return judged(
+            self.model.robots[name],
+            np.array(history.setpoints),
+            self.cycle_s,
+            history.unanswered,
+            _NOWHERE,
+            history.protest,
+            history.altered,
+        )
+
+    def _vector(self, values: Sequence[float] | Array, what: str) -> Array:
+        vector, n = np.asarray(values, dtype=float), self.model.robots[self.robot].n
+        if vector.shape != (n,):
+            raise NothingObservedError(
+                f"{what} must have {n} joints, one for each of {self.robot}, got {vector.shape}"
+            )
+        return vector
+
+
+def _least(
+    measure: Callable[[dict[str, Array]], LeastDistance], moments: list[dict[str, Array]]
+) -> tuple[LeastDistance, int]:
+    """The least distance, and its row."""
+    found = [measure(moment) for moment in moments]
+    row = min(range(len(found)), key=lambda one: found[one].distance_m)
+    return found[row], row
+
+
+def _first_rest(steps: Array) -> int | None:
+    """Number of steps before the first rest; None if there is none."""
+    still = 0
+    for place, step in enumerate(steps):
+        still = still + 1 if step <= 2 * TELEGRAM_STEP else 0
+        if still == RESTS_CYCLES:
+            return place + 1 - RESTS_CYCLES
+    return None

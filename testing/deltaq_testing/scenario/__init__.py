@@ -1,0 +1,1 @@
+"""Scenarios: faults for a controller, and what must come of them, as a file."""

@@ -1,0 +1,155 @@
+"""When which fault befalls the controller that is tested."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+from deltaq_cell.models import nearest_name
+from deltaq_protocol.errors import DeltaqError
+from deltaq_verification.faults.actions import (
+    AskPanel,
+    BeginInThePast,
+    Bombard,
+    Freeze,
+    Impair,
+    Kill,
+    Misbehave,
+    Slow,
+    StepClock,
+)
+from deltaq_verification.faults.catalogue import CATALOGUE, Fault, UnknownFaultError
+from deltaq_verification.virtual_cell.parts import Link, Process
+
+FOR_S = 0.5
+"""How long a fault stands if nothing else is said."""
+_LINK = "link-"
+_CONTROLLERS_LINK = f"{Link.CONTROLLER_HLI}-"
+
+
+class ScheduleError(DeltaqError):
+    """A fault cannot befall a controller in this way or at this time."""
+
+
+@dataclass(frozen=True)
+class TimedFault:
+    """A fault, and when it befalls.
+
+    Attributes:
+        what: a row of the catalogue.
+        at_s: when it begins [s] after the controller was connected.
+        for_s: how long it stands [s]; of no meaning where it is over at once, as a stop is.
+    """
+
+    what: Fault
+    at_s: float
+    for_s: float = FOR_S
+
+    @property
+    def end_s(self) -> float:
+        """When it is lifted [s]."""
+        return self.at_s + self.for_s
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """What of the cell it changes for as long as it stands."""
+        match self.what.action:
+            case Kill(process) | Freeze(process) | BeginInThePast(process, _):
+                return frozenset({f"the {process}"})
+            case Slow(Process.SIM, _):
+                return frozenset({f"the link {Link.HLI_SIM}", f"the link {Link.SIM_SERVER}"})
+            case Slow():
+                return frozenset({f"the link {Link.CONTROLLER_HLI}"})
+            case Impair(link, _):
+                return frozenset({f"the link {link}"})
+            case Misbehave():
+                return frozenset({"what the controller says"})
+            case StepClock(process, _):
+                return frozenset({f"the clock of the {process}"})
+            case AskPanel():
+                return frozenset({"the KRC or its wire"})
+            case Bombard():
+                return frozenset({"what is sent to the Robot Server"})
+        return frozenset()
+
+    def __str__(self) -> str:
+        """As Python has it: `fault("controller-hli-cut", at_s=2, for_s=0.5)`."""
+        return f'fault("{self.what.name}", at_s={self.at_s:g}, for_s={self.for_s:g})'
+
+    __repr__ = __str__
+
+    def as_dict(self) -> dict[str, Any]:
+        """As a scenario has it."""
+        return {"fault": self.what.name, "at_s": self.at_s, "for_s": self.for_s}
+
+
+VIRTUAL = tuple(row for row in CATALOGUE if row.virtual)
+"""The faults that can be had in virtual time."""
+
+
+def fault(name: str, *, at_s: float, for_s: float = FOR_S) -> TimedFault:
+    """A fault of the catalogue at a time.
+
+    Args:
+        name: as `deltaq fault list` shows it; underscores may stand for hyphens, and `link` for `controller-hli`, the
+            link of the controller that is tested.
+        at_s: when it begins [s] after the controller was connected; 0 or later.
+        for_s: how long it stands [s]; more than 0.
+
+    Raises:
+        UnknownFaultError: there is no such fault; the message names those that there are.
+        ScheduleError: it cannot be had in virtual time, or a time is out of its bounds.
+    """
+    spelled = name.replace("_", "-")
+    if spelled.startswith(_LINK):
+        spelled = _CONTROLLERS_LINK + spelled.removeprefix(_LINK)
+    row = _row(spelled)
+    if not row.virtual:
+        raise ScheduleError(f"{row.name} cannot be had in virtual time; `deltaq fault list` shows which can")
+    if not (0 <= at_s < math.inf):
+        raise ScheduleError(f"{row.name}: at_s must be 0 or later, got {at_s!r}")
+    if not (0 < for_s < math.inf):
+        raise ScheduleError(f"{row.name}: for_s must be more than 0, got {for_s!r}")
+    return TimedFault(row, float(at_s), float(for_s))
+
+
+def _row(name: str) -> Fault:
+    names = {row.name: row for row in CATALOGUE}
+    if name in names:
+        return names[name]
+    meant = nearest_name(name, list(names))
+    raise UnknownFaultError(
+        f"no fault {name!r}; {f'did you mean {meant!r}? ' if meant else ''}`deltaq fault list` shows all"
+    )
+
+
+def clash(faults: Iterable[TimedFault]) -> tuple[TimedFault, TimedFault] | None:
+    """The first two that change the same part of the cell at the same time; None if none do."""
+    for one, other in combinations(sorted(faults, key=lambda timed: timed.at_s), 2):
+        if other.at_s < one.end_s and one.parts & other.parts:
+            return one, other
+    return None
+
+
+def checked(faults: Sequence[TimedFault], now_s: float = 0.0) -> tuple[TimedFault, ...]:
+    """The same in the order of their times.
+
+    Args:
+        faults: that shall befall.
+        now_s: what the time is already [s].
+
+    Raises:
+        ScheduleError: one would have had to begin before now, or two change the same part at the same time.
+    """
+    for timed in faults:
+        if timed.at_s < now_s:
+            raise ScheduleError(f"{timed}: at_s must be {now_s:g} or later, that is what the time is already")
+    both = clash(faults)
+    if both is not None:
+        one, other = both
+        part = min(one.parts & other.parts)
+        raise ScheduleError(f"{other} must begin at {one.end_s:g} s or later: {part} still suffers {one}")
+    return tuple(sorted(faults, key=lambda timed: timed.at_s))

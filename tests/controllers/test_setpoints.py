@@ -1,0 +1,141 @@
+"""Where another robot will be, how old the view of it is, and what is foreseen when nobody sees it any more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.setpoints import Foreseen, SetpointTracker, Sight
+from deltaq_controllers.held_back import HeldBack
+from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_protocol.arrays import Array
+
+CYCLE_S = 0.012
+VELOCITY = np.array([0.2, -0.1])
+
+
+def seen(cycle: int, q_cmd: Array, time_s: float | None = None) -> RobotView:
+    """A robot that is still far behind its setpoint."""
+    return RobotView(cycle, cycle * CYCLE_S if time_s is None else time_s, np.zeros_like(q_cmd), q_cmd)
+
+
+def at(cycle: int) -> Array:
+    return cycle * CYCLE_S * VELOCITY
+
+
+def test_a_robot_in_steady_motion_is_where_its_setpoints_will_be() -> None:
+    tracker = SetpointTracker(CYCLE_S)
+    for cycle in range(5):
+        tracker.update(seen(cycle, at(cycle)))
+    np.testing.assert_allclose(tracker.velocity, VELOCITY)
+    np.testing.assert_allclose(tracker.ahead(10 * CYCLE_S), at(14))
+
+
+def test_stamps_that_jitter_and_states_that_were_missed_change_nothing() -> None:
+    tracker = SetpointTracker(CYCLE_S)
+    for cycle in (0, 1, 2, 2, 6, 7):
+        tracker.update(seen(cycle, at(cycle), time_s=cycle * CYCLE_S + 0.005 * (cycle % 2)))
+    np.testing.assert_allclose(tracker.velocity, VELOCITY)
+
+
+def test_a_robot_that_accelerates_is_foreseen_better_than_one_that_is_taken_to_be_steady() -> None:
+    tracker, q = SetpointTracker(CYCLE_S), np.zeros(1)
+    places = [q := q + 1e-4 * cycle for cycle in range(20)]
+    for cycle in range(10):
+        tracker.update(seen(cycle, places[cycle]))
+    steady = places[9] + 2 * (places[9] - places[8])
+    assert abs(tracker.ahead(2 * CYCLE_S) - places[11])[0] < 0.3 * abs(steady - places[11])[0]
+
+
+def test_a_motion_that_nobody_sees_any_more_comes_to_an_end() -> None:
+    tracker = SetpointTracker(CYCLE_S)
+    for cycle in range(5):
+        tracker.update(seen(cycle, at(cycle)))
+    far = tracker.ahead(60.0)
+    assert np.linalg.norm(far - at(4)) < 0.5 * np.linalg.norm(VELOCITY)
+    np.testing.assert_allclose(tracker.ahead(61.0), far)
+
+
+@pytest.mark.parametrize("cycle", [1, 500])
+def test_after_a_long_silence_and_with_another_robot_server_the_estimate_starts_anew(cycle: int) -> None:
+    tracker = SetpointTracker(CYCLE_S)
+    for before in range(100, 105):
+        tracker.update(seen(before, at(before)))
+    tracker.update(seen(cycle, np.ones(2)))
+    np.testing.assert_array_equal(tracker.ahead(0.1), np.ones(2))
+
+
+def test_before_the_first_view_there_is_nothing_to_foresee() -> None:
+    with pytest.raises(ControllerError, match="call update"):
+        SetpointTracker(CYCLE_S).ahead(0.06)
+
+
+@pytest.fixture(scope="module")
+def lab() -> CellModel:
+    return CellModel.load("lab")
+
+
+def foreseen(lab: CellModel) -> Foreseen:
+    return Foreseen(lab.robots["gr"], lab.robots["fr"], CYCLE_S)
+
+
+def moving(cycle: int, time_s: float) -> RobotView:
+    return RobotView(cycle, time_s, np.zeros(9), np.full(9, 0.1 * cycle * CYCLE_S))
+
+
+def test_what_is_foreseen_is_as_far_ahead_as_the_view_is_old_and_the_answer_late(lab: CellModel) -> None:
+    other = foreseen(lab)
+    own = RobotView(0, 10.0, np.zeros(6), np.zeros(6), ahead_cycles=5)
+    for cycle in range(5):
+        other.update(own, moving(cycle, 10.0 - 3 * CYCLE_S))
+    assert other.ahead() == pytest.approx(np.full(9, 0.1 * (4 + 3 + 5 + 1) * CYCLE_S))
+    assert other.age_s == pytest.approx(3 * CYCLE_S)
+
+
+def test_a_robot_whose_drives_are_quicker_is_seen_where_the_slower_camera_will_catch_it(
+    lab: CellModel,
+) -> None:
+    lag = lab.robots["gr"].description.servo_lag.model_copy(update={"dead_time_s": 0.0})
+    quick = lab.robots["gr"].description.model_copy(update={"servo_lag": lag})
+    lab.robots["gr"].description, before = quick, lab.robots["gr"].description
+    try:
+        other = foreseen(lab)
+    finally:
+        lab.robots["gr"].description = before
+    own = RobotView(0, 10.0, np.zeros(6), np.zeros(6))
+    for cycle in range(5):
+        other.update(own, moving(cycle, 10.0))
+    later_s = before.servo_lag.dead_time_s
+    assert later_s > 0.0
+    assert other.ahead() == pytest.approx(np.full(9, 0.1 * (5 * CYCLE_S + later_s)))
+
+
+@pytest.mark.parametrize("between_clocks_s", [0.0, 3600.0, -3600.0])
+def test_a_view_that_freezes_is_told_stale_then_lost_and_fresh_again_whatever_the_clocks_say(
+    lab: CellModel, between_clocks_s: float
+) -> None:
+    other, sights = foreseen(lab), {}
+    assert other.sight is Sight.LOST
+    for cycle in range(400):
+        known = cycle if not 50 <= cycle < 300 else 49
+        own = RobotView(cycle, between_clocks_s + cycle * CYCLE_S, np.zeros(6), np.zeros(6))
+        other.update(own, moving(known, known * CYCLE_S))
+        sights[cycle] = other.sight
+        if 60 <= cycle < 300:
+            assert np.abs(other.ahead() - 0.1 * 49 * CYCLE_S).max() < 0.05, "no motion for good"
+    assert {sights[cycle] for cycle in range(57)} == {Sight.FRESH}
+    assert {sights[cycle] for cycle in range(59, 130)} == {Sight.STALE}
+    assert {sights[cycle] for cycle in range(134, 300)} == {Sight.LOST}
+    assert {sights[cycle] for cycle in range(300, 400)} == {Sight.FRESH}
+    assert other.velocity == pytest.approx(np.full(9, 0.1))
+
+
+def test_what_is_held_back_is_late_by_so_many_views_and_the_own_robot_is_not() -> None:
+    class Watching:
+        def increment(self, view: View) -> Array:
+            return np.array([view.own.cycle, view.others["gr"].cycle])
+
+    late = HeldBack(Watching(), 2)
+    told = [late.increment(View(seen(k, at(k)), {"gr": seen(k, at(k))})).tolist() for k in range(5)]
+    assert told == [[0, 0], [1, 0], [2, 0], [3, 1], [4, 2]]

@@ -1,0 +1,313 @@
+"""Increments that wait for their turn: the buffer, and the HLI around it."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_cell import server_state, small_cell, told, tool_pose
+
+from deltaq_protocol.guarded import Request
+from deltaq_protocol.messages import (
+    Increment,
+    LeaseAction,
+    LeaseReply,
+    LeaseRequest,
+    Outcome,
+    Phase,
+    RobotState,
+    Verdict,
+)
+from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.core import HliCore
+from deltaq_services.hli.playout import PlayoutBuffer
+from deltaq_services.hli.sequence import Sequence
+from deltaq_services.outputs import Output, Sender, ToSender, ToTopic
+
+DQ = (1e-5, 0.0, 0.0, 0.0, 0.0, 0.0)
+MOST_CYCLES = 83
+CYCLE_S = 0.012
+
+
+def asked(cycle: int, came: int) -> Asked:
+    return Asked(Increment(robot="fr", seq=cycle, cycle=cycle, dq=DQ), 1, None, came)
+
+
+class Link:
+    """A buffer, and increments that reach it some cycles after the state that they answer was published."""
+
+    def __init__(self) -> None:
+        self.buffer = PlayoutBuffer(MOST_CYCLES)
+        self.cycle = 0
+        self.played: list[tuple[int, int]] = []
+        self.refused: list[int] = []
+
+    def run(self, ages: list[int | None]) -> None:
+        """Answer a state each cycle, under way for so many cycles, None: lost; then wait until all have come."""
+        coming = {k: self.cycle + k + age for k, age in enumerate(ages, start=1) if age is not None}
+        for k in range(1, len(ages) + MOST_CYCLES + 2):
+            now = self.cycle + k
+            turn = self.buffer.turn(now)
+            if turn.asked is not None:
+                self.played.append((now, turn.asked.increment.cycle))
+            self.refused += [late.increment.cycle for late in turn.late]
+            for first, at in coming.items():
+                if at == now:
+                    late = self.buffer.put(asked(self.cycle + first, now), now)
+                    self.refused += [] if late is None else [late.increment.cycle]
+        self.cycle += len(ages) + MOST_CYCLES + 1
+
+
+def delays(link: Link) -> set[int]:
+    return {now - cycle for now, cycle in link.played}
+
+
+def test_on_an_even_link_each_cycle_has_an_increment_and_none_waits_longer_than_it_must() -> None:
+    link = Link()
+    link.run([5] * 300)
+    assert delays(link) == {6}  # it came after the fifth state, and is passed on with the sixth
+    assert len(link.played) == 300
+    assert (link.buffer.told().late, link.buffer.told().empty) == (0, 0)
+
+
+def test_jitter_makes_no_gaps_once_it_is_known() -> None:
+    link, draw = Link(), random.Random(3)
+    ages: list[int | None] = [draw.choice((3, 4, 5, 6, 7)) for _ in range(1000)]
+    link.run(ages)
+    learning = 50
+    known = [now - cycle for now, cycle in link.played if cycle > learning]
+    assert set(known) == {8}
+    assert sum(cycle > learning for cycle in link.refused) == 0
+
+
+def test_a_lost_increment_costs_its_own_cycle_and_no_other() -> None:
+    link = Link()
+    link.run([4] * 100 + [None] + [4] * 100)
+    assert len(link.played) == 200
+    assert link.buffer.told().empty == 1
+
+
+def test_few_that_are_very_late_are_refused_and_do_not_make_all_wait() -> None:
+    link = Link()
+    link.run(([4] * 99 + [30]) * 5 + [4] * 40)
+    assert max(delays(link)) <= 5
+    assert len(link.refused) == 5
+    assert link.buffer.told().late == 5
+
+
+def test_where_a_link_becomes_slower_the_delay_grows_and_it_shrinks_again_with_the_link() -> None:
+    link = Link()
+    link.run([3] * 300)
+    link.run([20] * 300)
+    assert link.buffer.told().delay_cycles == 21
+    link.run([3] * 600)
+    assert link.buffer.told().delay_cycles == 4
+
+
+def test_of_two_answers_to_one_state_the_newer_is_kept() -> None:
+    buffer = PlayoutBuffer(MOST_CYCLES)
+    first, again = asked(10, 12), asked(10, 12)
+    assert buffer.put(first, 12) is None
+    assert buffer.put(again, 12) is first
+    assert buffer.turn(13).asked is again
+
+
+def test_another_robot_server_counts_from_one_and_nothing_of_before_is_passed_on() -> None:
+    buffer = PlayoutBuffer(MOST_CYCLES)
+    for cycle in (1000, 1001):
+        buffer.put(asked(cycle, cycle), cycle)
+        buffer.turn(cycle + 1)
+    buffer.put(asked(1002, 1002), 1002)
+    turn = buffer.turn(1)
+    assert turn.asked is None
+    assert [late.increment.cycle for late in turn.late] == [1002]
+    buffer.put(asked(1, 1), 1)
+    assert buffer.turn(2).asked == asked(1, 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.one_of(st.none(), st.integers(0, MOST_CYCLES)), min_size=1, max_size=120))
+def test_whatever_comes_whenever_each_is_passed_on_once_and_in_order_or_refused(
+    ages: list[int | None],
+) -> None:
+    link = Link()
+    link.run(ages)
+    order = [cycle for _, cycle in link.played]
+    sent = {k for k, age in enumerate(ages, start=1) if age is not None}
+    assert order == sorted(set(order))
+    assert sorted([*order, *link.refused]) == sorted(sent)
+    assert all(0 < now - cycle <= MOST_CYCLES + 1 for now, cycle in link.played)
+    told = link.buffer.told()
+    assert (told.waiting, told.late) == (0, len(link.refused))
+    assert told.answered_cycle == (order[-1] if order else None)
+
+
+@given(st.lists(st.integers(0, 200)), st.integers(1, 64))
+def test_no_sequence_number_is_taken_twice_and_with_one_place_only_greater_ones_are(
+    numbers: list[int], width: int
+) -> None:
+    sequence, only_greater, taken = Sequence(width), Sequence(), []
+    newest = -1
+    for number in numbers:
+        is_new = sequence.take(number)
+        assert is_new == (number not in taken and (number > newest or newest - number < width))
+        assert only_greater.take(number) == (number > newest)
+        taken += [number] if is_new else []
+        newest = max(newest, number)
+    assert sequence.newest == only_greater.newest == newest
+
+
+# --- the HLI ----------------------------------------------------------------------------------------
+
+
+class Client(Sender):
+    lasting = True
+
+    def deliver(self, message: Any) -> None:
+        raise AssertionError("the core only hands it back")
+
+
+class Bench:
+    """An HLI that a client far away has a lease of."""
+
+    def __init__(self, playout: bool = True) -> None:
+        cell = small_cell(max_playout_s=0.6)
+        tokens = (f"token-{k}" for k in itertools.count())
+        self.core = HliCore(cell, told(cell), tool_pose, lambda: next(tokens), 1000)
+        self.client, self.time_s, self.cycle = Client(), 50.0, 100
+        self.core.on_server_state(server_state("fr", self.cycle), self.time_s)
+        asked = LeaseRequest(robot="fr", action=LeaseAction.ACQUIRE, playout=playout)
+        (reply,) = (one.message for one in self.core.requests.on_lease(asked, self.client, self.time_s))
+        assert isinstance(reply, LeaseReply)
+        self.lease = str(reply.lease)
+
+    def turn(self, **changes: Any) -> tuple[Request, RobotState, list[Verdict]]:
+        """The next cycle: what the gate is asked, what clients are told, and what is refused."""
+        self.cycle, self.time_s = self.cycle + 1, self.time_s + CYCLE_S
+        outputs = self.core.on_server_state(server_state("fr", self.cycle, **changes), self.time_s)
+        messages = [one.message for one in outputs if isinstance(one, ToTopic)]
+        (request,) = (one for one in messages if isinstance(one, Request))
+        (state,) = (one for one in messages if isinstance(one, RobotState))
+        return request, state, verdicts(outputs)
+
+    def answer(self, cycle: int, seq: int) -> list[Output]:
+        sent = Increment(robot="fr", seq=seq, cycle=cycle, dq=DQ, lease=self.lease)
+        return self.core.increments.on_increment(sent, self.client, self.time_s)
+
+
+def verdicts(outputs: list[Output]) -> list[Verdict]:
+    return [one.message for one in outputs if isinstance(one, ToSender) and isinstance(one.message, Verdict)]
+
+
+def test_an_increment_older_than_any_may_be_without_a_buffer_is_passed_on_as_of_now() -> None:
+    bench = Bench()
+    for _ in range(30):
+        bench.turn()
+    assert bench.answer(bench.cycle - 25, seq=1) == []
+    request, state, refused = bench.turn()
+    assert (request.seq, request.dq, refused) == (1, DQ, [])
+    assert request.cycle == request.newest == bench.cycle, "the gate is not told the age, which is no fault"
+    assert state.playout is not None
+    assert state.playout.answered_cycle is None, "its setpoint does not have it yet"
+    _, state, _ = bench.turn()
+    assert state.playout is not None
+    assert state.playout.answered_cycle == bench.cycle - 27
+
+
+def test_increments_that_overtook_one_another_go_out_in_the_order_of_their_states() -> None:
+    bench = Bench()
+    for seq, cycle in enumerate(range(101, 131), start=1):  # one that takes three cycles shows the delay
+        bench.turn()
+        if cycle == 101:
+            late = cycle
+        elif cycle == 104:
+            bench.answer(late, seq=1)
+            bench.answer(cycle, seq)
+        else:
+            bench.answer(cycle, seq)
+    order = []
+    for _ in range(10):
+        request, _, _ = bench.turn()
+        order += [request.seq] if request.dq is not None else []
+    assert order == sorted(order)
+    assert order[-1] == 30
+
+
+def test_a_duplicate_is_refused_though_numbers_may_overtake_one_another() -> None:
+    bench = Bench()
+    bench.turn()
+    assert bench.answer(101, seq=7) == []
+    assert bench.answer(100, seq=6) == []
+    for seq in (6, 7):
+        (refused,) = verdicts(bench.answer(101, seq=seq))
+        assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
+
+
+def test_a_link_that_is_too_slow_is_told_so_with_what_it_took_and_the_bound() -> None:
+    bench = Bench()
+    for _ in range(80):
+        bench.turn()
+    (refused,) = verdicts(bench.answer(bench.cycle - 51, seq=1))
+    (reason,) = refused.reasons
+    assert (reason.code, reason.what, reason.value, reason.bound) == (
+        ReasonCode.LINK_TOO_SLOW,
+        "cycles",
+        51,
+        50,
+    )
+    assert bench.answer(bench.cycle - 50, seq=2) == []
+
+
+def test_without_a_buffer_nothing_is_different() -> None:
+    bench = Bench(playout=False)
+    for _ in range(30):
+        _, state, _ = bench.turn()
+    assert state.playout is None
+    (refused,) = verdicts(bench.answer(bench.cycle - 25, seq=1))
+    assert refused.reasons[0].code is ReasonCode.STALE_CYCLE
+
+
+@pytest.mark.parametrize("ends", ["stop", "release", "held"])
+def test_what_waits_is_refused_by_name_when_the_robot_is_stopped_held_or_given_back(ends: str) -> None:
+    bench = Bench()
+    for _ in range(20):
+        bench.turn()
+    bench.answer(bench.cycle - 9, seq=1)
+    bench.turn()  # a delay of ten cycles
+    for seq in range(2, 7):
+        bench.answer(bench.cycle, seq)
+        bench.turn()
+    outputs: list[Output] = []
+    if ends == "stop":
+        outputs = bench.core.requests.on_stop(bench.client, bench.time_s)
+    elif ends == "release":
+        release = LeaseRequest(robot="fr", action=LeaseAction.RELEASE, lease=bench.lease)
+        outputs = bench.core.requests.on_lease(release, bench.client, bench.time_s)
+    refused = verdicts(outputs)
+    for _ in range(20):
+        held = {"phase": Phase.HELD} if ends == "held" else {}
+        request, state, more = bench.turn(**held)
+        assert request.dq is None
+        refused += more
+    assert [one.seq for one in refused] == [2, 3, 4, 5, 6]
+    assert {one.outcome for one in refused} == {Outcome.REFUSED}
+    code = ReasonCode.LEASE_NOT_HELD if ends == "release" else ReasonCode.STOPPED
+    assert {one.reasons[0].code for one in refused} == {code}
+    assert (state.playout is None) == (ends == "release")
+
+
+def test_an_hli_that_goes_on_from_a_snapshot_does_what_the_other_does() -> None:
+    bench = Bench()
+    for seq in range(1, 20):
+        bench.turn()
+        bench.answer(max(100, bench.cycle - 5), seq)
+    memory, other = bench.core.snapshot(), Bench()
+    other.core.restore(memory)
+    other.cycle, other.time_s, other.client = bench.cycle, bench.time_s, bench.client
+    for _ in range(10):
+        assert other.turn() == bench.turn()

@@ -1,0 +1,125 @@
+"""Controllers that are programs of their own: virtual time waits for them, and only for them."""
+
+import sys
+
+import pytest
+from ramps import STEP_RAD
+
+from deltaq_testing.controller_process import ControllerProcess, ControllerProcessError
+from deltaq_testing.line_controller import LineController
+from deltaq_testing.schedule import fault
+from deltaq_testing.virtual import CellUnderTest
+from deltaq_verification.faults.rsi_cell import load_rsi_cell
+
+PROGRAM = f"""
+import json, socket, sys, time
+server = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+lines = server.makefile()
+def say(**message):
+    server.sendall(json.dumps(message).encode() + b"\\n")
+say(type="hello", protocol=1, client="program")
+assert json.loads(lines.readline())["type"] == "welcome"
+say(type="lease", robot="fr", action="acquire")
+seq = 0
+for line in lines:
+    message = json.loads(line)
+    if message["type"] == "state":
+        seq += 1
+        {{each_state}}
+        say(type="increment", robot="fr", seq=seq, cycle=message["cycle"], dq=[{STEP_RAD}, 0, 0, 0, 0, 0])
+"""
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_rsi_cell("lab")
+
+
+@pytest.fixture
+def cell(lab):
+    cell = CellUnderTest(lab)
+    yield cell
+    cell.close()
+
+
+def program(each_state="pass"):
+    return [sys.executable, "-c", PROGRAM.format(each_state=each_state), "{port}"]
+
+
+def test_every_state_is_answered_however_long_the_program_thinks(cell):
+    cell.drive_process(program("time.sleep(0.05 * (seq == 5))"))
+    cell.run(0.5)
+    assert cell.verdicts == {"admitted": 40, "scaled": 2}
+    assert cell.phase == "engaged"
+
+
+def test_a_program_gives_the_same_run_as_a_function_that_does_the_same(lab, cell):
+    cut = fault("link_cut", at_s=0.2, for_s=0.1)
+    cell.drive_process(program())
+    function = CellUnderTest(lab)
+    function.drive(lambda state: [STEP_RAD, 0, 0, 0, 0, 0])
+    for one in (cell, function):
+        one.suffer(cut)
+        one.run(0.6)
+    assert [list(q) for q in cell.history["fr"].setpoints] != [list(cell.q)] * len(cell.history["fr"].q)
+    assert abs(cell.q - function.q).max() < 2 * STEP_RAD  # the one asks for its lease a state earlier
+
+
+def test_a_program_that_was_killed_is_started_anew(cell):
+    cell.drive_process(program())
+    cell.suffer(fault("controller_dead", at_s=0.2, for_s=0.2))
+    cell.run(0.5)
+    assert cell.reason == "controller_lost"
+    assert cell.recover()
+    before = cell.q[0]
+    cell.run(0.5)
+    assert cell.q[0] > before + 20 * STEP_RAD
+
+
+def test_a_lease_renewal_is_an_answer_too(cell):
+    cell.drive_process(program("say(type='lease', robot='fr', action='renew'); continue"))
+    cell.run(0.3)
+    assert not cell.verdicts
+    assert cell.phase == "ready"
+
+
+def test_lines_that_are_no_messages_are_refused_and_stop_nothing(cell):
+    cell.drive_process(
+        program("server.sendall([b'{}', b'[1', b'{\"type\": 3}'][seq % 3] + b'\\n'); continue")
+    )
+    cell.run(0.3)
+    assert cell.refusals["malformed"] > 20
+
+
+def test_a_program_that_ends_is_a_controller_that_is_lost(cell):
+    cell.drive_process(program("sys.exit() if seq == 10 else None"))
+    cell.run(0.3)
+    assert cell.reason == "controller_lost"
+    assert cell.phase == "held"
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (["/nowhere/program"], "/nowhere/program cannot be started: No such file or directory"),
+        (
+            [sys.executable, "-c", "raise SystemExit(3)"],
+            "did not connect within 0.5 s: it (still runs|ended with status 3)",
+        ),
+        (
+            program("continue"),
+            "said nothing for 0.5 s after the state of cycle [0-9]+; a controller in virtual time",
+        ),
+        ([], "command must name a program, got an empty list"),
+    ],
+    ids=["no program", "ends", "silent", "nothing"],
+)
+def test_a_program_that_does_not_answer_ends_the_run_with_what_to_do(cell, command, told):
+    def run():
+        impatient = ControllerProcess(command, patience_s=0.5)
+        cell._programs.append(impatient)
+        cell.connect(lambda say: LineController("fr", impatient, cell.note, cell.close, say))
+        cell.run(0.2)
+
+    with pytest.raises(ControllerProcessError, match=told):
+        run()

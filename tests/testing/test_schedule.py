@@ -1,0 +1,48 @@
+"""Faults and their times: what is refused, and in which words."""
+
+import pytest
+
+from deltaq_testing.schedule import VIRTUAL, ScheduleError, checked, clash, fault
+from deltaq_verification.faults.catalogue import UnknownFaultError
+
+
+def test_a_fault_that_is_not_there_is_answered_with_those_that_are():
+    with pytest.raises(
+        UnknownFaultError, match=r"no fault 'hli-deadd'; did you mean 'hli-dead'\? `deltaq fault list`"
+    ):
+        fault("hli_deadd", at_s=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "told"),
+    [
+        ("hli_dead", {"at_s": -1}, r"hli-dead: at_s must be 0 or later, got -1"),
+        ("hli_dead", {"at_s": float("nan")}, r"hli-dead: at_s must be 0 or later, got nan"),
+        ("hli_dead", {"at_s": 1, "for_s": 0}, r"hli-dead: for_s must be more than 0, got 0"),
+        ("hli_dead", {"at_s": 1, "for_s": float("inf")}, r"hli-dead: for_s must be more than 0, got inf"),
+        ("recorder_dead", {"at_s": 1}, r"recorder-dead cannot be had in virtual time"),
+    ],
+)
+def test_what_cannot_befall_is_refused_with_the_value_and_its_bound(name, times, told):
+    with pytest.raises(ScheduleError, match=told):
+        fault(name, **times)
+
+
+def test_a_fault_is_shown_as_it_is_typed():
+    one = fault("link_cut", at_s=2, for_s=0.5)
+    assert repr(one) == 'fault("controller-hli-cut", at_s=2, for_s=0.5)'
+    assert eval(repr(one), {"fault": fault}) == one
+
+
+def test_of_two_faults_on_one_part_the_second_begins_when_the_first_has_ended():
+    cut, lossy = fault("link_cut", at_s=1, for_s=1), fault("link_lossy", at_s=1.5)
+    with pytest.raises(
+        ScheduleError, match=r"must begin at 2 s or later: the link controller-hli still suffers"
+    ):
+        checked([lossy, cut])
+    assert checked([fault("link_lossy", at_s=2), cut])[0] is cut
+    assert clash([cut, fault("sim_dead", at_s=1.5)]) is None
+
+
+def test_every_fault_but_a_stop_names_what_it_changes():
+    assert {row.name for row in VIRTUAL if not fault(row.name, at_s=0).parts} == {"operator-stop"}

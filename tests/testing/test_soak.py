@@ -1,0 +1,93 @@
+"""A soak: its report, however it ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from deltaq_command.app import app
+from deltaq_protocol.errors import DeltaqError
+from deltaq_testing.live import may_befall
+from deltaq_testing.soak import SoakReport, SoakRound
+from deltaq_verification.faults.catalogue import CATALOGUE
+
+COMMAND = "from deltaq_command import main; main()"
+
+
+@pytest.mark.live
+@pytest.mark.long
+def test_ctrl_c_ends_a_soak_with_the_report_so_far_and_leaves_nothing_running(tmp_path: Path) -> None:
+    words = ["soak", "--hours", "1", "--cell", "lab", "--seed", "3", "--to", str(tmp_path / "made")]
+    with subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # for the mover, whose own line is no part of the report
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    ) as soak:
+        assert soak.stdout is not None
+        first = next(line for line in soak.stdout if " s  " in line)
+        os.killpg(soak.pid, signal.SIGINT)
+        rest = soak.stdout.read()
+        status = soak.wait()
+    assert status == 0, rest
+    assert first.endswith(": good\n")
+    report = json.loads((tmp_path / "made" / "soak.json").read_text())
+    assert report["interrupted"] is True
+    (one, *_) = report["rounds"]
+    assert one["good"]
+    assert one["fault"] in first
+    sample = report["samples"][0]
+    assert {"hli", "sim", "robot-server-fr", "robot-server-gr"} <= set(sample["memory_mb"])
+    assert min(sample["memory_mb"].values()) > 5
+    assert any(sample["latency_ms"] for sample in report["samples"])
+    assert (tmp_path / "made" / "soak.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ProcessLookupError):
+        os.killpg(soak.pid, 0)
+
+
+def round_of(good: bool) -> SoakRound:
+    return SoakRound(
+        time_s=0, fault="sim-dead", at_s=1, for_s=1, recovered=good, clear="", limits="", good=good
+    )
+
+
+def test_a_soak_is_good_if_every_round_was_and_there_was_one() -> None:
+    def of(*rounds: SoakRound) -> bool:
+        return SoakReport(cell="lab", robot="fr", seed=0, asked_s=1, rounds=list(rounds)).good
+
+    assert of(round_of(True))
+    assert not of(round_of(True), round_of(False))
+    assert not of()
+
+
+def test_faults_of_the_processes_and_of_the_krc_may_befall_and_those_that_need_more_may_not() -> None:
+    names = {row.name for row in CATALOGUE if may_befall(row)}
+    assert {
+        "operator-stop",
+        "hli-dead",
+        "sim-frozen",
+        "robot-server-dead",
+        "krc-silent",
+        "krc-digits",
+    } <= names
+    assert not names & {
+        "controller-dead",
+        "hli-sim-cut",
+        "hli-clock-forward",
+        "recorder-dead",
+        "krc-port-zero",
+    }
+
+
+def test_a_place_where_no_report_can_be_is_refused_before_the_soak(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = CliRunner().invoke(app, ["soak", "--hours", "1", "--to", str(tmp_path / "file" / "below")])
+    assert isinstance(result.exception, DeltaqError)
+    assert "is no folder for reports: Not a directory" in str(result.exception)
