@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from deltaq_command import INTERRUPTED, USAGE
-from deltaq_launch.launcher import LaunchError, LaunchInterruptedError
+from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
 DONE = 0

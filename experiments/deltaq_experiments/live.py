@@ -18,7 +18,8 @@ from deltaq_experiments.virtual import RunRecord
 from deltaq_launch.bring_to_rest import bring_to_rest
 from deltaq_launch.cell_connection import connect, listen
 from deltaq_launch.child_process import Exited
-from deltaq_launch.launcher import Launcher, LaunchError
+from deltaq_launch.errors import LaunchError
+from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import Role, Service, cell_services, demo_controllers, recorder
 from deltaq_protocol import topics
 from deltaq_protocol.arrays import Array

@@ -23,12 +23,21 @@ def load(options: Options, experiment: str) -> CellModel:
         DeltaqError: if it has no such robots.
     """
     cell = CellModel.load(options.cell)
+    require_both(cell, f"{experiment} experiment")
+    return cell
+
+
+def require_both(cell: CellModel, purpose: str) -> None:
+    """Refuse a cell without the two robots.
+
+    Raises:
+        DeltaqError: that says what they are for.
+    """
     if not {FOLLOWER, LEADER} <= set(cell.robots):
         raise DeltaqError(
-            f"the {experiment} experiment needs robots {FOLLOWER} and {LEADER}, cell {cell.description.cell} has "
+            f"the {purpose} needs robots {FOLLOWER} and {LEADER}, cell {cell.description.cell} has "
             f"{', '.join(cell.robots)}"
         )
-    return cell
 
 
 def camera_controller(

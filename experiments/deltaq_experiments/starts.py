@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.camera.controllers import FocusController
 from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
@@ -20,12 +21,26 @@ _REACH_RAD = np.array([0.6, 0.4, 0.4, 3.0, 2.0, 1.5])
 """Ranges around home from which the joints of a start are drawn; the wrist's are largest."""
 
 
-def start_with_error(cell: CellModel, camera: FocusController, error: float, seed: int) -> Array:
+class MeasuredView(Protocol):
+    """What measures a view.
+
+    Attributes:
+        desired_distance_m: desired view distance [m].
+    """
+
+    desired_distance_m: float
+
+    def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
+        """View angle error [rad] and view distance less the desired one [m]."""
+        ...
+
+
+def start_with_error(cell: CellModel, camera: MeasuredView, error: float, seed: int) -> Array:
     """A configuration from which the camera misses the leader's tool at its home by a given angle.
 
     Args:
         cell: the cell.
-        camera: controller with the camera and its focus.
+        camera: measures the view.
         error: the angle [rad].
         seed: of the search.
 
@@ -60,7 +75,7 @@ def start_with_error(cell: CellModel, camera: FocusController, error: float, see
     )
 
 
-def _between(camera: FocusController, near: Array, far: Array, q_leader: Array, error: float) -> Array:
+def _between(camera: MeasuredView, near: Array, far: Array, q_leader: Array, error: float) -> Array:
     """The configuration between `near` and `far` at which the angle passes `error`."""
     low, high = 0.0, 1.0
     for _ in range(30):

@@ -10,8 +10,9 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 
 from deltaq_cell.description import CellDescription
+from deltaq_launch.errors import LaunchError
 from deltaq_launch.findings import DoctorFinding, Rating
-from deltaq_launch.launcher import LaunchError, check_ports
+from deltaq_launch.launcher import check_ports
 from deltaq_launch.rates import percentile
 from deltaq_launch.real_time import examine_real_time
 from deltaq_launch.services import cell_services, console_service

@@ -18,6 +18,7 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
+from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.launch_key import LaunchKey
 from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
@@ -33,14 +34,6 @@ START_TIMEOUT_S = 60.0
 HEED_S = 0.5
 """After which a signal is heeded at the latest."""
 _LOOK_S = 0.02
-
-
-class LaunchError(DeltaqError):
-    """A service could not be started, or ended before it served."""
-
-
-class LaunchInterruptedError(DeltaqError):
-    """Somebody asked to stop while services were still starting."""
 
 
 @dataclass(frozen=True)

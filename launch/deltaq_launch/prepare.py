@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from deltaq_launch.child_process import start_with_lines
-from deltaq_launch.launcher import LaunchError
+from deltaq_launch.errors import LaunchError
 from deltaq_launch.warden import Warden
 
 GATE_COMPILER = ("-m", "deltaq_cell")

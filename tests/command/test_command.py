@@ -3,12 +3,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from deltaq_command.errors import exit_status
-from deltaq_launch.launcher import LaunchError, LaunchInterruptedError
+from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
 
@@ -22,6 +23,14 @@ def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(write_private_cell(tmp_path_factory.mktemp("cell")))
+
+
+def test_the_version_is_the_projects() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    done = deltaq("--version")
+    assert (done.returncode, done.stdout) == (0, f"deltaq {project['version']}\n")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from installed import ROOT, Installed
+from installed import ROOT, Installed, install
 
 pytestmark = pytest.mark.long
 
@@ -51,6 +51,21 @@ def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed)
     done = complete.run("deltaq", "check", "lab")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("lab: good\n")
+
+
+def test_an_install_for_training_has_what_the_environment_imports(wheel: Path, tmp_path: Path) -> None:
+    training = install(wheel, tmp_path / "venv", "gymnasium")
+    done = training.run("python", "-c", "import deltaq_experiments.training.environment")
+    assert done.returncode == 0, done.stderr
+    assert "mcap" in missing(training)
+
+
+def test_without_gymnasium_the_environment_says_what_to_install(bare: Installed) -> None:
+    done = bare.run("python", "-c", "import deltaq_experiments.training")
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith(
+        "gymnasium is not installed: pip install 'deltaq[gymnasium]'"
+    )
 
 
 def test_a_part_of_deltaq_that_is_missing_is_no_matter_of_extras(complete: Installed, tmp_path: Path) -> None:

@@ -80,6 +80,7 @@ NOT_RUN = {
     ],
     "find-the-bug.md": ["installs from a package index"],
     "install.md": ["installs from a package index"],
+    "train-a-policy.md": ["installs from a package index"],
     "run-a-cell.md": [
         "tests/launch/test_running_cell.py kills a service and starts it again this way",
         "needs real robots",

@@ -17,7 +17,8 @@ import pytest
 
 from deltaq_command.console import json_log
 from deltaq_launch.child_process import NICENESS, Exited
-from deltaq_launch.launcher import Interrupted, Launcher, LaunchError, LaunchInterruptedError
+from deltaq_launch.errors import LaunchError, LaunchInterruptedError
+from deltaq_launch.launcher import Interrupted, Launcher
 from deltaq_launch.services import ListeningSocket, Role, Service
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import json_line

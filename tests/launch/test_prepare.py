@@ -12,7 +12,7 @@ import pytest
 
 from deltaq_cell import machine_code
 from deltaq_launch import prepare
-from deltaq_launch.launcher import LaunchError
+from deltaq_launch.errors import LaunchError
 
 ONE_LAW = """
 import sys

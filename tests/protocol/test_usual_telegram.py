@@ -9,7 +9,7 @@ from krc_side import AXES, CELL, FR, XML, telegram
 from deltaq_protocol.rsi import TelegramError, load_ethernet_xml
 from deltaq_protocol.rsi.layout import MAX_IPOC
 from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
-from deltaq_services.robot_server.shell import sensor_codec
+from deltaq_services.robot_server.krc_file import sensor_codec
 
 CODEC = sensor_codec(CELL, "fr", XML)
 USUAL = UsualTelegrams(load_ethernet_xml(XML), AXES)

@@ -12,10 +12,10 @@ from krc_side import CELL, FR, XML, preparing, telegram
 from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.krc_file import preparation, sensor_codec
 from deltaq_services.robot_server.krc_socket import MOST_READ, MOST_WAITING, KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.rsi_driver import RsiDriver
-from deltaq_services.robot_server.shell import preparation, sensor_codec
 
 
 class Bench:

@@ -13,11 +13,11 @@ from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.messages import Increment, Phase
 from deltaq_protocol.rsi import TelegramError
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import ModeProbe
 from deltaq_services.robot_server.peer import Peer
 from deltaq_services.robot_server.rsi_driver import RsiDriver
-from deltaq_services.robot_server.shell import sensor_codec
 
 CODEC = sensor_codec(CELL, "fr", XML)
 

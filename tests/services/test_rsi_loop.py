@@ -18,10 +18,10 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
+from deltaq_services.robot_server.krc_file import preparation, sensor_codec
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.rsi_loop import Lead, RsiLoop
-from deltaq_services.robot_server.shell import preparation, sensor_codec
 
 WAITS_S = 10.0
 

@@ -14,9 +14,9 @@ from deltaq_protocol.guarded import Supervision
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcCodec, TelegramError, load_ethernet_xml
 from deltaq_protocol.rsi.krc_codec import MAX_PRECISION
+from deltaq_services.robot_server.krc_file import preparation
 from deltaq_services.robot_server.mode_probe import ADRIFT
 from deltaq_services.robot_server.probe_trial import pulse_sums
-from deltaq_services.robot_server.shell import preparation
 
 FINE = KrcCodec(load_ethernet_xml(XML), AXES, FR.driver.inputs, precision=MAX_PRECISION)
 """A KRC that sends all the decimals that there are."""

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from krc_side import CELL, FR, KRC, MAX_DV, XML, KrcSide, telegram
 
+from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.probe_trial import pulse_offsets
-from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.storm.admitted import ROUNDING, Admitted
 from deltaq_verification.storm.forger import ForgedSender, Forger
 from deltaq_verification.storm.pulses import Pulses

@@ -21,13 +21,8 @@ from deltaq_experiments.bench.processor_time import machine_time, processor_seco
 from deltaq_experiments.last_lines import LastLines
 from deltaq_launch.bring_to_rest import bring_to_rest
 from deltaq_launch.child_process import Exited
-from deltaq_launch.launcher import (
-    Interrupted,
-    Launcher,
-    LaunchError,
-    LaunchInterruptedError,
-    describe_exit,
-)
+from deltaq_launch.errors import LaunchError, LaunchInterruptedError
+from deltaq_launch.launcher import Interrupted, Launcher, describe_exit
 from deltaq_launch.services import Role, Service, cell_services, demo_controllers
 from deltaq_protocol.stamps import FOLDER, WrittenStamps, read_stamps
 

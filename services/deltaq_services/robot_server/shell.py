@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import logging
-import math
 import secrets
 import time
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RsiDescription
-from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
-from deltaq_protocol.rsi.sensor_codec import MAX_TELEGRAM_BYTES
-from deltaq_protocol.rsi.usual_telegram import UsualTelegrams
 from deltaq_services.process import ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
-from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S, CrashPlan
+from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
 from deltaq_services.robot_server.crash_brake.watch import CrashWatch
 from deltaq_services.robot_server.ending import Ending
 from deltaq_services.robot_server.guarded_link import GuardedLink
+from deltaq_services.robot_server.krc_file import crash_plan, preparation, sensor_codec
 from deltaq_services.robot_server.krc_socket import KrcSocket
 from deltaq_services.robot_server.measurement import Measurement
-from deltaq_services.robot_server.preparation import Preparation
 from deltaq_services.robot_server.rsi_driver import RsiDriver
 from deltaq_services.robot_server.rsi_loop import RsiLoop
 
@@ -47,60 +43,6 @@ def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
         _serve_rsi(cell, server, driver, ethernet_xml)
     else:
         _serve_kinematic(cell, server)
-
-
-def sensor_codec(cell: CellDescription, robot: str, ethernet_xml: Path) -> SensorCodec:
-    """The PC's telegrams of a robot, from the file that its KRC has loaded."""
-    description = cell.robots[robot]
-    assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
-    return SensorCodec(
-        load_ethernet_xml(ethernet_xml),
-        AxisMap.of(description.joint_names, description.units, description.driver.krc),
-        description.driver.inputs,
-        description.driver.outputs,
-        description.driver.stop,
-    )
-
-
-def preparation(
-    cell: CellDescription,
-    server: RobotServer,
-    rsi: RsiDriver,
-    ethernet_xml: Path,
-    records: CrashRecordMaker | None = None,
-) -> Preparation | None:
-    """What prepares a robot's replies, from the file that its KRC has loaded; None if its cell does not want it."""
-    description = cell.robots[server.robot]
-    assert isinstance(description.driver, RsiDescription)  # asked only of robots that speak RSI
-    if not description.driver.prepared_replies:
-        return None
-    axes = AxisMap.of(description.joint_names, description.units, description.driver.krc)
-    telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), axes)
-    return Preparation(cell, server, rsi, telegrams, axes, records)
-
-
-def crash_plan(cell: CellDescription, robot: str, ethernet_xml: Path) -> CrashPlan:
-    """What has to be known to brake a robot whose Robot Server has died, from the file that its KRC has loaded."""
-    description = cell.robots[robot]
-    driver = description.driver
-    assert isinstance(driver, RsiDescription)  # asked only of robots that speak RSI
-    codec = sensor_codec(cell, robot, ethernet_xml)
-    telegrams = UsualTelegrams(load_ethernet_xml(ethernet_xml), codec.axes)
-    template, places = codec.template
-    return CrashPlan(
-        pattern=telegrams.pattern,
-        elements=telegrams.programmed,
-        most_bytes=MAX_TELEGRAM_BYTES,
-        template=template.decode(),
-        places=places,
-        commanded=tuple(codec.axes.commanded.tolist()),
-        outputs=len(driver.outputs),
-        most=tuple((description.max_velocity * cell.cycle_s).tolist()),
-        cycle_s=cell.cycle_s,
-        silence_s=cell.gate.krc_timeout_s,
-        lag_cycles=math.ceil(cell.gate.servo_lag_s / cell.cycle_s),
-        has_stop=driver.stop is not None,
-    )
 
 
 def _serve_rsi(cell: CellDescription, server: RobotServer, driver: RsiDescription, xml: Path) -> None:

@@ -16,8 +16,8 @@ from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.rsi import AxisMap, KrcCodec, load_ethernet_xml
+from deltaq_services.robot_server.krc_file import sensor_codec
 from deltaq_services.robot_server.probe_trial import pulse_offsets
-from deltaq_services.robot_server.shell import sensor_codec
 from deltaq_verification.storm.admitted import Admitted
 from deltaq_verification.storm.forger import Forger
 from deltaq_verification.storm.line import AttackedLine

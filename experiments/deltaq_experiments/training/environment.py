@@ -1,0 +1,154 @@
+"""The environment: each step is one cycle of the whole stack, the gate in the loop."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles, require_both
+from deltaq_experiments.starts import start_with_error
+from deltaq_experiments.training.episode import Episode, Observation
+from deltaq_experiments.training.observation import robot_space
+from deltaq_experiments.training.task import CameraTask
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.messages import Verdict
+from deltaq_verification.virtual_cell.cell import VirtualCell
+from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
+
+LARGEST_START_ERROR_DEG = 150.0
+_SEEDS = 2**31
+
+
+class CameraEnvironment(gymnasium.Env[Observation, Array]):
+    """The paper's camera tracking: keep a moving tool in view, from the desired distance.
+
+    An observation is what a controller sees: of its `own` robot and of the `leader` the configuration `q`, the
+    setpoint `q_cmd` and the increment `dq` that led there, each (n,) [rad or m]. What it sees of the leader is as old
+    as the latency wants it. An action (n,) in [-1, 1] is an increment, as a share of the largest one. It is clipped to
+    what speed, acceleration and room to brake allow, as the project's own controllers do; whether a body is too
+    near is for the gate to say. The reward is `-angle_rad - |distance_m|`, the errors of the view after the step.
+
+    `info` has these errors, and after a step `dq`, the increment that was asked for, and `verdict`, the gate's on it:
+    the fields of the message, without those that are null.
+
+    An episode is truncated when its time is over, and terminates where only a reset makes the robot move again. A seed
+    decides where the follower begins and how the leader moves; with the same actions it is the same run to the bit.
+
+    Args:
+        cell: name or file of a cell with robots `fr`, which carries the camera, and `gr`, whose tool is watched.
+        leader_speed_m_s: largest speed of the leader's tool [m/s].
+        latency_s: from the leader's motion to the camera's, the drives' lag and the loop's cycles included [s].
+        duration_s: length of an episode [s].
+        start_error_deg: largest view angle error at the start; it is at least half of that [deg].
+
+    Raises:
+        DeltaqError: the cell has no such robots, the loop alone takes longer than the latency, or a value is out of
+            its bounds.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(
+        self,
+        cell: str | Path = "lab",
+        leader_speed_m_s: float = 0.25,
+        latency_s: float = 0.06,
+        duration_s: float = 10.0,
+        start_error_deg: float = 60.0,
+    ) -> None:
+        if not 0.0 < duration_s < math.inf:
+            raise DeltaqError(f"duration_s must be a finite time above 0 s, got {duration_s}")
+        if not 0.0 < start_error_deg <= LARGEST_START_ERROR_DEG:
+            raise DeltaqError(
+                f"start_error_deg must be above 0 and at most {LARGEST_START_ERROR_DEG:g}, got {start_error_deg}"
+            )
+        self._loaded = LoadedCell.load(cell)
+        model = self._loaded.model
+        require_both(model, "camera environment")
+        cycle_s = model.description.cycle_s
+        self._cycles = max(1, round(duration_s / cycle_s))
+        self._delay_cycles = added_delay_cycles(model, latency_s)
+        self._start_error_deg, self._leader_speed_m_s = start_error_deg, leader_speed_m_s
+        self._leader(seed=0)  # refuses a wrong speed now rather than at the first reset
+        self._episode: Episode | None = None
+        own, leader = (IncrementLimits.of(model.robots[name], cycle_s) for name in (FOLLOWER, LEADER))
+        self.action_space = spaces.Box(-1.0, 1.0, own.max_dq.shape, dtype=np.float64)
+        both = spaces.Dict({"own": robot_space(own), "leader": robot_space(leader)})
+        # Gymnasium types a Dict by the spaces in it, and not by their elements
+        self.observation_space = cast(spaces.Space[Observation], both)
+
+    @property
+    def episode(self) -> Episode:
+        """The episode that runs.
+
+        Raises:
+            DeltaqError: before the first reset.
+        """
+        if self._episode is None:
+            raise DeltaqError("no episode has begun: call reset() first")
+        return self._episode
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: of this episode and those after it; None goes on from the one before.
+            options: `start`, the configuration (n,) from which the follower begins in place of a random one [rad].
+        """
+        super().reset(seed=seed)
+        start_seed, leader_seed = (int(self.np_random.integers(_SEEDS)) for _ in range(2))
+        error_deg = self._start_error_deg * float(self.np_random.uniform(0.5, 1.0))
+        start = self._given(options or {})
+        if start is None:
+            model = self._loaded.model
+            start = start_with_error(model, CameraTask(model), math.radians(error_deg), start_seed)
+        stack = VirtualCell(self._loaded, {FOLLOWER: start})
+        self._episode = Episode(stack, self._leader(leader_seed), self._delay_cycles)
+        return self._episode.observation, self._episode.errors._asdict()
+
+    def step(self, action: Array) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Ask the gate for an increment, and go on to the next cycle.
+
+        Raises:
+            DeltaqError: the action has another shape or is not finite, or no episode has begun.
+        """
+        share = np.asarray(action, dtype=np.float64)
+        if share.shape != self.action_space.shape or not np.isfinite(share).all():
+            raise DeltaqError(f"action: {self.action_space.shape} finite numbers are expected, got {action}")
+        episode = self.episode
+        dq, verdict = episode.step(share)
+        errors = episode.errors
+        info = {**errors._asdict(), "dq": dq, "verdict": _fields(verdict)}
+        return episode.observation, errors.reward, episode.is_lost, episode.cycles >= self._cycles, info
+
+    def _leader(self, seed: int) -> ScriptedLeader:
+        model = self._loaded.model
+        return ScriptedLeader(model.robots[LEADER], model.description.cycle_s, self._leader_speed_m_s, seed)
+
+    def _given(self, options: dict[str, Any]) -> Array | None:
+        if unknown := set(options) - {"start"}:
+            raise DeltaqError(f"options: {', '.join(sorted(unknown))} is no option; there is start")
+        if "start" not in options:
+            return None
+        robot = self._loaded.model.robots[FOLLOWER]
+        start = np.asarray(options["start"], dtype=np.float64)
+        if start.shape != robot.home.shape or not ((robot.lower <= start) & (start <= robot.upper)).all():
+            raise DeltaqError(
+                f"options: start must be {robot.n} angles between {robot.lower} and {robot.upper} [rad], got {start}"
+            )
+        return start
+
+
+def _fields(verdict: Verdict | None) -> dict[str, Any]:
+    """What a verdict has; a vector of environments cannot put None among numbers."""
+    return {} if verdict is None else verdict.model_dump(mode="json", exclude_none=True)

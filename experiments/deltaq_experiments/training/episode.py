@@ -1,0 +1,85 @@
+"""One episode: the stack in virtual time, the leader that moves in it, and what a policy sees of both robots."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from deltaq_controllers.interface import LastIncrement, RobotView, View
+from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_controllers.limits import IncrementLimits
+from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_experiments.training.observation import RobotObservation, RobotObserver
+from deltaq_experiments.training.task import CameraTask, ViewErrors
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import Phase, Verdict
+from deltaq_verification.virtual_cell.cell import VirtualCell
+
+Observation = dict[str, RobotObservation]
+"""What is seen of the policy's `own` robot and of the `leader`."""
+
+
+class Episode:
+    """A run of the whole stack, one cycle a step.
+
+    Args:
+        stack: a new cell.
+        leader: moves the leader.
+        delay_cycles: how much older what is seen of the leader is.
+
+    Attributes:
+        stack: the cell.
+        cycles: so far.
+        observation: what the policy sees now.
+    """
+
+    def __init__(self, stack: VirtualCell, leader: ScriptedLeader, delay_cycles: int) -> None:
+        self.stack, self.cycles = stack, 0
+        self._leader, cycle_s = leader, stack.cell.description.cycle_s
+        limits = {name: IncrementLimits.of(stack.cell.robots[name], cycle_s) for name in (FOLLOWER, LEADER)}
+        self._limits = limits[FOLLOWER]
+        self._own, self._other = RobotObserver(limits[FOLLOWER]), RobotObserver(limits[LEADER])
+        self._last = LastIncrement(self._limits.max_ddq)
+        self._task = CameraTask(stack.cell)
+        self._seen: deque[RobotView] = deque(maxlen=delay_cycles + 1)
+        stack.run_until_ready()
+        stack.acquire(FOLLOWER, "policy")
+        stack.acquire(LEADER, "scripted-leader")
+        stack.cycle()  # a controller answers states that come after its lease
+        self.observation = self._look()
+
+    @property
+    def errors(self) -> ViewErrors:
+        """Of the view that the robots have now, not of the one that is seen late."""
+        q, q_leader = (self._view(name).q for name in (FOLLOWER, LEADER))
+        return self._task.errors(q, q_leader)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether only a reset makes the follower move again."""
+        return self.stack.states[FOLLOWER].phase in (Phase.OFFLINE, Phase.HELD)
+
+    def step(self, share: Array) -> tuple[Array, Verdict | None]:
+        """Ask the gate for a share (n,) of the largest increment, and go on to the next cycle.
+
+        Returns:
+            The increment (n,) that was asked for [rad or m], and the gate's verdict on it.
+        """
+        own, other = self._view(FOLLOWER), self._view(LEADER)
+        dq_last = self._last.update(own)
+        dq = self._limits.admissible(share * self._limits.max_dq, own.q_cmd, dq_last)
+        self.stack.ask(LEADER, self._leader.increment(View(other, {FOLLOWER: own})))
+        verdict = self.stack.ask(FOLLOWER, dq)
+        self.stack.cycle()
+        self.cycles += 1
+        self.observation = self._look()
+        return dq, verdict
+
+    def _view(self, robot: str) -> RobotView:
+        return RobotView.from_state(self.stack.states[robot])
+
+    def _look(self) -> Observation:
+        self._seen.append(self._view(LEADER))
+        return {
+            "own": self._own.observe(self._view(FOLLOWER)),
+            "leader": self._other.observe(self._seen[0]),
+        }

@@ -1,0 +1,128 @@
+"""What is passed on: the source archive makes the same wheel as the tree, and is all that one needs to work on it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+import yaml
+from installed import ROOT
+from packaging.specifiers import SpecifierSet
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+WORKFLOW = ROOT / ".github" / "workflows" / "test.yml"
+NEEDED = {
+    "LICENSE",
+    "Makefile",
+    "constraints.txt",
+    "mkdocs.yml",
+    "docs/index.md",
+    "docs/images/console.png",
+    "examples/with_asyncio.py",
+    "clients/matlab/+deltaq/Client.m",
+    "tests/conftest.py",
+    "tests/deploy/test_releases.py",
+    ".github/workflows/test.yml",
+}
+REGISTRIES = re.compile(r"\b(pypi|pythonhosted|npmjs|unpkg|ghcr|docker|quay)\.(org|com|io)\b")
+
+
+def build(kind: str, source: Path, folder: Path) -> Path:
+    command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True, timeout=120)
+    (made,) = folder.iterdir()
+    return made
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    with ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source archive, unpacked."""
+    folder = tmp_path_factory.mktemp("source")
+    with tarfile.open(build("sdist", ROOT, tmp_path_factory.mktemp("sdist"))) as archive:
+        archive.extractall(folder, filter="data")
+    (tree,) = folder.iterdir()
+    assert tree.name == f"deltaq-{PROJECT['version']}"
+    return tree
+
+
+def test_the_source_archive_makes_the_same_wheel_as_the_tree(
+    unpacked: Path, wheel: Path, tmp_path: Path
+) -> None:
+    again = build("wheel", unpacked, tmp_path)
+    assert again.name == wheel.name
+    one, other = contents(again), contents(wheel)
+    assert sorted(one) == sorted(other)
+    assert [name for name in one if one[name] != other[name]] == []
+
+
+def test_the_source_archive_has_the_tree_and_nothing_that_was_made(unpacked: Path) -> None:
+    files = {str(file.relative_to(unpacked)) for file in unpacked.rglob("*") if file.is_file()}
+    assert NEEDED - files == set()
+    made = {
+        ".venv",
+        "build",
+        "dist",
+        "__pycache__",
+        ".mypy_cache",
+        ".ruff_cache",
+        ".pytest_cache",
+        "out",
+        ".git",
+    }
+    assert [file for file in files if made & set(Path(file).parts)] == []
+
+
+@pytest.mark.parametrize(
+    ("schema", "file"),
+    [
+        ("github-workflows", WORKFLOW),
+        ("github-issue-config", ROOT / ".github" / "ISSUE_TEMPLATE" / "config.yml"),
+        ("github-issue-forms", ROOT / ".github" / "ISSUE_TEMPLATE" / "fault.yml"),
+        ("github-issue-forms", ROOT / ".github" / "ISSUE_TEMPLATE" / "wish.yml"),
+    ],
+    ids=lambda value: value.name if isinstance(value, Path) else "",
+)
+def test_a_file_for_the_host_follows_its_format(schema: str, file: Path) -> None:
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}", str(file)]
+    checked = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stdout
+
+
+def test_what_is_tested_is_what_is_promised() -> None:
+    job = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))["jobs"]["test"]
+    versions = job["strategy"]["matrix"]["python"]
+    promised = [name.rpartition(" ")[2] for name in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", name)]
+    assert versions == promised
+    assert all(version in SpecifierSet(PROJECT["requires-python"]) for version in versions)
+    assert job["steps"][-1]["run"] == "make test"
+
+
+def test_what_is_done_before_a_commit_is_what_make_lint_does() -> None:
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
+    assert [source["repo"] for source in hooks] == ["local"]
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    lint = re.search(r"^lint:.*\n((?:\t.*\n)+)", makefile, re.MULTILINE)
+    assert lint is not None
+    commands = [line.strip().replace("$(BIN)", ".venv/bin") for line in lint[1].splitlines()]
+    assert [hook["entry"] for hook in hooks[0]["hooks"]] == commands
+
+
+def test_no_host_of_a_package_registry_is_named() -> None:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("no clone: which files are the project's is not known")
+    names = listed.stdout.split("\0")[:-1]
+    assert len(names) > 900
+    texts = ((name, (ROOT / name).read_text(encoding="utf-8", errors="replace")) for name in names)
+    assert [(name, found[0]) for name, text in texts if (found := REGISTRIES.search(text))] == []
