@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import RSIPI
+import yaml
 
 from deltaq_cell.description import RobotDescription, RsiDescription
 from deltaq_cell.load import find_cell, load_cell, resolve_near
@@ -262,11 +263,9 @@ def test_rsipi_a_client_by_others_moves_the_robot_with_a_configuration_of_its_ow
         theirs.replace("10.10.10.10", "127.0.0.1").replace(">64000<", f">{driver.port}<"), encoding="utf-8"
     )
     assert f">{driver.port}<" in ours.read_text()
-    text = cell.read_text().replace(
-        f"driver: {{port: {driver.port},",
-        f"driver: {{ethernet_xml: {ours}, krc: krc4, stop: null, port: {driver.port},",
-    )
-    cell.write_text(text)
+    described = yaml.safe_load(cell.read_text())
+    described["robots"]["fr"]["driver"] |= {"ethernet_xml": str(ours), "krc": "krc4", "stop": None}
+    cell.write_text(yaml.safe_dump(described))
     with running(cell, "fr") as emulated:
         peer = subprocess.run(
             [sys.executable, str(PEER), str(ours)], capture_output=True, text=True, timeout=90, check=False

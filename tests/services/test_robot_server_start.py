@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 import deltaq_deploy
 from deltaq_launch.private_cell import write_private_cell
@@ -22,12 +23,9 @@ def start(folder: Path, *edits: tuple[str, str]) -> subprocess.Popen[str]:
         text = text.replace(old, new)
     (folder / "mine_ethernet.xml").write_text(text, encoding="utf-8")
     cell = write_private_cell(folder)
-    cell.write_text(
-        cell.read_text(encoding="utf-8").replace(
-            "driver: {port", "driver: {ethernet_xml: mine_ethernet.xml, port", 1
-        ),
-        encoding="utf-8",
-    )
+    described = yaml.safe_load(cell.read_text(encoding="utf-8"))
+    described["robots"]["fr"]["driver"]["ethernet_xml"] = "mine_ethernet.xml"
+    cell.write_text(yaml.safe_dump(described), encoding="utf-8")
     command = [sys.executable, "-m", "deltaq_services.robot_server", "--cell", str(cell), "--robot", "fr"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
