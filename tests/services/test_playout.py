@@ -7,7 +7,7 @@ import random
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from small_cell import server_state, small_cell, told, tool_pose
 
@@ -224,7 +224,9 @@ def test_whatever_comes_whenever_each_is_passed_on_once_and_in_order_or_refused(
     assert told.answered_cycle == (order[-1] if order else None)
 
 
-@given(st.lists(st.integers(0, 20)), st.integers(1, 7))
+@example([2, 3, 2], 3)
+@example([1, 4, 2, 3, 2, 1, 5, 2, 3], 4)
+@given(st.lists(st.integers(0, 12), min_size=4), st.integers(1, 7))
 def test_no_sequence_number_is_taken_twice_and_with_one_place_only_greater_ones_are(
     numbers: list[int], width: int
 ) -> None:
