@@ -238,6 +238,7 @@ def test_no_sequence_number_is_taken_twice_and_with_one_place_only_greater_ones_
         assert only_greater.take(number) == (number > newest)
         taken += [number] if is_new else []
         newest = max(newest, number)
+        assert sequence.seen >> width == 0, "no more is remembered than is told apart"
     assert sequence.newest == only_greater.newest == newest
 
 
