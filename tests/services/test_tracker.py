@@ -303,3 +303,31 @@ def test_a_tracker_goes_on_from_what_another_remembers(tracker):
     heir.restore(memory)
     assert heir.snapshot() == memory
     np.testing.assert_array_equal(first_joint(heir.tubes()[1]), first_joint(tracker.tubes()[1]))
+
+
+def two_in_flight():
+    """A robot with a lookahead, and two admissions that follow one another."""
+    tracker = Tracker("fr", FR, CYCLE_S, LAG, lookahead_cycles=3)
+    tracker.observe(state(1))
+    first = admission(2)
+    follows = {"follows_sequence": 2, "follows_q_cmd": (0.101,) * 6, "follows_dq": first.dq}
+    second = first.model_copy(update={"sequence": 3, "cycle": 2, **follows})
+    for sent in (first, second):
+        tracker.admitted(sent)
+    return tracker, first, second
+
+
+def test_with_a_lookahead_a_course_goes_through_all_that_is_in_flight():
+    tracker, _, _ = two_in_flight()
+    course = tracker.course(np.full(6, 0.002), brake_cycles=2)
+    to_come = course.setpoints(tracker.q_cmd)[:, 0]
+    np.testing.assert_allclose(to_come, [0.101, 0.102, 0.104, 0.105])
+    in_tube = first_joint(tracker.tube(course))
+    assert np.isin(np.round(to_come, 9), np.round(in_tube, 9)).all()
+
+
+def test_with_a_lookahead_what_is_still_due_is_not_counted_as_missed():
+    tracker, first, second = two_in_flight()
+    plan = Plan(dq=first.dq, brake_cycles=2, step=0)
+    tracker.observe(state(2, 0.101, dq=first.dq, sequence=2, plan=plan))
+    assert (tracker.missed, tracker.in_flight) == (0, (second,))
