@@ -18,7 +18,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import ServiceUnreachableError
-from deltaq_protocol.in_flight import PATIENCE_CYCLES, InFlight, is_awaited
+from deltaq_protocol.in_flight import PATIENCE_CYCLES, Ahead, InFlight, is_awaited
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import RobotState, Verdict
 from deltaq_protocol.opening import Opening
@@ -74,9 +74,7 @@ class Answers:
         """The robot with all that is in flight, after `due`: what the next increment is added to."""
         if is_awaited(state):
             return own_view(state, self._before)
-        ahead = self._in_flight.ahead(state)
-        ahead_cycles = ahead.cycle - state.cycle
-        return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
+        return view_ahead(state, self._in_flight.ahead(state))
 
     def view(self, state: RobotState) -> View:
         """The same, and the newest states of all others."""
@@ -101,6 +99,12 @@ class Answers:
         """The first verdict on each increment of which it is known since the last call; None if it never came."""
         come, self._come = self._come, []
         return come + [None] * self._in_flight.take_given_up()
+
+
+def view_ahead(state: RobotState, ahead: Ahead) -> RobotView:
+    """The robot that is moved, with all that is in flight: what the next increment is added to."""
+    ahead_cycles = ahead.cycle - state.cycle
+    return RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
 
 
 def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import random
 from collections import deque
 
-import numpy as np
-
+from deltaq_controllers.answers import view_ahead
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_emulator.faults import FaultyLink, LinkFaults
 from deltaq_protocol.in_flight import InFlight
@@ -100,7 +99,7 @@ class Watcher:
 
 
 class FarController:
-    """Answers each state of a robot as it comes, as `deltaq_controllers.answers` does in a cell with a lookahead.
+    """Answers each state of a robot as it comes, as `deltaq_controllers.answers` does with a playout buffer.
 
     Args:
         say: sends to the HLI.
@@ -135,9 +134,7 @@ class FarController:
         if other is None:
             return
         for cycle in self._in_flight.cycles_to_answer(state):
-            ahead = self._in_flight.ahead(state)
-            ahead_cycles = ahead.cycle - state.cycle
-            own = RobotView(ahead.cycle, state.time_s, np.array(state.q), ahead.q_cmd, ahead_cycles, ahead.dq)
+            own = view_ahead(state, self._in_flight.ahead(state))
             dq = self._controller.increment(View(own, {other.robot: RobotView.from_state(other)}))
             self._seq += 1
             self._in_flight.sent(self._seq, dq, cycle)
