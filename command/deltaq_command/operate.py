@@ -110,7 +110,7 @@ def _show(robot: str, held: LeaseStatus, json: bool) -> None:
 def io(
     robot: RobotOption,
     outputs: Annotated[
-        list[str] | None, typer.Argument(metavar="[OUTPUT=on|off]...", help="Outputs to set; none: show all.")
+        list[str] | None, typer.Argument(metavar="OUTPUT=on|off", help="Outputs to set; none: show all.")
     ] = None,
     cell: CellOption = "lab",
     url: UrlOption = None,
