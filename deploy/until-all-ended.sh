@@ -4,11 +4,16 @@
 # a Robot Server that dies leaves behind brakes its robot.
 "$@" &
 child=$!
-trap 'kill -TERM "$child" 2>/dev/null' TERM INT
-while :; do
+signalled=
+trap 'signalled=yes; kill -TERM "$child" 2>/dev/null' TERM INT
+wait "$child"
+status=$?
+while [ "$signalled" ]; do
+  # a signal ends the waiting, not the child; and whether the child is still there says nothing about its status
+  signalled=
   wait "$child"
-  status=$?
-  kill -0 "$child" 2>/dev/null || break # otherwise the signal ended the waiting, and not the child
+  again=$?
+  [ "$again" -eq 127 ] || status=$again # 127: there was nothing left to wait for
 done
 while set -- /proc/[0-9]* && [ $# -gt 1 ]; do
   sleep 0.05

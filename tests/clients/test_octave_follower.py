@@ -38,7 +38,7 @@ class Recording(threading.Thread):
     def __init__(self, tcp_port: int) -> None:
         super().__init__(daemon=True)
         self.states: list[dict[str, Any]] = []
-        self._sock = socket.create_connection(("127.0.0.1", tcp_port), timeout=10)
+        self._sock = socket.create_connection(("127.0.0.1", tcp_port), timeout=300)
 
     def run(self) -> None:
         self._sock.sendall(b'{"type":"hello","protocol":1,"client":"recording"}\n')

@@ -43,22 +43,22 @@ def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() ->
     listen, to = endpoint(), endpoint()
     port = int(listen.rpartition(":")[2])
     with socket.create_server(("127.0.0.1", int(to.rpartition(":")[2]))) as server:
-        server.settimeout(20)
+        server.settimeout(300)
         words = command("--listen", listen, "--to", to, "--cut", "--after-s", "2", "--for-s", "0.5")
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as relay:
             assert relay.stdout is not None
             try:
                 assert relay.stdout.readline().startswith(f"carries bytes from {listen} to {to}")
-                with socket.create_connection(("127.0.0.1", port), timeout=20) as client:
+                with socket.create_connection(("127.0.0.1", port), timeout=300) as client:
                     there, _ = server.accept()
                     client.sendall(b"before")
                     assert there.recv(100) == b"before"
                     assert relay.stdout.readline() == 'impaired: {"cut":true}\n'
-                    there.settimeout(20)
+                    there.settimeout(300)
                     assert is_broken(there)
                     there.close()
                 assert relay.stdout.readline() == "whole again\n"
-                with socket.create_connection(("127.0.0.1", port), timeout=20) as client:
+                with socket.create_connection(("127.0.0.1", port), timeout=300) as client:
                     there, _ = server.accept()
                     client.sendall(b"after")
                     assert there.recv(100) == b"after"

@@ -166,7 +166,7 @@ def test_a_stranger_at_a_running_emulators_socket_writes_nowhere_else(tmp_path: 
         try:
             assert emulator.stdout is not None
             assert emulator.stdout.readline().startswith("ready: ")
-            stranger.settimeout(10)
+            stranger.settimeout(300)
             stranger.connect(("127.0.0.1", panel))
 
             def record(path: str) -> dict[str, Any]:

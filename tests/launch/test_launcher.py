@@ -136,7 +136,7 @@ def test_a_service_that_dies_later_is_an_event_and_can_be_started_again() -> Non
         launcher.start()
         assert launcher.wait(0) is None
         os.kill(launcher.children["sim"].pid, signal.SIGKILL)
-        assert launcher.wait(10) == Exited("sim", -signal.SIGKILL)
+        assert launcher.wait(300) == Exited("sim", -signal.SIGKILL)
         assert launcher.ready == set()
         launcher.restart("sim")
         assert launcher.ready == {"sim"}
@@ -194,7 +194,7 @@ def test_a_signal_is_an_event_while_services_run() -> None:
     with Launcher([service("sim", SERVES)], nothing) as launcher:
         launcher.start()
         os.kill(os.getpid(), signal.SIGINT)
-        assert launcher.wait(10) == Interrupted(signal.SIGINT)
+        assert launcher.wait(300) == Interrupted(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

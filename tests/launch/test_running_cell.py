@@ -221,7 +221,7 @@ def test_a_lease_that_is_taken_is_seen_and_can_be_taken_away(cell: RunningCell) 
         assert json.loads(holder.stdout.readline())["holder"] == "deltaq lease"
         assert json.loads(cell.deltaq("lease", "--robot", "fr", "--json").stdout)["holder"] == "deltaq lease"
         holder.send_signal(signal.SIGINT)
-        assert holder.wait(30) == 0
+        assert holder.wait(300) == 0
     released = cell.deltaq("lease", "--robot", "fr", "--release", "--json")
     assert json.loads(released.stdout)["holder"] is None
 

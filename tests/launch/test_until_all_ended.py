@@ -19,9 +19,10 @@ OWN_PROCESSES = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child"]
 LEAVES_ONE = """
 import os, signal, subprocess, sys
 left = subprocess.Popen([sys.executable, "-c", sys.argv[1]], start_new_session=True)
-signal.signal(signal.SIGTERM, lambda *_: os._exit(7))
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
 print("ready", flush=True)
-signal.pause()
+signal.sigwait({signal.SIGTERM})  # also one that came since then
+os._exit(7)
 """
 BRAKES = """
 import signal, sys, time
@@ -78,12 +79,13 @@ def test_what_a_service_leaves_behind_ends_its_work_and_the_status_is_the_servic
 
 def test_sigterm_is_handed_on_to_the_service() -> None:
     with contained(
-        "import signal, os\nsignal.signal(15, lambda *_: os._exit(5))\nprint('ready', flush=True)\nsignal.pause()"
+        "import signal, os\nsignal.pthread_sigmask(signal.SIG_BLOCK, {15})\nprint('ready', flush=True)\n"
+        "signal.sigwait({15})\nos._exit(5)"
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         os.kill(first_process(process), signal.SIGTERM)
-        assert process.wait(20) == 5
+        assert process.wait(300) == 5
 
 
 def test_without_it_the_end_of_the_first_process_takes_all_others_along() -> None:

@@ -51,7 +51,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
                 running.stop()
             stack.wait_until_at_rest()
             recorders[0].send_signal(signal.SIGINT)
-            output, _ = recorders[0].communicate(timeout=30)
+            output, _ = recorders[0].communicate(timeout=300)
         finally:
             for process in recorders:
                 process.kill()

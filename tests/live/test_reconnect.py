@@ -122,7 +122,7 @@ class Lines:
 
 @contextmanager
 def lines(port):
-    with socket.create_connection(("127.0.0.1", port), timeout=20) as sock:
+    with socket.create_connection(("127.0.0.1", port), timeout=300) as sock:
         yield Lines(sock)
 
 

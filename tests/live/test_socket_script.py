@@ -56,7 +56,7 @@ class Lines:
 @contextmanager
 def connected(stack, client):
     with (
-        socket.create_connection(("127.0.0.1", stack.cell.tcp_port), timeout=10) as sock,
+        socket.create_connection(("127.0.0.1", stack.cell.tcp_port), timeout=300) as sock,
         sock.makefile("r", encoding="utf-8", newline="\n") as file,
     ):
         yield Lines(sock, file, client)

@@ -93,7 +93,7 @@ def test_systemd_is_told_that_the_service_serves_and_then_that_it_lives(tmp_path
     name = str(tmp_path / "notify") if kind == "file" else f"@deltaq-{os.getpid()}-notify"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind("\0" + name[1:] if kind == "abstract" else name)
-        systemd.settimeout(5)
+        systemd.settimeout(300)
         beats = Heartbeat({NOTIFY_SOCKET: name})
         beats.beat(10.0, detail="2 robots")
         beats.beat(11.0, False, "the SIM is\nREADY=0 silent")

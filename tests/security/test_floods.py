@@ -115,7 +115,7 @@ async def test_beside_a_flood_over_zenoh_every_increment_is_judged_and_every_sta
                             observed.append(state.cycle)
                             break
                     await robot.send(DQ)
-                    async with asyncio.timeout(10):
+                    async with asyncio.timeout(300):
                         request = await peer.increments.get()
                     assert request.cycle == cycle
                 await cell.stop()
@@ -141,7 +141,7 @@ async def test_subscribers_that_never_read_take_nothing_from_others() -> None:
             for _ in range(10 * CYCLES):
                 await peer.turn()
                 await robot.send(DQ)
-                async with asyncio.timeout(10):
+                async with asyncio.timeout(300):
                     await peer.increments.get()
         for session in stuck:
             await asyncio.to_thread(session.close)
@@ -157,7 +157,7 @@ async def test_lines_of_a_flood_wait_and_a_holder_s_line_does_not() -> None:
             line = b'{"type":"increment","robot":"fr","seq":1,"cycle":100,"dq":[0,0,0,0,0,0]}\n'
             for flood in floods:
                 flood.send_bytes(line * 5000)
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(300):
                 while not hli.status().hli.get("tcp_lines_slowed"):
                     await asyncio.sleep(0.001)
             for seq in range(CYCLES):
@@ -189,7 +189,7 @@ async def test_a_refusal_goes_to_its_sender_alone() -> None:
         moved = await robot.move(DQ)
         assert moved.outcome is Outcome.ADMITTED
         # what was told to all comes in order: any of the fifty would have come before
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             assert await first == moved
 
 

@@ -40,7 +40,7 @@ def lies(cell: CellDescription) -> Iterator[tuple[str, Message]]:
 
 async def until(reached: Callable[[], Any], say: Callable[[], None]) -> None:
     """Say it again until something comes of it: who connects is not there at once."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(300):
         while not reached():
             say()
             await asyncio.sleep(0)

@@ -43,7 +43,7 @@ def attacker(cell_file):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield Attacker(process)
         process.stdin.close()
-        assert process.wait(20) == 0
+        assert process.wait(300) == 0
 
 
 def forge_until(counted, stack, stranger):

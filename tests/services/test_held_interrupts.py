@@ -32,6 +32,6 @@ def test_in_another_thread_nothing_is_held_and_nothing_fails():
 
     thread = threading.Thread(target=hold)
     thread.start()
-    thread.join(timeout=10)
+    thread.join(timeout=300)
     assert ended == [True]
     assert signal.getsignal(signal.SIGINT) is before

@@ -85,7 +85,7 @@ def packed(data: Any) -> bytes:
 
 def dialogue(server: Server, lines: list[bytes]) -> list[dict[str, Any]]:
     """Send lines after a hello and before a describe; everything that was answered, without the states."""
-    with socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=20) as sock:
+    with socket.create_connection(("127.0.0.1", server.description.tcp_port), timeout=300) as sock:
         stream: BinaryIO = sock.makefile("rb")
         sock.sendall(HELLO + b"".join(line + b"\n" for line in lines))
         sock.sendall(b'{"type":"describe"}\n')

@@ -35,13 +35,13 @@ class Running:
 
     async def counted(self, name: str, at_least: int = 1) -> None:
         """Wait until something has been counted."""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             while self.hli.status().hli.get(name, 0) < at_least:
                 await asyncio.sleep(0.005)
 
     async def commanded(self) -> Any:
         """The next command that the gate got."""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             return await self.peer.commands.get()
 
 
@@ -459,7 +459,7 @@ async def test_one_connection_too_many_is_refused_and_told_so(
         await late.ended()
     for _, writer in open_ones:
         writer.close()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(300):
         while running.hli.status().hli.get("tcp_connections_open"):
             await asyncio.sleep(0.005)
     async with json_client(running.port):
@@ -504,7 +504,7 @@ async def test_the_health_of_the_hli_names_what_it_does_not_hear(running: Runnin
             cell=running.hli.core.description.identity,
         ),
     )
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(300):
         while running.hli.status().gate != {"admitted": 1}:
             await asyncio.sleep(0.005)
         health = await running.peer.health.get()

@@ -125,7 +125,7 @@ def test_the_controller_of_the_faults_takes_up_every_line_though_it_computes_for
     with Server() as server:
         moving = threading.Thread(target=move_until_cut_off, args=(server.description.tcp_port,))
         moving.start()
-        enough.wait(20)
+        enough.wait(300)
     moving.join()
     assert_nothing_is_missing(taken, increments=100)
 

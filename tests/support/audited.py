@@ -35,7 +35,7 @@ class Audited:
     async def entry(self, what: str, outcome: str, **fields: Any) -> dict[str, Any]:
         """The first entry of this kind and outcome, with these fields; waits for it."""
         wanted = {"what": what, "outcome": outcome} | fields
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             while True:
                 for entry in self.entries():
                     if wanted.items() <= entry.items():
@@ -44,7 +44,7 @@ class Audited:
 
     async def counted(self, what: str, wanted: int) -> list[dict[str, Any]]:
         """Entries of a kind, once their counts have come to what is wanted."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(300):
             while True:
                 found = [entry for entry in self.entries() if entry["what"] == what]
                 if sum(entry["count"] for entry in found) >= wanted:

@@ -26,7 +26,7 @@ class JsonClient:
 
     async def receive(self, *types: str) -> dict[str, Any]:
         """The next object of one of these types; others are passed over."""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             while True:
                 line = await self.reader.readline()
                 assert line, f"the connection ended while waiting for {types}"
@@ -41,7 +41,7 @@ class JsonClient:
 
     async def ended(self) -> None:
         """Wait until the server has ended the connection."""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(300):
             try:
                 while await self.reader.read(65536):
                     pass

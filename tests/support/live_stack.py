@@ -160,7 +160,7 @@ def live_stack(
             environment.delenv(KEY_FILE, raising=False)
         launcher.start()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as panel:
-            panel.settimeout(5)
+            panel.settimeout(300)
             stack = Stack(launcher, cell, record, panel)
             if moving:
                 stack.wait_until_moving()

@@ -11,7 +11,7 @@ PERIOD_S = 4.0
 
 def main() -> None:
     with (
-        socket.create_connection(("127.0.0.1", int(sys.argv[1])), timeout=10) as sock,
+        socket.create_connection(("127.0.0.1", int(sys.argv[1])), timeout=300) as sock,
         sock.makefile("r", encoding="utf-8") as lines,
     ):
         sock.sendall(b'{"type":"hello","protocol":1,"client":"mover"}\n')

@@ -97,9 +97,15 @@ class SealedRealm:
             robot.link.close()
 
     def settle(self) -> None:
-        """Cycle until the gate follows both robots and both may move."""
+        """Cycle until the gate follows both robots and both may move.
+
+        Who may move already gets the gate's word in each cycle: were it left to the links' threads to be in time, a
+        robot would stop for a gate that it did not hear.
+        """
         while not all(self.ready(robot) for robot in self.robots.values()):
             self.turn()
+            moving = [robot for robot in self.robots.values() if robot.state.phase in MAY_MOVE]
+            self.pump_until(lambda moving=moving: all(self.has_mail(robot) for robot in moving))
 
     def ready(self, robot: ServedRobot) -> bool:
         state = self.sim.robots[robot.name].tracker.state

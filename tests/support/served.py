@@ -65,7 +65,7 @@ class Server:
 
     def __enter__(self) -> Server:
         self._thread.start()
-        assert self._ready.wait(20)
+        assert self._ready.wait(300)
         if self._failure is not None:
             raise self._failure
         return self
