@@ -161,7 +161,7 @@ def read(page: Path, installed: Installed, folder: Path, *options: str, timeout_
 
 
 @pytest.mark.live
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name in SHORT], ids=lambda page: page.name)
 def test_what_a_reader_does_first_works_word_for_word(
     page: Path, complete: Installed, tmp_path: Path

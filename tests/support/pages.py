@@ -29,8 +29,8 @@ from pathlib import Path
 
 TESTED_LANGUAGES = {"sh", "python", "yaml", "json", "matlab", "text"}
 KINDS = {"run", "nightly", "background", "Ctrl-C", "write", "prints", "not run"}
-STARTS_WITHIN_S = 120.0
-ENDS_WITHIN_S = 120.0
+STARTS_WITHIN_S = 600.0
+ENDS_WITHIN_S = 600.0
 RUNS_WITHIN_S = 600.0
 
 _STEP = re.compile(
