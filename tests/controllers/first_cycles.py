@@ -1,8 +1,8 @@
 """Drive one controller by its own shell on a cell that admits everything, and tell what its cycles had to wait for.
 
-Run as a program, in a process of its own: `python first_cycles.py CASE`. It prints a JSON object: the functions that
-were compiled or loaded from numba's cache, and the modules that were imported, while the controller held its lease
-(`late`) and before (`early`).
+Run as a program, `python first_cycles.py CASE ...`, each case in a process of its own. For each it prints a JSON
+object: the functions that were compiled or loaded from numba's cache, and the modules that were imported, while the
+controller held its lease (`late`) and before (`early`).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import sys
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Mapping
 from contextlib import ExitStack, asynccontextmanager
@@ -279,8 +280,13 @@ def main(case: str) -> None:
     cell = QuietCell(name, Waits())
     asyncio.run(run(cell))
     cycles = cell.leased.cycle if cell.leased is not None else 0
-    print(json.dumps({"cycles": cycles, "early": cell.early, "late": cell.late}))
+    print(json.dumps({"case": case, "cycles": cycles, "early": cell.early, "late": cell.late}), flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    for one in sys.argv[1:]:
+        if not (child := os.fork()):  # what every case imports is imported once
+            main(one)
+            os._exit(0)
+        if os.waitpid(child, 0)[1]:
+            sys.exit(f"{one} failed")

@@ -8,35 +8,41 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import first_cycles
 import pytest
 
 import deltaq_controllers
 
-pytestmark = [pytest.mark.live, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
 COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker", "counsel"))]
 
 
-def waited(case: str, **environment: str) -> dict[str, dict[str, list[str]]]:
-    """What a case waited for before its lease, and while it held it."""
+def waited(*cases: str, **environment: str) -> dict[str, dict[str, Any]]:
+    """By case, what it waited for before its lease, and while it held it."""
     done = subprocess.run(
-        [sys.executable, first_cycles.__file__, case],
+        [sys.executable, first_cycles.__file__, *cases],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
-        timeout=500,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    told: dict[str, dict[str, list[str]]] = json.loads(done.stdout)
-    return told
+    return {told["case"]: told for told in map(json.loads, done.stdout.splitlines())}
+
+
+@pytest.fixture(scope="module")
+def all_cases() -> dict[str, dict[str, Any]]:
+    return waited(*first_cycles.CASES)
 
 
 @pytest.mark.parametrize("case", first_cycles.CASES)
-def test_nothing_is_compiled_loaded_or_imported_while_a_robot_is_leased(case: str) -> None:
-    told = waited(case)
+def test_nothing_is_compiled_loaded_or_imported_while_a_robot_is_leased(
+    all_cases: dict[str, dict[str, Any]], case: str
+) -> None:
+    told = all_cases[case]
     assert told["late"] == {"functions": [], "modules": []}
     # what it needs was seen, so that it would have been seen late
     assert bool(told["early"]["functions"]) == (case in COMPILED)
@@ -50,6 +56,6 @@ def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
 ) -> None:
     package = Path(deltaq_controllers.__file__).parent
     shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
-    told = waited(case, PYTHONPATH=os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    told = waited(case, PYTHONPATH=os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))[case]
     assert told["late"] == {"functions": [], "modules": []}
     assert told["early"]["functions"]

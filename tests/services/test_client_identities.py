@@ -4,13 +4,14 @@ import itertools
 from datetime import timedelta
 
 import pytest
+from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from hypothesis import given
 from hypothesis import strategies as st
 from signed_clients import known_to, people
 
 from deltaq_protocol.certified.authority import Authority
-from deltaq_protocol.certified.certificate import now_utc
+from deltaq_protocol.certified.certificate import check_issued, now_utc
 from deltaq_protocol.certified.identity import Identity
 from deltaq_protocol.certified.names import IdentityError
 from deltaq_protocol.certified.signed import MAX_SIGNED_BYTES, IdentityProver, Signed
@@ -88,6 +89,20 @@ def test_whatever_bit_is_changed_or_left_out_nobody_is_known(folder, place, bit,
     part = bytes(proof)[: int(end * len(proof))]
     assert server.identity(KEY, MESSAGE, part, 0.0) == ""
     assert not server.is_known(KEY, MESSAGE, part)
+
+
+def test_a_certificate_is_known_by_one_spelling():
+    """Where the signature's last bit is clear, other bytes could say that this bit is none of it."""
+    authority = Authority.new("small", now_utc())
+    while (certificate := authority.issue("operator-desk", now_utc())[1]).signature[-1] & 1:
+        continue
+    check_issued(certificate, authority.certificate, "it", now_utc())
+    spelled = bytearray(certificate.public_bytes(Encoding.DER))
+    spelled[-len(certificate.signature) - 1] = 1  # bits of the last byte that are not used
+    same = x509.load_der_x509_certificate(bytes(spelled))
+    assert same.signature == certificate.signature
+    with pytest.raises(IdentityError, match="not issued by"):
+        check_issued(same, authority.certificate, "it", now_utc())
 
 
 @given(st.binary(max_size=MAX_SIGNED_BYTES + 10))

@@ -7,12 +7,14 @@ from datetime import UTC, datetime, timedelta
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from deltaq_protocol.certified.names import IdentityError
 
 RENEW_BEFORE = timedelta(days=30)
 """Left of a certificate's time when its user begins to be warned."""
+_ALL_BITS_USED = b"\0"
 RENEW = "make new ones with `deltaq keys CELL --to NEW_FOLDER`, and give each machine its own"
 
 
@@ -117,7 +119,8 @@ def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) ->
         certificate.verify_directly_issued_by(authority)
     except (InvalidSignature, ValueError, TypeError):
         return False
-    return True
+    # a bit string may leave bits of its last byte unused (X.690, 8.6.2), so that other bytes could mean the same
+    return certificate.public_bytes(Encoding.DER).endswith(_ALL_BITS_USED + certificate.signature)
 
 
 def _subject(certificate: x509.Certificate, what: x509.ObjectIdentifier) -> str:
