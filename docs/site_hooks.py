@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import posixpath
 import re
@@ -92,8 +93,25 @@ def _of_tree(link: str, page: str) -> str | None:
 
 
 def _shown(root: Path, path: str) -> str:
+    if path.endswith(".ipynb"):
+        return _shown_notebook(root, path)
     language = LANGUAGES.get(Path(path).suffix, "text")
     return f"# `{path}`\n\n````{language}\n{(root / path).read_text(encoding='utf-8').rstrip()}\n````\n"
+
+
+def _shown_notebook(root: Path, path: str) -> str:
+    """Its text and code, with links as they lead from here."""
+
+    def led(link: re.Match[str]) -> str:
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(path), link[2]))
+        page = target.removeprefix("docs/") if target.startswith("docs/") else f"tree/{target}.md"
+        return f"{link[1]}{posixpath.relpath(page, posixpath.dirname(f'tree/{path}'))}{link[3]}"
+
+    parts = []
+    for cell in json.loads((root / path).read_text(encoding="utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        parts.append(LINK.sub(led, text) if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+    return "\n\n".join([*parts, f"The notebook is `{path}`.", ""])
 
 
 def _diagram_scripts() -> list[Path]:

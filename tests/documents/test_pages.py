@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 
 import pages
 import pytest
 from installed import ROOT, Installed
+from networks import own_network
 
 DOCS = ROOT / "docs"
 PAGES = [
@@ -102,23 +101,6 @@ OTHER_COMMENTS = {"table"}
 """Comments that other tests read."""
 
 BUSY = "while True: pass"
-
-
-@cache
-def own_network() -> list[str] | None:
-    """A command's beginning that gives it a network of its own, so that the pages' ports are free; None if refused."""
-    up = ["sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
-    for unshare in (["unshare", "--net"], ["unshare", "--net", "--map-root-user"]):
-        if (
-            shutil.which("unshare")
-            and not subprocess.run([*unshare, *up, "true"], capture_output=True, check=False).returncode
-        ):
-            return [*unshare, *up]
-    return None
-
-
-def _works(command: list[str]) -> bool:
-    return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
 @contextmanager

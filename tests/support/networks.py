@@ -1,8 +1,10 @@
-"""Whether tests may make networks of their own here."""
+"""Networks of the tests' own, where they may make some."""
 
 from __future__ import annotations
 
 import functools
+import shutil
+import subprocess
 
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.impairment.packets import PacketLink
@@ -24,3 +26,16 @@ def why_none() -> str:
     except DeltaqError as error:
         return str(error)
     return ""
+
+
+@functools.cache
+def own_network() -> list[str] | None:
+    """A command's beginning that gives it a network of its own, so that the pages' ports are free; None if refused."""
+    up = ["sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
+    for unshare in (["unshare", "--net"], ["unshare", "--net", "--map-root-user"]):
+        if (
+            shutil.which("unshare")
+            and not subprocess.run([*unshare, *up, "true"], capture_output=True, check=False).returncode
+        ):
+            return [*unshare, *up]
+    return None

@@ -1,0 +1,84 @@
+"""The notebooks run from their first cell to their last, and show what they speak of."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import nbformat
+import pytest
+from installed import ROOT
+from networks import own_network
+
+FOLDER = ROOT / "examples" / "notebooks"
+BIN = Path(sys.executable).parent
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Of all cells of a notebook: what they printed, and how many pictures they drew."""
+
+    printed: str
+    pictures: int
+
+
+def executed(name: str, folder: Path, *before: str) -> Outputs:
+    """Run a notebook as Jupyter does, without an error; `before` begins the command."""
+    result = folder / name
+    done = subprocess.run(
+        [*before, str(BIN / "jupyter-execute"), str(FOLDER / name), "--output", str(result)],
+        env={**os.environ, "HOME": str(folder), "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    cells = nbformat.read(result, as_version=4).cells
+    outputs = [output for cell in cells for output in cell.get("outputs", [])]
+    return Outputs(
+        printed="".join(output.get("text", "") for output in outputs),
+        pictures=sum("image/png" in output.get("data", {}) for output in outputs),
+    )
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda notebook: notebook.stem)
+def test_a_notebook_is_kept_without_what_a_run_left_in_it(notebook: Path) -> None:
+    written = nbformat.read(notebook, as_version=4)
+    nbformat.validate(written)
+    code = [cell for cell in written.cells if cell.cell_type == "code"]
+    assert not any(cell.outputs or cell.execution_count for cell in code)
+
+
+@pytest.mark.long
+def test_an_own_controller_is_recorded_and_replayed(tmp_path: Path) -> None:
+    seen = executed("own_controller.ipynb", tmp_path)
+    assert "the same" in seen.printed
+    assert "within limits: " in seen.printed
+    assert seen.printed.count("0 scaled, 0 held") == 2, "only the law that forgets its limits was stopped"
+    assert seen.pictures == 1
+
+
+@pytest.mark.long
+def test_the_advisor_shows_options_and_a_way(tmp_path: Path) -> None:
+    seen = executed("advisor.ipynb", tmp_path)
+    assert "1: energy" in seen.printed
+    assert "a way is known" in seen.printed
+    assert seen.pictures == 2
+
+
+@pytest.mark.live
+def test_a_first_motion_is_made_on_a_cell_that_the_notebook_starts_and_ends(tmp_path: Path) -> None:
+    network = own_network()
+    if network is None:
+        pytest.skip("no network namespace is allowed here, and the notebook names the ports of the lab cell")
+    seen = executed("first_motion.ipynb", tmp_path, *network)
+    assert "A1 turned by 9.9" in seen.printed
+    assert "'scaled'" in seen.printed
+    assert "held: operator_stop" in seen.printed
+    assert "{'fr': 'ready', 'gr': 'ready'}" in seen.printed
+    assert "status 0" in seen.printed
+    assert seen.pictures == 1
