@@ -17,7 +17,7 @@ MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
-.PHONY: help install compiled-gate compiled-camera demo test test-live test-rest quick lint nightly mutation container-test wheels image docs site figures constraints clean
+.PHONY: help install compiled-gate compiled-camera demo test test-live test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -86,6 +86,10 @@ docs: $(INSTALLED) ## write docs/reference, and in deploy compose files, systemd
 site: $(INSTALLED) ## the documentation as a site, with search and the Python API, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "look at it with: $(BIN)/python -m http.server --bind 127.0.0.1 --directory build/site"
+
+site-version: $(INSTALLED) ## commit the site to the branch gh-pages as a version of its own, beside those before it
+	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases \
+	  "$$($(BIN)/deltaq --version | cut -d' ' -f2)" latest
 
 figures: $(INSTALLED) ## run the paper's experiments and write docs/explanation/camera-figures.md anew; takes minutes
 	$(BIN)/python -m deltaq_experiments.claims
