@@ -6,20 +6,19 @@ import json
 import re
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import PROGRAM, deltaq
 from typer.testing import CliRunner
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_command.app import app
 from deltaq_launch.private_cell import free_ports
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 DAWM = CellModel.load("dawm").robots["dawm"]
 
 
@@ -95,13 +94,7 @@ def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
 def test_what_is_asked_for_wrongly_is_answered_with_what_is_right(
     arguments: tuple[str, ...], said: str
 ) -> None:
-    done = subprocess.run(
-        [DELTAQ, "advise", "--offline", "--effort", "0.1", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = deltaq("advise", "--offline", "--effort", "0.1", *arguments)
     assert done.returncode == 2
     assert said in " ".join(done.stderr.replace("│", " ").split())
 
@@ -115,7 +108,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         f"robots: {{dawm: {{server: tcp/127.0.0.1:{server}}}}}\n",
         encoding="utf-8",
     )
-    command = [DELTAQ, "up", "--no-console", "--cell", str(file)]
+    command = [PROGRAM, "up", "--no-console", "--cell", str(file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as launcher:
         assert launcher.stdout is not None
         for line in launcher.stdout:
@@ -133,8 +126,7 @@ def executed(cell: Path, *arguments: str) -> dict[str, Any]:
     """Go to the best option that has a path; what was found, with the robot at rest there and given back."""
 
     def advise(option: int) -> subprocess.CompletedProcess[str]:
-        command = [DELTAQ, "advise", "--cell", str(cell), "--execute", str(option), "--json", *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        return deltaq("advise", "--cell", str(cell), "--execute", str(option), "--json", *arguments)
 
     option, done = 1, advise(1)
     if instead := re.search(
@@ -150,8 +142,7 @@ def executed(cell: Path, *arguments: str) -> dict[str, Any]:
     assert driven["outcomes"]["admitted"] > 0
     assert driven["outcomes"]["refused"] == 0
     assert driven["hands_off_m"] < 1e-4
-    command = [DELTAQ, "status", "--cell", str(cell), "--json"]
-    status = subprocess.run(command, capture_output=True, text=True, check=False)
+    status = deltaq("status", "--cell", str(cell), "--json")
     robot = json.loads(status.stdout)["robots"]["dawm"]
     assert robot["lease"]["holder"] is None
     np.testing.assert_allclose(robot["q"], found["options"][option - 1]["q"], atol=1e-4)

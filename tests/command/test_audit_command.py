@@ -7,22 +7,16 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM, deltaq
 
 from deltaq_cell.load import load_cell
 from deltaq_command.up import audit_file_of
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.hli.audit import as_line
-
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
-
-
-def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 def entry(number: int, client: str, robot: str | None = None) -> bytes:
@@ -72,7 +66,7 @@ def test_up_says_where_the_log_is_and_audit_shows_who_connected(
     cell_file = write_private_cell(tmp_path)
     cell = load_cell(str(cell_file))
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path / "state")}
-    command = [DELTAQ, "up", "--only", "hli", "--cell", str(cell_file), *arguments]
+    command = [PROGRAM, "up", "--only", "hli", "--cell", str(cell_file), *arguments]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
     ) as running:

@@ -7,17 +7,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from commands import deltaq
 
 from deltaq_command.errors import exit_status
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
-
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
-
-
-def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.fixture(scope="module")

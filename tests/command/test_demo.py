@@ -5,21 +5,20 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM
 
 from deltaq_launch.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 ARMS = ("fr", "gr")
 
 
 def demo(folder: Path, duration_s: float) -> subprocess.Popen[str]:
-    command = [DELTAQ, "demo", "--cell", str(write_private_cell(folder))]
+    command = [PROGRAM, "demo", "--cell", str(write_private_cell(folder))]
     return subprocess.Popen(
         [*command, "--duration-s", str(duration_s), "--json"],
         stdin=subprocess.DEVNULL,

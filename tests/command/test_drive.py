@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM, deltaq
 
 import deltaq_command
 from deltaq_cell.load import load_cell
@@ -24,7 +25,6 @@ from deltaq_protocol.messages import RobotState, RobotStatus
 
 pytestmark = pytest.mark.live
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 SCRIPT = """\
 - {duration_s: 5, mode: advisor, option: 1}
 - {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}}
@@ -38,7 +38,7 @@ SCRIPT = """\
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     file = write_private_cell(tmp_path_factory.mktemp("cell"))
     with subprocess.Popen(
-        [DELTAQ, "up", "--no-console", "--cell", str(file)],
+        [PROGRAM, "up", "--no-console", "--cell", str(file)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -57,13 +57,6 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         finally:
             launcher.send_signal(signal.SIGINT)
             launcher.communicate(timeout=300)
-
-
-def deltaq(cell: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [DELTAQ, *arguments, "--cell", str(cell)]
-    return subprocess.run(
-        command, capture_output=True, text=True, timeout=300, check=False, stdin=subprocess.DEVNULL
-    )
 
 
 def status(cell: Path) -> RobotStatus:
@@ -114,7 +107,7 @@ def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: P
         "--criterion",
         "clearance=0.5",
     )
-    done = deltaq(cell, "drive", *arguments, "--mode", "advisor", "--json")
+    done = deltaq("drive", *arguments, "--mode", "advisor", "--json", "--cell", str(cell))
     # the way to an option takes longer than the step, and that is told
     assert done.returncode == 1, done.stderr
     assert "option 1: energy" in done.stderr
@@ -138,7 +131,7 @@ def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: P
 
 def test_an_interrupt_brings_the_robot_to_rest_and_gives_it_back(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
-    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
+    command = [PROGRAM, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
         wait_for_motion(cell)
         driver.send_signal(signal.SIGINT)
@@ -151,7 +144,7 @@ def test_an_interrupt_brings_the_robot_to_rest_and_gives_it_back(cell: Path, tmp
 
 def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: 4}}\n")
-    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--cell", str(cell)]
+    command = [PROGRAM, "drive", "--robot", "gr", "--script", script, "--cell", str(cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
         wait_for_motion(cell)
         with connect(load_cell(cell), "test") as running:
@@ -160,7 +153,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
     assert driver.returncode == 1
     assert "gr is held: somebody pressed stop" in error
     assert "`deltaq reset --robot gr`" in error
-    again = deltaq(cell, "drive", "--robot", "gr", "--script", script)
+    again = deltaq("drive", "--robot", "gr", "--script", script, "--cell", str(cell))
     assert (again.returncode, "gr is held" in again.stderr) == (1, True)
     with connect(load_cell(cell), "test") as running:
         for robot in ("fr", "gr"):
@@ -170,7 +163,7 @@ def test_a_stop_ends_the_drive_and_a_held_robot_is_not_driven(cell: Path, tmp_pa
 
 def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, "- {duration_s: 60, move: {a1_deg_s: -4}}\n")
-    command = [DELTAQ, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
+    command = [PROGRAM, "drive", "--robot", "gr", "--script", script, "--json", "--cell", str(cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as driver:
         wait_for_motion(cell)
         with connect(load_cell(cell), "thief") as running, running.lease("gr", take=True):
@@ -193,7 +186,7 @@ class Terminal:
         # one that beginners have: lines, with echo
         assert self.before[3] & termios.ECHO
         assert self.before[3] & termios.ICANON
-        command = [DELTAQ, "drive", "--robot", "gr", "--mode", "joint", "--json", "--cell", str(cell)]
+        command = [PROGRAM, "drive", "--robot", "gr", "--mode", "joint", "--json", "--cell", str(cell)]
         self.driver = subprocess.Popen(
             command, stdin=self._file, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

@@ -7,18 +7,17 @@ import re
 import select
 import socket
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM
 from small_cell import endpoint
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 SOMEWHERE = "tcp/127.0.0.1:9"
 
 
 def command(*options: str) -> list[str]:
-    return [DELTAQ, "fault", "impair", *options]
+    return [PROGRAM, "fault", "impair", *options]
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+from commands import PROGRAM
 
 # comes as sitecustomize: the interpreter loads it before the command
 INTERRUPTS_ITSELF = """
@@ -56,7 +54,7 @@ def test_ctrl_c_while_modules_are_loaded_ends_in_silence(tmp_path: Path, module:
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTS_ITSELF)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
-        [DELTAQ, *words.split()],
+        [PROGRAM, *words.split()],
         env=os.environ | {"PYTHONPATH": path, "INTERRUPTED_AT": module},
         cwd=tmp_path,
         stdin=subprocess.DEVNULL,

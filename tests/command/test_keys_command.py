@@ -1,24 +1,17 @@
 """`deltaq keys`: what it makes, says and refuses, and `deltaq check` that tells of an identity's end."""
 
 import json
-import subprocess
-import sys
 from datetime import timedelta
-from pathlib import Path
 
 import pytest
+from commands import deltaq
 from identities import make
 
 from deltaq_protocol.certified.certificate import now_utc
 from deltaq_protocol.certified.identity import Identity
 from deltaq_protocol.certified.names import IDENTITY
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 DAY = timedelta(days=1)
-
-
-def deltaq(*arguments):
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.fixture

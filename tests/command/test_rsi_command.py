@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import PROGRAM
 from emulated import emulator
 from typer.testing import CliRunner
 
@@ -18,12 +18,11 @@ from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.errors import ServiceUnreachableError
 
 PATIENCE_S = 60.0
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 
 def rsi(*arguments: str) -> tuple[int, dict[str, Any]]:
     done = subprocess.run(
-        [DELTAQ, "rsi", *arguments, "--json"],
+        [PROGRAM, "rsi", *arguments, "--json"],
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,

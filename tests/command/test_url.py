@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from commands import deltaq
 from served import Server
 from small_cell import endpoint
-
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 VERBS = {
     "status": ("status",),
@@ -30,10 +26,6 @@ def server() -> Iterator[Server]:
     """A cell whose file no user has."""
     with Server() as running:
         yield running
-
-
-def deltaq(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import deltaq
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.run_report.drawing import COLUMNS, timeline
@@ -37,7 +38,6 @@ from deltaq_services.recorder.writer import RecordingWriter
 CYCLE_NS = 12_000_000
 CYCLES = 200
 STOP, RESET, GONE = 100, 150, 170
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 HOSTILE = "</td><script>alert(1)</script>&\"'"
 
 
@@ -196,14 +196,7 @@ def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None
 def test_wrong_use_is_exit_status_2_and_one_clear_line(
     recorded: Path, arguments: list[str], told: str
 ) -> None:
-    done = subprocess.run(
-        [DELTAQ, "report", *arguments],
-        cwd=recorded.parent,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = deltaq("report", *arguments, folder=recorded.parent)
     assert (done.returncode, done.stdout) == (2, "")
     assert told in done.stderr
     assert done.stderr.count("\n") == 1
@@ -297,8 +290,7 @@ def test_a_long_curve_keeps_its_extremes() -> None:
 
 def test_the_verb_writes_the_page_beside_the_recording_and_prints_figures(recorded: Path) -> None:
     def run(*arguments: str) -> str:
-        command = [DELTAQ, "report", str(recorded), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
+        return deltaq("report", str(recorded), *arguments).stdout
 
     assert json.loads(run("--json"))["page"] is None
     assert not recorded.with_suffix(".html").exists()

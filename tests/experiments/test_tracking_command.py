@@ -1,25 +1,21 @@
 """`deltaq experiment tracking`, `deltaq bench`: what a user gets from them."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from commands import deltaq
 
 from deltaq_launch.private_cell import write_private_cell
 
-DELTAQ = Path(sys.executable).with_name("deltaq")
 
-
-def deltaq(*arguments, timeout=300):
-    done = subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=timeout, check=False)
+def run(*arguments):
+    done = deltaq(*arguments)
     return done.returncode, done.stdout, done.stderr
 
 
 @pytest.mark.nightly
 def test_the_paper_keeps_the_leader_in_view_within_a_degree_and_two_centimetres():
-    status, out, error = deltaq(
+    status, out, error = run(
         "experiment", "tracking", "--controller", "paper", "--leader-speed-m-s", "0.25", "--latency-s", "0.06", "--json"
     )  # fmt: skip
     assert status == 0, error
@@ -37,7 +33,7 @@ def test_the_paper_keeps_the_leader_in_view_within_a_degree_and_two_centimetres(
 def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
     """Figures depend on the machine; what must hold on any is that both robots work and nothing is passed."""
     cell = write_private_cell(tmp_path)
-    status, out, error = deltaq(
+    status, out, error = run(
         "experiment", "tracking", "--live", "--duration-s", "10", "--cell", str(cell), "--json"
     )
     assert status in (0, 1), error  # 1: a cycle that the machine lost shows as a jump in acceleration
@@ -55,7 +51,7 @@ def test_live_the_same_processes_track_over_zenoh_and_udp(tmp_path):
 def test_live_every_experiment_runs_and_draws(name, tmp_path):
     """An approach goes to each of its starts first, a zoom turns the distance, a collision attacks."""
     cell, figure = write_private_cell(tmp_path), tmp_path / "figure.png"
-    status, out, error = deltaq(
+    status, out, error = run(
         "experiment", name, "--live", "--controller", "qp", "--duration-s", "8", "--cell", str(cell), "--json",
         "--figure", str(figure),
     )  # fmt: skip
@@ -76,7 +72,7 @@ def test_live_every_experiment_runs_and_draws(name, tmp_path):
 @pytest.mark.live
 @pytest.mark.nightly
 def test_bench_tells_ratios_against_references_of_the_same_run():
-    status, out, error = deltaq("bench", "--cycles", "20", "--json")
+    status, out, error = run("bench", "--cycles", "20", "--json")
     assert status in (0, 1), error
     table = json.loads(out)
     whats = [row["what"].split(",")[0] for row in table["rows"]]

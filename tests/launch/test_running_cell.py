@@ -7,19 +7,18 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM, deltaq
 
 from deltaq_launch.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 SERVICES = {"robot-server-fr", "robot-server-gr", "emulator-fr", "emulator-gr", "sim", "hli", "console"}
 
 
@@ -30,7 +29,7 @@ class RunningCell:
     lines: list[str]
 
     def deltaq(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return run([DELTAQ, *arguments, "--cell", str(self.file)])
+        return deltaq(*arguments, "--cell", str(self.file))
 
     def read_until(self, text: str) -> str:
         """The launcher's next line that contains `text`."""
@@ -48,12 +47,8 @@ class RunningCell:
         return [pid for pid in children if b"warden" not in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def run(command: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-
-
 def start(file: Path, *arguments: str) -> RunningCell:
-    command = [DELTAQ, "up", "--cell", str(file), *arguments]
+    command = [PROGRAM, "up", "--cell", str(file), *arguments]
     launcher = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     return RunningCell(file, launcher, [])
 
@@ -186,7 +181,7 @@ def test_outputs_are_set_and_shown_and_not_against_the_holder_of_the_lease(cell:
     unknown = cell.deltaq("io", "--robot", "gr", "horn=on")
     assert (unknown.returncode, unknown.stdout) == (1, "")
     assert "'horn' is not an output of gr; it has gripper, tool_changer" in unknown.stderr
-    command = [DELTAQ, "lease", "--robot", "gr", "--take", "--json", "--cell", str(cell.file)]
+    command = [PROGRAM, "lease", "--robot", "gr", "--take", "--json", "--cell", str(cell.file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline()
@@ -215,7 +210,7 @@ def wait_for_contacts(cell: RunningCell, wanted: dict[str, bool]) -> None:
 
 
 def test_a_lease_that_is_taken_is_seen_and_can_be_taken_away(cell: RunningCell) -> None:
-    command = [DELTAQ, "lease", "--robot", "fr", "--take", "--json", "--cell", str(cell.file)]
+    command = [PROGRAM, "lease", "--robot", "fr", "--take", "--json", "--cell", str(cell.file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
         assert json.loads(holder.stdout.readline())["holder"] == "deltaq lease"
@@ -235,7 +230,7 @@ def test_a_cell_cannot_be_started_twice(cell: RunningCell) -> None:
 def test_the_wrong_cell_at_an_address_is_named(cell: RunningCell, tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(f"extends: {cell.file}\ncell: other\n", encoding="utf-8")
-    done = run([DELTAQ, "status", "--cell", str(other)])
+    done = deltaq("status", "--cell", str(other))
     assert done.returncode == 2
     assert "serves cell lab, not other" in done.stderr
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import PROGRAM
 
 from deltaq_experiments.bench.live import LiveOptions, run_once
 from deltaq_experiments.bench.live_figures import NAMES
@@ -16,7 +16,6 @@ from deltaq_launch.private_cell import write_private_cell
 
 pytestmark = pytest.mark.live
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 PROCESSES = {
     "robot-server-fr",
     "robot-server-gr",
@@ -71,7 +70,7 @@ def test_every_station_of_a_running_cell_is_stamped(tmp_path: Path) -> None:
 def test_the_command_tells_every_run(tmp_path: Path, base: str) -> None:
     cell = str(write_private_cell(tmp_path, base))
     command = [
-        DELTAQ,
+        PROGRAM,
         "bench",
         "--live",
         "--cell",

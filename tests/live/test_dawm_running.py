@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import PROGRAM
 from json_client import json_client
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_launch.private_cell import free_ports
 
 pytestmark = pytest.mark.live
-
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 
 async def test_a_client_of_json_lines_moves_all_joints_of_the_dual_arm_cell(tmp_path: Path) -> None:
@@ -28,7 +26,7 @@ async def test_a_client_of_json_lines_moves_all_joints_of_the_dual_arm_cell(tmp_
         encoding="utf-8",
     )
     launcher = subprocess.Popen(
-        [DELTAQ, "up", "--no-console", "--cell", str(file)],
+        [PROGRAM, "up", "--no-console", "--cell", str(file)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

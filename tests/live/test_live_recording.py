@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM
 from live_stack import Stack, live_stack
 
 from deltaq_launch.cell_connection import connect
@@ -22,8 +23,6 @@ from deltaq_verification.replay import replay
 
 pytestmark = pytest.mark.live
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
-
 
 def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose_disk_is_full(
     tmp_path: Path,
@@ -32,7 +31,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
         cell = str(tmp_path / "private.yaml")
         file, filling = tmp_path / "run.mcap", tmp_path / "filling.mcap"
         commands = (
-            [DELTAQ, "record", str(file), "--cell", cell, "--json"],
+            [PROGRAM, "record", str(file), "--cell", cell, "--json"],
             [sys.executable, *recorder(cell, str(filling)).arguments],
         )
         recorders = [

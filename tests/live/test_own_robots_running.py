@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from commands import PROGRAM, deltaq
 from json_client import json_client
 from own_robot import write_cell, write_package
 
@@ -26,7 +27,6 @@ from deltaq_protocol.client import Cell
 
 pytestmark = pytest.mark.live
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "bring-your-own-robot.md"
 COMMANDS_S = 240
 
@@ -34,7 +34,7 @@ COMMANDS_S = 240
 @contextmanager
 def up(cell: Path) -> Iterator[None]:
     """The cell runs for the length of the block, and ends as Ctrl-C ends it."""
-    command = [DELTAQ, "up", "--no-console", "--cell", str(cell)]
+    command = [PROGRAM, "up", "--no-console", "--cell", str(cell)]
     launcher = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert launcher.stdout is not None
     try:
@@ -135,30 +135,14 @@ async def test_three_robot_servers_move_under_one_gate_and_no_client_needs_their
         finally:
             recorder.send_signal(signal.SIGTERM)
             recorder.communicate(timeout=300)
-        status = json.loads(
-            subprocess.check_output([DELTAQ, "status", "--cell", str(file), "--json"], text=True, timeout=300)
-        )
+        status = json.loads(deltaq("status", "--cell", str(file), "--json").stdout)
         assert set(status["robots"]) == set(cell.robots)
         assert status["nearest"] is not None
         script = tmp_path / "task.yaml"
         script.write_text("- {duration_s: 0.5, mode: joint, move: {lift_deg_s: 10, Reach_mm_s: 20}}\n")
-        drive = [
-            DELTAQ,
-            "drive",
-            "--robot",
-            "arm_2",
-            "--cell",
-            str(file),
-            "--script",
-            str(script),
-            "--json",
-        ]
-        driven = json.loads(subprocess.check_output(drive, text=True, timeout=300))
+        drive = ("drive", "--robot", "arm_2", "--cell", str(file), "--script", str(script), "--json")
+        driven = json.loads(deltaq(*drive).stdout)
         assert driven["gate"]["admitted"] > 0
-    replayed = json.loads(
-        subprocess.check_output(
-            [DELTAQ, "replay", str(tmp_path / "run.mcap"), "--json"], text=True, timeout=120
-        )
-    )
+    replayed = json.loads(deltaq("replay", str(tmp_path / "run.mcap"), "--json").stdout)
     assert replayed["good"]
     assert replayed["verdicts"] > 10

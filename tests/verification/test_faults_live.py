@@ -2,10 +2,9 @@
 
 import json
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
+from commands import PROGRAM
 
 from deltaq_cell.load import load_cell
 from deltaq_launch.launcher import Launcher
@@ -18,8 +17,6 @@ from deltaq_verification.faults.inject import inject
 from deltaq_verification.faults.table import run_table
 
 pytestmark = pytest.mark.live
-
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 
 
 @pytest.mark.nightly
@@ -70,7 +67,7 @@ def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(tmp_path):
     description = load_cell(file)
     with Launcher(cell_services(description, str(file)), lambda *_: None) as launcher:
         launcher.start()
-        command = [DELTAQ, "fault", "inject", "krc-cut", "--robot", "fr", "--cell", str(file), "--json"]
+        command = [PROGRAM, "fault", "inject", "krc-cut", "--robot", "fr", "--cell", str(file), "--json"]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
         assert done.returncode == 0, done.stderr
         found = json.loads(done.stdout)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import deltaq
 from rewritten import rewrite
 from table import change_row
 
@@ -24,7 +23,6 @@ from deltaq_services.sim.core import Sim
 from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import Replay, differing_fields, replay
 
-DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 GATE_VERDICTS = ("deltaq-guarded/lab/fr/verdict", "deltaq-guarded/lab/gr/verdict")
 CYCLES = 130
 PERIOD = 100
@@ -240,24 +238,20 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp
     assert lengths[0] > 100
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([DELTAQ, *arguments], capture_output=True, text=True, timeout=300, check=False)
-
-
 @pytest.mark.long
 def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:
-    good = run("replay", str(recorded), "--json")
+    good = deltaq("replay", str(recorded), "--json")
     assert good.returncode == 0, good.stderr
     assert json.loads(good.stdout)["verdicts_sha256"] == replayed.verdicts_sha256
     number, verdict = next((n, v) for n, v in verdicts(recorded) if v.outcome == "scaled")
     rewrite(recorded, tmp_path / "changed.mcap", changed_verdict(number, seq=99))
-    bad = run("replay", str(tmp_path / "changed.mcap"))
+    bad = deltaq("replay", str(tmp_path / "changed.mcap"))
     assert bad.returncode == 1
     told = f"differs: message {number}: {verdict.robot} cycle {verdict.cycle} gate-verdict seq: recorded 99, replayed"
     assert told in bad.stdout
-    none = run("replay", str(tmp_path / "missing.mcap"))
+    none = deltaq("replay", str(tmp_path / "missing.mcap"))
     assert none.returncode == 2
     assert "missing.mcap" in none.stderr
 
@@ -282,6 +276,6 @@ def test_the_figure_of_a_recording_shows_both_robots_and_where_the_gate_stepped_
     assert 0 <= panels[0].lines[0].time_s[-1] - CYCLES * 0.012 < 0.5
     bound = sum(verdict.outcome != "admitted" for _, verdict in verdicts(recorded))
     assert sum(len(marks.time_s) for marks in panels[0].marks) == bound
-    done = run("plot", str(recorded), "--figure", str(tmp_path / "figure.png"))
+    done = deltaq("plot", str(recorded), "--figure", str(tmp_path / "figure.png"))
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
