@@ -50,13 +50,18 @@ class Phase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came."""
+    """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came.
+
+    `carried` has no cycle of its own: it came to the playout buffer after its turn, and its motion goes out with the
+    increments behind it (`Playout`).
+    """
 
     ADMITTED = "admitted"
     SCALED = "scaled"
     HELD = "held"
     REFUSED = "refused"
     UNKNOWN = "unknown"
+    CARRIED = "carried"
 
 
 class Reason(Message):
@@ -81,7 +86,11 @@ class Playout(Message):
     An increment that answers cycle k is passed on with the state of cycle k + `delay_cycles`, which follows from how
     long those before it were under way. `waiting` have come before their turn. The setpoint of this state has in it all
     increments that answer a cycle up to `answered_cycle`, and none behind it; null before the first. `late` increments
-    came when their turn was over and were refused; `empty` cycles had none and braked. Both count from the grant.
+    came when their turn was over; `empty` cycles had none and braked. Both count from the grant.
+
+    `owed` is the motion of late ones that the setpoint does not have yet, less what the robot braked unasked in cycles
+    that were empty; null if there is none. It goes out with the increments to come, over a few cycles, so that the `dq`
+    of a verdict may have a part of it. An increment that is too late for that is refused as `late`.
     """
 
     delay_cycles: Count
@@ -89,6 +98,7 @@ class Playout(Message):
     answered_cycle: Count | None = None
     late: Count = 0
     empty: Count = 0
+    owed: Joints | None = None
 
 
 class RobotState(Message):
