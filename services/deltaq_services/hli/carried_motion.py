@@ -18,8 +18,8 @@ from deltaq_cell.description import RobotDescription
 from deltaq_protocol.arrays import Array
 
 SPREAD_CYCLES = 8
-"""In each cycle one part in so many of what is owed goes out. The speed is then greater by an eighth for an increment that
-is owed, and comes back by itself. All at once, or evenly until it is gone, asks for more than joints can brake."""
+"""In each cycle one part in so many of what is owed goes out. The speed is then greater by an eighth for an increment
+that is owed, and comes back by itself. All at once, or evenly until it is gone, asks for more than joints can brake."""
 
 _CARRIED_FOR_CYCLES = 5 * SPREAD_CYCLES
 """After so many cycles less than a hundredth is left, and goes out whole."""
