@@ -8,6 +8,7 @@ import gc
 import logging
 import signal
 import sys
+import time
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
@@ -18,6 +19,7 @@ from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.interface import Controller, ControllerError, View
+from deltaq_controllers.path_clock import PathClock, robot_clock_s
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
@@ -26,6 +28,9 @@ from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachable
 from deltaq_protocol.messages import Description
 
 _log = logging.getLogger(__name__)
+
+_EXCHANGES = 5
+"""Requests by which a clock is read; the quickest is believed."""
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses: refused, wrong usage, unreachable."""
@@ -98,6 +103,21 @@ async def drive(
                 await answers.send(state, cycle, controller.increment(view))
             for verdict in answers.verdicts():
                 statistics.add(verdict)
+
+
+async def read_clock(clock: PathClock, cell: Cell, robot: str) -> None:
+    """Compare the clock of a robot's server with this machine's, if the robot is heard.
+
+    Raises:
+        ServiceUnreachableError: the HLI is gone.
+    """
+    for _ in range(_EXCHANGES):
+        asked_s = time.monotonic()
+        status = await cell.status()
+        answered_s, newest = time.monotonic(), cell.state(robot)
+        stamp_s = None if newest is None else robot_clock_s(status, newest, cell.description.cycle_s)
+        if stamp_s is not None:
+            clock.take(asked_s, stamp_s, answered_s)
 
 
 def settle_memory() -> None:
