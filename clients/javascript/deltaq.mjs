@@ -56,13 +56,13 @@ export class Client {
   /** The newest state of any robot; undefined before the first. */
   newest(robot) { return this.#newest[robot]; }
   /** Ask for an increment [rad or m] in answer to the state of a cycle, or to the newest however long it was computed. */
-  async send(dq, cycle) {
+  async send(dq, answered) {
     for (let turn = 0; turn < 2; turn++) await new Promise(setImmediate); // a whole turn of the loop reads what has come
     if (this.#failure) throw this.#failure;
-    cycle ??= this.newest(this.robot).cycle;
-    this.#inFlight?.sent(this.#seq + 1, cycle, dq);
-    this.#say({ type: "increment", robot: this.robot, seq: ++this.#seq, cycle, dq });
-    return this.#seq;
+    const { cycle } = this.newest(this.robot), seq = ++this.#seq;
+    this.#inFlight?.sent(seq, answered ?? cycle, dq);
+    this.#say({ type: "increment", robot: this.robot, seq, cycle: answered ?? cycle, dq });
+    return seq;
   }
   /** Verdicts since the last call. */
   newVerdicts() { return this.#verdicts.splice(0); }
