@@ -16,7 +16,7 @@ import numpy as np
 from deltaq_controllers.camera.controllers import NAMES, FocusController, Seeing, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen, Sight
+from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.camera.sightings import Sightings
 from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import View
@@ -26,6 +26,7 @@ from deltaq_controllers.path_clock import PathClock
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
+from deltaq_protocol.messages import Sight
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +65,8 @@ class FollowerProcess:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
-                    await drive(cell, options.robot, controller, self._statistics, watch)
+                    sight = partial(_sight_of, camera, move_to_start)
+                    await drive(cell, options.robot, controller, self._statistics, watch, sight)
 
     def _watch(
         self, camera: FocusController, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
@@ -113,6 +115,13 @@ class FollowerProcess:
             "angle_deg": self._angle.figures(math.pi / 180.0),
             "distance_m": self._distance.figures(),
         }
+
+
+def _sight_of(camera: FocusController, move_to_start: MoveToStart) -> Sight | None:
+    """How well a controller sees the leader, once it looks at it."""
+    if move_to_start.began_s is None or not isinstance(camera, Seeing):
+        return None
+    return camera.leader_seen.sight
 
 
 def main() -> int:

@@ -25,7 +25,7 @@ from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Description
+from deltaq_protocol.messages import Description, Sight
 
 _log = logging.getLogger(__name__)
 
@@ -75,6 +75,7 @@ async def drive(
     controller: Controller,
     statistics: ControlStatistics,
     watch: Callable[[View], None] | None = None,
+    sight: Callable[[], Sight | None] | None = None,
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
@@ -87,6 +88,7 @@ async def drive(
         controller: makes the increments.
         statistics: counts the verdicts.
         watch: called with each view.
+        sight: says how well the controller sees what it follows, for others to read.
 
     Raises:
         RefusedError: the lease was not granted, or lost.
@@ -100,7 +102,9 @@ async def drive(
                 view = answers.view(state)
                 if watch is not None:
                     watch(view)
-                await answers.send(state, cycle, controller.increment(view))
+                dq = controller.increment(view)
+                leased.sight = None if sight is None else sight()
+                await answers.send(state, cycle, dq)
             for verdict in answers.verdicts():
                 statistics.add(verdict)
 

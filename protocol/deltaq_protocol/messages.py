@@ -64,6 +64,14 @@ class Outcome(StrEnum):
     CARRIED = "carried"
 
 
+class Sight(StrEnum):
+    """How well a controller sees the robot that it follows: its view is as old as the link makes it, older, or gone."""
+
+    FRESH = "fresh"
+    STALE = "view_stale"
+    LOST = "view_lost"
+
+
 class Reason(Message):
     """One thing that limited a request: which limit, on what, the value requested and the bound (SI units)."""
 
@@ -107,7 +115,8 @@ class RobotState(Message):
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
     brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
-    `playout` is there where the robot's lease asked for it.
+    `playout` is there where the robot's lease asked for it. `sight` is how well the controller sees what it follows, as
+    its newest increment says; null if it says nothing.
     `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
     the gate has been heard.
     """
@@ -126,6 +135,7 @@ class RobotState(Message):
     q_ahead: Joints | None = None
     setpoint_cycle: Count | None = None
     playout: Playout | None = None
+    sight: Sight | None = None
 
 
 class Increment(Message):
@@ -133,6 +143,7 @@ class Increment(Message):
 
     `lease` is never sent, and not read if it is: the server fills in whose increment it is. Over zenoh a proof shows it
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret), over TCP the connection is the holder.
+    `sight` is for people: states tell it, and nothing depends on it.
     """
 
     type: Literal["increment"] = "increment"
@@ -141,6 +152,7 @@ class Increment(Message):
     cycle: Count
     dq: Joints
     lease: Secret = None
+    sight: Sight | None = None
 
 
 class Verdict(Message):

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltaq_controllers.camera.setpoints import Sight
 from deltaq_controllers.camera.sightings import MOST_CHANGES, Sightings
 from deltaq_controllers.path_clock import PathClock, robot_clock_s
-from deltaq_protocol.messages import LeaseStatus, Phase, RobotState, RobotStatus, Status, ToolPose
+from deltaq_protocol.messages import LeaseStatus, Phase, RobotState, RobotStatus, Sight, Status, ToolPose
 
 
 def told_state(cycle: int, time_s: float) -> RobotState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from typing import Any
 
-from deltaq_controllers.camera.setpoints import Sight
+from deltaq_protocol.messages import Sight
 
 MOST_CHANGES = 100
 """Changes that are remembered, the newest."""

@@ -40,7 +40,7 @@ class Increments:
         if reason is not None or lease is None or link is None:
             why = reason or unknown_robot(robot)
             return outputs + self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
-        lease.used = True
+        lease.used, link.sight = True, increment.sight
         assert link.state is not None  # without one it would have been refused
         asked = Asked(increment, lease.epoch, sender, came=link.state.cycle)
         if link.playout is not None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import ServerState
-from deltaq_protocol.messages import Increment, Phase, Reason, Verdict
+from deltaq_protocol.messages import Increment, Phase, Reason, Sight, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead, AheadMemory
 from deltaq_services.hli.asked import Asked
@@ -38,6 +38,7 @@ class LinkMemory:
         waiting: the increment that waits.
         admitted: what is known of the setpoints to come.
         playout: the increments of a controller far away.
+        sight: how well the controller sees what it follows.
     """
 
     state: ServerState | None
@@ -48,6 +49,7 @@ class LinkMemory:
     waiting: Asked | None
     admitted: AheadMemory | None
     playout: PlayoutMemory | None
+    sight: Sight | None
 
 
 class RobotLink:
@@ -64,6 +66,7 @@ class RobotLink:
     Attributes:
         joints: as given.
         playout: keeps the increments of the lease until their turn; None where it did not ask for that.
+        sight: how well the controller sees what it follows; None where it says nothing.
         state, received_s: newest state of the robot, and when it came [s].
     """
 
@@ -80,6 +83,7 @@ class RobotLink:
         self._max_age_cycles = max_age_cycles
         self._max_playout_cycles = max_playout_cycles
         self._carried = carried
+        self.sight: Sight | None = None
         self.playout: PlayoutBuffer | None = None
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
@@ -103,13 +107,14 @@ class RobotLink:
             self._waiting,
             admitted,
             None if self.playout is None else self.playout.snapshot(),
+            self.sight,
         )
 
     def restore(self, memory: LinkMemory) -> None:
         """Go on from where another was."""
         self.state, self.received_s = memory.state, memory.received_s
         self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
-        self._waiting = memory.waiting
+        self._waiting, self.sight = memory.waiting, memory.sight
         self._awaited = dict(memory.awaited)
         if self._admitted is not None and memory.admitted is not None:
             self._admitted.restore(memory.admitted)
@@ -243,7 +248,7 @@ class RobotLink:
     def end_lease(self) -> list[Asked]:
         """The lease has ended: forget the increments that wait, and return them."""
         waited = self.drop()
-        self.playout = None
+        self.playout = self.sight = None
         return waited
 
     def take_waiting(self) -> Asked | None:
