@@ -9,7 +9,9 @@
 #pragma once
 #include <chrono>
 #include <cstdlib>
+#include <optional>
 #include <utility>
+#include "in_flight.hpp"
 #include "json.hpp"
 #include "lines.hpp"
 
@@ -28,29 +30,42 @@ class Client {
     try { release(); } catch (const std::runtime_error&) {}  // the server has gone: the robot comes to rest by itself
   }
   /// Take the lease of a robot. next_state() and send() renew it; whoever computes for longer calls renew() meanwhile.
-  void acquire(const std::string& robot) {
+  /// With a playout buffer from farther away than a cycle; then use ahead() and cycles_to_answer().
+  void acquire(const std::string& robot, bool playout = false) {
     std::string has = "unknown_robot: cell " + welcome["cell"].text + " has no robot '" + robot + "'; it has";
     for (const auto& one : welcome["robots"].fields) has += " " + one.first;
     if (!welcome["robots"].fields.count(robot)) throw std::runtime_error(has);
-    const Json answer = ask(lease(robot, "acquire"), "lease"), &code = answer["code"], &holder = answer["holder"];
+    const Json answer = ask(lease(robot, "acquire") + (playout ? ",\"playout\":true" : ""), "lease"), &code = answer["code"], &holder = answer["holder"];
     const std::string why = holder.is_null ? " needs a controller's token" : " is held by " + holder.text;
     if (!code.is_null) throw std::runtime_error(code.text + ": the lease of " + robot + why);
     robot_ = robot, lease_s_ = answer["expires_s"].number;
+    in_flight_.reset();
+    if (playout) in_flight_.emplace();
   }
   /// The newest state of the leased robot, once there is a newer one than last time.
   Json next_state() {
-    for (read(false); newest().is_null || newest()["cycle"].number == seen_cycle_; read(true)) renew_in_time();
+    for (read(false); !is_due(); read(true)) renew_in_time();
     renew_in_time();
     seen_cycle_ = newest()["cycle"].number;
+    if (in_flight_) in_flight_->take_state(newest());
     return newest();
   }
+  /// With a playout buffer: the setpoint (n) that the next increment is added to [rad or m].
+  std::vector<double> ahead() const { return in_flight_.value().ahead(); }
+  /// With a playout buffer: the cycles for which to send now.
+  std::vector<double> cycles_to_answer() const { return in_flight_.value().cycles_to_answer(); }
   /// Ask for an increment [rad or m] in answer to the newest state that has come, however long it was computed.
   long send(const std::vector<double>& dq) {
     read(false);
-    std::string list, cycle = printed(newest()["cycle"].number);
+    return send(dq, newest()["cycle"].number);
+  }
+  /// The same in answer to the state of a cycle.
+  long send(const std::vector<double>& dq, double answered) {
+    std::string list, cycle = printed(answered);
     for (double number : dq) list += (list.empty() ? "" : ",") + printed(number);
     const std::string seq = std::to_string(++seq_);
     say("\"increment\",\"robot\":" + quoted(robot_) + ",\"seq\":" + seq + ",\"cycle\":" + cycle + ",\"dq\":[" + list + "]");
+    if (in_flight_) in_flight_->sent(seq_, answered, dq);
     return seq_;
   }
   /// Verdicts since the last call.
@@ -71,6 +86,11 @@ class Client {
   long seq_ = 0;
   double seen_cycle_ = -1, lease_s_ = 1;
   std::chrono::steady_clock::time_point said_;
+  std::optional<InFlight> in_flight_;
+  bool is_due() {
+    if (newest().is_null || newest()["cycle"].number == seen_cycle_) return false;
+    return !in_flight_ || !newest()["playout"].is_null;  // the first states of a lease may be of before it
+  }
   const Json& newest() { return newest_.emplace(robot_, Json{}).first->second; }
   static std::string lease(const std::string& robot, const std::string& action) {
     return "\"lease\",\"robot\":" + quoted(robot) + ",\"action\":" + quoted(action);
@@ -88,7 +108,10 @@ class Client {
     for (const std::string& line : lines_.take(wait)) {
       const Json message = parsed(line), &type = message["type"];
       if (type.text == "state") newest_[message["robot"].text] = message;
-      else if (type.text == "verdict") verdicts_.push_back(message);
+      else if (type.text == "verdict") {
+        verdicts_.push_back(message);
+        if (in_flight_) in_flight_->take_verdict(message);
+      }
       else answers_[type.text] = message;
     }
     if (!answers_.count("error")) return;  // told once every line has been read

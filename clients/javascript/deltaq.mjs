@@ -8,12 +8,13 @@
 // An `error` of the server ends the connection, and the robot comes to rest.
 import { EventEmitter, once } from "node:events";
 import net from "node:net";
+import { InFlight } from "./in_flight.mjs";
 
 const SILENCE_MS = 2000;
 
 export class Client {
   #socket; #address; #failure; #received = ""; #newest = {}; #answers = []; #verdicts = []; #seq = 0;
-  #heard = new EventEmitter().on("error", () => {}); #timer; #silent_ms = 0;
+  #heard = new EventEmitter().on("error", () => {}); #timer; #silent_ms = 0; #inFlight;
 
   /** Connect; the token is needed where the cell asks for one. */
   static async connect({ host = "127.0.0.1", port = 5210, token = process.env.DELTAQ_CLIENT_TOKEN, name = "node" } = {}) {
@@ -30,31 +31,38 @@ export class Client {
     this.#socket.on("close", () => this.#fail("unreachable", `${this.#address} has closed the connection; the robot comes to rest`));
     this.#tick(SILENCE_MS / 4);
   }
-  /** Take the lease of a robot; it is renewed until the connection is closed. */
-  async acquire(robot) {
+  /** Take the lease of a robot; it is renewed until the connection is closed. With a playout buffer from far away. */
+  async acquire(robot, { playout = false } = {}) {
     const { cell, robots } = this.welcome;
     if (!(robot in robots)) throw new Error(`unknown_robot: cell ${cell} has no robot '${robot}'; it has ${Object.keys(robots).join(", ")}`);
-    const { granted, code, holder, expires_s } = await this.#ask({ type: "lease", robot, action: "acquire" }, (m) => m.type === "lease");
+    const { granted, code, holder, expires_s } = await this.#ask({ type: "lease", robot, action: "acquire", playout }, (m) => m.type === "lease");
     if (!granted) throw new Error(`${code}: the lease of ${robot} ${holder ? `is held by ${holder}` : "needs a controller's token"}`);
     this.robot = robot;
+    this.#inFlight = playout ? new InFlight() : undefined;
     this.#tick(300 * expires_s);
   }
   /** States of the leased robot as they come, the newest only: whoever is slow misses some. */
   async *states() {
     for (let seen; ; yield seen) {
-      while (this.newest(this.robot) === undefined || this.newest(this.robot) === seen) await this.#next();
+      while (!this.#isDue(seen)) await this.#next();
       seen = this.newest(this.robot);
+      this.#inFlight?.takeState(seen);
     }
   }
+  /** With a playout buffer: the setpoint (n) that the next increment is added to [rad or m], for a state of `states`. */
+  ahead(state) { return this.#inFlight.ahead(state); }
+  /** With a playout buffer: the cycles for which to `send` now. */
+  cyclesToAnswer() { return this.#inFlight.cyclesToAnswer(); }
   /** The newest state of any robot; undefined before the first. */
   newest(robot) { return this.#newest[robot]; }
-  /** Ask for an increment [rad or m] in answer to the newest state that has come, however long it was computed. */
-  async send(dq) {
+  /** Ask for an increment [rad or m] in answer to the state of a cycle, or to the newest however long it was computed. */
+  async send(dq, answered) {
     for (let turn = 0; turn < 2; turn++) await new Promise(setImmediate); // a whole turn of the loop reads what has come
     if (this.#failure) throw this.#failure;
-    const { cycle } = this.newest(this.robot);
-    this.#say({ type: "increment", robot: this.robot, seq: ++this.#seq, cycle, dq });
-    return this.#seq;
+    const { cycle } = this.newest(this.robot), seq = ++this.#seq;
+    this.#inFlight?.sent(seq, answered ?? cycle, dq);
+    this.#say({ type: "increment", robot: this.robot, seq, cycle: answered ?? cycle, dq });
+    return seq;
   }
   /** Verdicts since the last call. */
   newVerdicts() { return this.#verdicts.splice(0); }
@@ -71,6 +79,10 @@ export class Client {
       if ((this.#silent_ms += period_ms) > SILENCE_MS) this.#fail("unreachable", `${this.#address} does not answer any more`);
     }, period_ms);
   }
+  #isDue(seen) { // the first states of a lease may be of before it
+    const newest = this.newest(this.robot);
+    return newest !== undefined && newest !== seen && !(this.#inFlight && newest.playout === null);
+  }
   #say(message) { if (!this.#failure) this.#socket.write(`${JSON.stringify(message)}\n`); }
   async #ask(message, isAnswer) {
     this.#answers = [];
@@ -85,7 +97,10 @@ export class Client {
     this.#received = lines.pop(); // the end of this line has not come yet
     for (const message of lines.map((line) => JSON.parse(line))) {
       if (message.type === "state") this.#newest[message.robot] = message;
-      else if (message.type === "verdict") this.#verdicts.push(message);
+      else if (message.type === "verdict") {
+        this.#verdicts.push(message);
+        this.#inFlight?.takeVerdict(message);
+      }
       else if (message.type === "error") this.#fail(message.code, `${message.message}; ${message.hint}`);
       else this.#answers.push(message);
     }

@@ -7,23 +7,26 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections import Counter
+import time
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
+from deltaq_controllers.camera.controllers import NAMES, FocusController, Seeing, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen, Sight
+from deltaq_controllers.camera.setpoints import Foreseen
+from deltaq_controllers.camera.sightings import Sightings
 from deltaq_controllers.held_back import HeldBack
-from deltaq_controllers.interface import RobotView, View
+from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.live import cell_model, drive, model_of, run
+from deltaq_controllers.live import cell_model, drive, model_of, read_clock, run
+from deltaq_controllers.path_clock import PathClock
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
+from deltaq_protocol.messages import Sight
 
 _log = logging.getLogger(__name__)
 
@@ -38,11 +41,10 @@ class FollowerProcess:
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
         self._statistics = ControlStatistics()
-        self._angle, self._distance = ErrorStatistics(), ErrorStatistics()
+        self._angle, self._distance, self._age = ErrorStatistics(), ErrorStatistics(), ErrorStatistics()
         self._began_s: float | None = None
-        self._leader: Foreseen | None = None
-        self._sights: Counter[Sight] = Counter()
-        self._sight = Sight.FRESH
+        self._sightings = Sightings()
+        self._clock = PathClock()
 
     async def follow(self) -> None:
         """Follow for as long as asked."""
@@ -58,12 +60,13 @@ class FollowerProcess:
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
             controller = HeldBack(move_to_start, round(options.view_delay_s / scene.cycle_s))
-            self._leader = Foreseen(scene.leader, scene.robot, scene.cycle_s)
+            await read_clock(self._clock, cell, options.leader)
             _log.info("ready: %s follows %s", options.robot, options.leader)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
-                    await drive(cell, options.robot, controller, self._statistics, watch)
+                    sight = partial(_sight_of, camera, move_to_start)
+                    await drive(cell, options.robot, controller, self._statistics, watch, sight)
 
     def _watch(
         self, camera: FocusController, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
@@ -76,23 +79,21 @@ class FollowerProcess:
             self._began_s = move_to_start.began_s
             if options.duration_s is not None:
                 timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
-        self._look(view.own, other)
+        if isinstance(camera, Seeing):
+            self._look(camera.leader_seen, view.own.time_s)
+        if math.isfinite(self._clock.error_s):
+            self._age.add(self._clock.age_s(other.time_s, time.monotonic()), settled=True)
         angle, distance = camera.errors(view.own.q, other.q)
         settled = view.own.time_s - self._began_s >= options.settle_s
         self._angle.add(angle, settled)
         self._distance.add(distance, settled)
 
-    def _look(self, own: RobotView, other: RobotView) -> None:
-        """Count how well the leader is seen, and say so when it changes."""
-        assert self._leader is not None  # it is there before the first view
-        self._leader.update(own, other)
-        sight = self._leader.sight
-        self._sights[sight] += 1
-        if sight is not self._sight:
-            level = logging.INFO if sight is Sight.FRESH else logging.WARNING
-            told = "seen again" if sight is Sight.FRESH else sight
-            _log.log(level, "%s: %s, its state is %.2f s old", self._options.leader, told, self._leader.age_s)
-        self._sight = sight
+    def _look(self, leader: Foreseen, time_s: float) -> None:
+        """Count how well the controller sees the leader, and say so when it changes."""
+        if self._sightings.add(leader.sight, leader.age_s, time_s):
+            level = logging.INFO if leader.sight is Sight.FRESH else logging.WARNING
+            told = "seen again" if leader.sight is Sight.FRESH else leader.sight
+            _log.log(level, "%s: %s, its state is %.2f s old", self._options.leader, told, leader.age_s)
 
     @property
     def robot(self) -> str:
@@ -106,10 +107,21 @@ class FollowerProcess:
             "robot": self._options.robot,
             "began_s": self._began_s,
             **self._statistics.summary(),
-            "view": {sight.value: self._sights[sight] for sight in Sight},
+            "view": {
+                **self._sightings.summary(),
+                "age_s": self._age.figures(),
+                "clock": self._clock.summary(),
+            },
             "angle_deg": self._angle.figures(math.pi / 180.0),
             "distance_m": self._distance.figures(),
         }
+
+
+def _sight_of(camera: FocusController, move_to_start: MoveToStart) -> Sight | None:
+    """How well a controller sees the leader, once it looks at it."""
+    if move_to_start.began_s is None or not isinstance(camera, Seeing):
+        return None
+    return camera.leader_seen.sight
 
 
 def main() -> int:

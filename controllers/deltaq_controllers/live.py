@@ -8,6 +8,7 @@ import gc
 import logging
 import signal
 import sys
+import time
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
@@ -18,14 +19,18 @@ from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.interface import Controller, ControllerError, View
+from deltaq_controllers.path_clock import PathClock, robot_clock_s
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Description
+from deltaq_protocol.messages import Description, Sight
 
 _log = logging.getLogger(__name__)
+
+_EXCHANGES = 5
+"""Requests by which a clock is read; the quickest is believed."""
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses: refused, wrong usage, unreachable."""
@@ -70,6 +75,7 @@ async def drive(
     controller: Controller,
     statistics: ControlStatistics,
     watch: Callable[[View], None] | None = None,
+    sight: Callable[[], Sight | None] | None = None,
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
@@ -82,6 +88,7 @@ async def drive(
         controller: makes the increments.
         statistics: counts the verdicts.
         watch: called with each view.
+        sight: says how well the controller sees what it follows, for others to read.
 
     Raises:
         RefusedError: the lease was not granted, or lost.
@@ -95,9 +102,26 @@ async def drive(
                 view = answers.view(state)
                 if watch is not None:
                     watch(view)
-                await answers.send(state, cycle, controller.increment(view))
+                dq = controller.increment(view)
+                leased.sight = None if sight is None else sight()
+                await answers.send(state, cycle, dq)
             for verdict in answers.verdicts():
                 statistics.add(verdict)
+
+
+async def read_clock(clock: PathClock, cell: Cell, robot: str) -> None:
+    """Compare the clock of a robot's server with this machine's, if the robot is heard.
+
+    Raises:
+        ServiceUnreachableError: the HLI is gone.
+    """
+    for _ in range(_EXCHANGES):
+        asked_s = time.monotonic()
+        status = await cell.status()
+        answered_s, newest = time.monotonic(), cell.state(robot)
+        stamp_s = None if newest is None else robot_clock_s(status, newest, cell.description.cycle_s)
+        if stamp_s is not None:
+            clock.take(asked_s, stamp_s, answered_s)
 
 
 def settle_memory() -> None:

@@ -164,6 +164,8 @@ class InFlight:
         """What the increments behind the one that is in the setpoint make of it, if each has its turn."""
         first, q_ahead = _told(state)
         q_cmd, dq = np.array(q_ahead), None
+        if playout.owed is not None:
+            q_cmd = q_cmd + np.array(playout.owed)
         for one in self._sent:
             if one.cycle > _answered(playout) and not one.is_refused and self._can_be_admitted(one):
                 q_cmd, dq = q_cmd + one.dq, one.dq

@@ -24,6 +24,7 @@ from deltaq_protocol.messages import (
     Reason,
     RobotState,
     RobotSummary,
+    Sight,
     Verdict,
 )
 from deltaq_protocol.newest import Newest
@@ -44,6 +45,7 @@ class LeasedRobot:
         name: of the robot.
         summary: its joints, units and limits.
         lease: the right to move it.
+        sight: how well the controller sees what it follows, which every increment says; None to say nothing.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class LeasedRobot:
     ) -> None:
         self.name = name
         self.summary = summary
+        self.sight: Sight | None = None
         self._wire = wire
         self._cell = cell
         self.lease = HeldLease(wire, cell, name, granted)
@@ -275,6 +278,7 @@ class LeasedRobot:
             seq=seq,
             cycle=cycle,
             dq=tuple(float(element) for element in dq),
+            sight=self.sight,
         )
         if self._stamps is not None:
             self._stamps.add(StampStation.INCREMENT_OUT, self.name, cycle, seq)

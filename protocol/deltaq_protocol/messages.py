@@ -50,13 +50,26 @@ class Phase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came."""
+    """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came.
+
+    `carried` has no cycle of its own: it came to the playout buffer after its turn, and its motion goes out with the
+    increments behind it (`Playout`).
+    """
 
     ADMITTED = "admitted"
     SCALED = "scaled"
     HELD = "held"
     REFUSED = "refused"
     UNKNOWN = "unknown"
+    CARRIED = "carried"
+
+
+class Sight(StrEnum):
+    """How well a controller sees the robot that it follows: its view is as old as the link makes it, older, or gone."""
+
+    FRESH = "fresh"
+    STALE = "view_stale"
+    LOST = "view_lost"
 
 
 class Reason(Message):
@@ -81,7 +94,11 @@ class Playout(Message):
     An increment that answers cycle k is passed on with the state of cycle k + `delay_cycles`, which follows from how
     long those before it were under way. `waiting` have come before their turn. The setpoint of this state has in it all
     increments that answer a cycle up to `answered_cycle`, and none behind it; null before the first. `late` increments
-    came when their turn was over and were refused; `empty` cycles had none and braked. Both count from the grant.
+    came when their turn was over; `empty` cycles had none and braked. Both count from the grant.
+
+    `owed` is the motion of late ones that the setpoint does not have yet, less what the robot braked unasked in cycles
+    that were empty; null if there is none. It goes out with the increments to come, over a few cycles, so that the `dq`
+    of a verdict may have a part of it. An increment that is too late for that is refused as `late`.
     """
 
     delay_cycles: Count
@@ -89,6 +106,7 @@ class Playout(Message):
     answered_cycle: Count | None = None
     late: Count = 0
     empty: Count = 0
+    owed: Joints | None = None
 
 
 class RobotState(Message):
@@ -97,7 +115,8 @@ class RobotState(Message):
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
     brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
-    `playout` is there where the robot's lease asked for it.
+    `playout` is there where the robot's lease asked for it. `sight` is how well the controller sees what it follows, as
+    its newest increment says; null if it says nothing.
     `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
     the gate has been heard.
     """
@@ -116,6 +135,7 @@ class RobotState(Message):
     q_ahead: Joints | None = None
     setpoint_cycle: Count | None = None
     playout: Playout | None = None
+    sight: Sight | None = None
 
 
 class Increment(Message):
@@ -123,6 +143,7 @@ class Increment(Message):
 
     `lease` is never sent, and not read if it is: the server fills in whose increment it is. Over zenoh a proof shows it
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret), over TCP the connection is the holder.
+    `sight` is for people: states tell it, and nothing depends on it.
     """
 
     type: Literal["increment"] = "increment"
@@ -131,6 +152,7 @@ class Increment(Message):
     cycle: Count
     dq: Joints
     lease: Secret = None
+    sight: Sight | None = None
 
 
 class Verdict(Message):

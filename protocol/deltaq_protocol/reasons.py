@@ -29,6 +29,7 @@ class ReasonCode(StrEnum):
     LINK_TOO_SLOW = "link_too_slow"
     REPLAYED_SEQUENCE = "replayed_sequence"
     SUPERSEDED = "superseded"
+    LATE = "late"
     UNKNOWN_ROBOT = "unknown_robot"
     LEASE_NOT_HELD = "lease_not_held"
     LEASE_TAKEN = "lease_taken"
@@ -73,6 +74,7 @@ EXPLANATIONS: dict[ReasonCode, str] = {
     ReasonCode.FUTURE_CYCLE: "the increment answers a cycle that has not begun",
     ReasonCode.REPLAYED_SEQUENCE: "the sequence number is not greater than the last one",
     ReasonCode.SUPERSEDED: "a newer increment of the same cycle took its place",
+    ReasonCode.LATE: "it came after its turn",
     ReasonCode.UNKNOWN_ROBOT: "the cell has no robot of that name",
     ReasonCode.LEASE_NOT_HELD: "the sender does not hold the lease of that robot",
     ReasonCode.LEASE_TAKEN: "another client holds the lease of that robot",

@@ -101,7 +101,12 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
         assert counts["admitted"] > 10, summary
     # how well is a figure of the machine, which others may use as well; `test_tracking_table.py` holds the law's own
     assert followed["angle_deg"]["max"] < 45.0
-    assert followed["view"]["fresh"] > 20
+    view = followed["view"]
+    assert view["fresh"] > 20
+    # clocks of one machine: what is left of their offset is the way to the HLI, and no more than is said
+    assert abs(view["clock"]["offset_s"]) <= view["clock"]["error_s"] + 0.1
+    assert view["age_s"]["max"] >= view["age_s"]["rms"] >= 0.0
+    assert set(view) == {"fresh", "view_stale", "view_lost", "changes", "age_s", "clock"}
     assert followed["distance_m"]["max"] < 1.0
 
 

@@ -21,7 +21,7 @@ def state(cycle: int, q_cmd: float = 0.0, q_ahead: float | None = None, **change
 
 
 def verdict(seq: int, cycle: int, dq: float, outcome: Outcome = Outcome.ADMITTED) -> Verdict:
-    goes = None if outcome in (Outcome.REFUSED, Outcome.HELD) else cycle
+    goes = None if outcome in (Outcome.REFUSED, Outcome.HELD, Outcome.CARRIED) else cycle
     return Verdict(robot="fr", cycle=cycle - 2, seq=seq, outcome=outcome, setpoint_cycle=goes, dq=(dq,))
 
 
@@ -218,3 +218,16 @@ def test_states_that_were_missed_on_a_long_way_are_answered_too_but_not_many() -
     in_flight.sent(2, [0.1], 11)
     in_flight.sent(3, [0.1], 12)
     assert list(in_flight.cycles_to_answer(played(60, 1.0, answered=12))) == [56, 57, 58, 59, 60]
+
+
+def test_with_a_playout_buffer_what_late_increments_are_owed_is_reckoned_with_and_they_are_not_again() -> (
+    None
+):
+    in_flight = InFlight()
+    in_flight.sent(1, [0.1], 10)
+    in_flight.sent(2, [0.2], 11)
+    assert in_flight.take(verdict(1, 10, 0.0, Outcome.CARRIED))
+    playout = Playout(delay_cycles=5, waiting=0, answered_cycle=10, owed=(0.03,))
+    assert reckoned(in_flight, state(17, 1.0, playout=playout)) == (22, 1.23)
+    before_its_turn_is_told = Playout(delay_cycles=5, waiting=0, answered_cycle=9, owed=(-0.04,))
+    assert reckoned(in_flight, state(17, 1.0, playout=before_its_turn_is_told)) == (22, 1.26)

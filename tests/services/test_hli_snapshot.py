@@ -164,6 +164,8 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "_admitted",
         "_answered_cycle",
         "playout",
+        "_carried",
+        "sight",
     }
     assert all(set(vars(link)) == remembered | fixed for link in state.links.values())
     assert set(memory.links) == set(ROBOTS)

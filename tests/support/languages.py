@@ -36,6 +36,10 @@ class Language(ABC):
     def answers(self, port: int, robot: str, compute_s: float, count: int) -> list[str]:
         """The program that answers states, each after computing."""
 
+    @abstractmethod
+    def far_turn(self, port: int, angle: float) -> list[str]:
+        """The program that turns A1 by an angle [rad] from farther away than a cycle."""
+
     def environment(self, **variables: str) -> dict[str, str]:
         """Of its programs: without a token that the tests' own environment may have."""
         return {
@@ -63,6 +67,9 @@ class Octave(Language):
         given = f"'127.0.0.1', {port}, '{robot}', {compute_s}, {count}"
         return octave.command(f"addpath('{PROGRAMS}'); answers({given})")
 
+    def far_turn(self, port: int, angle: float) -> list[str]:
+        return octave.command(f"addpath('{PROGRAMS}'); far_turn('127.0.0.1', {port}, {angle})")
+
     def environment(self, **variables: str) -> dict[str, str]:
         return octave.environment(**variables)
 
@@ -71,7 +78,7 @@ class Cpp(Language):
     """Compiled once a run, with every warning an error."""
 
     name = "c++"
-    sources = (CLIENTS / "cpp/deltaq.hpp", CLIENTS / "cpp/turn_a1.cpp")
+    sources = (CLIENTS / "cpp/deltaq.hpp", CLIENTS / "cpp/in_flight.hpp", CLIENTS / "cpp/turn_a1.cpp")
 
     def why_not(self) -> str:
         return "" if shutil.which("g++") else "g++ is not installed"
@@ -82,6 +89,9 @@ class Cpp(Language):
     def answers(self, port: int, robot: str, compute_s: float, count: int) -> list[str]:
         given = ("127.0.0.1", str(port), robot, str(compute_s), str(count))
         return [self._compiled(PROGRAMS / "answers.cpp"), *given]
+
+    def far_turn(self, port: int, angle: float) -> list[str]:
+        return [self._compiled(PROGRAMS / "far_turn.cpp"), "127.0.0.1", str(port), str(angle)]
 
     @functools.cache  # noqa: B019 # there is one of this class
     def _compiled(self, source: Path) -> str:
@@ -95,7 +105,11 @@ class Node(Language):
     """JavaScript as it is."""
 
     name = "node"
-    sources = (CLIENTS / "javascript/deltaq.mjs", CLIENTS / "javascript/turn_a1.mjs")
+    sources = (
+        CLIENTS / "javascript/deltaq.mjs",
+        CLIENTS / "javascript/in_flight.mjs",
+        CLIENTS / "javascript/turn_a1.mjs",
+    )
 
     def why_not(self) -> str:
         return "" if shutil.which("node") else "node is not installed"
@@ -107,6 +121,10 @@ class Node(Language):
         client = str(CLIENTS / "javascript" / "deltaq.mjs")
         given = ("127.0.0.1", str(port), robot, str(compute_s), str(count))
         return ["node", str(PROGRAMS / "answers.mjs"), client, *given]
+
+    def far_turn(self, port: int, angle: float) -> list[str]:
+        client = str(CLIENTS / "javascript" / "deltaq.mjs")
+        return ["node", str(PROGRAMS / "far_turn.mjs"), client, "127.0.0.1", str(port), str(angle)]
 
 
 LANGUAGES: tuple[Language, ...] = (Octave(), Cpp(), Node())

@@ -26,7 +26,7 @@ classdef InFlight < handle
         end
 
         function take_verdict(obj, verdict)
-            if isempty(obj.rows), return, end
+            if isempty(obj.rows) || strcmp(verdict.outcome, 'carried'), return, end  % states say what is owed
             row = find(obj.rows(:, 1) == verdict.seq, 1);
             if isempty(verdict.setpoint_cycle)
                 obj.rows(row, :) = [];  % refused or held: it goes into nothing
@@ -83,6 +83,9 @@ classdef InFlight < handle
             dq = obj.dq;
             cycle = obj.first - 1;
             if ~isempty(obj.playout), cycle = cycle + obj.playout.delay_cycles; end
+            if ~isempty(obj.playout) && ~isempty(obj.playout.owed)
+                q = q + obj.playout.owed(:);  % of increments that came late
+            end
             if isempty(obj.rows), return, end
             if ~isempty(obj.playout)  % the state says what is in its setpoint: all else is on its way
                 q = q + sum(obj.rows(:, 4:end), 1)';

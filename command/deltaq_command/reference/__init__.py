@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltaq_command.reference import installation, robots, rooms, sequences, testing, wire
+from deltaq_command.reference import gains, installation, robots, rooms, sequences, testing, wire
 
 FOLDER = Path(__file__).parents[3] / "docs" / "reference"
 _WRITTEN = "<!-- Written by `make docs` from the code; do not edit. -->\n\n"
@@ -23,6 +23,7 @@ PAGES = {
     "krc.md": robots.krc,
     "rsi-sessions.md": robots.sessions,
     "criteria.md": robots.criteria,
+    "gains.md": gains.gains,
     "cell.md": installation.cell,
     "services.md": installation.services,
     "cli.md": installation.cli,

@@ -25,6 +25,7 @@ class CameraController:
 
     Attributes:
         follower, desired_distance_m, focus: as given.
+        leader_seen: how the leader is seen, and how old its state is.
         evades_below_m: clearance below which the repulsion (12) acts [m].
     """
 
@@ -41,7 +42,7 @@ class CameraController:
         self.evades_below_m = follower.gains.repulsion_range_m
         self._leader = leader
         self._last = LastIncrement(follower.limits.max_ddq)
-        self._foreseen = Foreseen(leader, follower.robot, follower.cycle_s)
+        self.leader_seen = Foreseen(leader, follower.robot, follower.cycle_s)
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
@@ -49,8 +50,8 @@ class CameraController:
         dq_last = self._last.update(own)
         if leader is None:
             return self.follower.limits.admissible(np.zeros_like(own.q_cmd), own.q_cmd, dq_last)
-        self._foreseen.update(own, leader)
-        q_leader = self._foreseen.ahead() if self.follower.variants.extrapolated_focus else leader.q
+        self.leader_seen.update(own, leader)
+        q_leader = self.leader_seen.ahead() if self.follower.variants.extrapolated_focus else leader.q
         focus = self.focus_at(q_leader)
         return self.follower.increment(
             own.q_cmd, dq_last, focus, q_leader, self.desired_distance_m, leader.time_s

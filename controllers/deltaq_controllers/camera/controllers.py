@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from deltaq_controllers.camera.controller import CameraController
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.interface import Controller, ControllerError
 from deltaq_protocol.arrays import Array
 
@@ -35,6 +36,20 @@ class FocusController(Controller, Protocol):
 
     def clearance(self, q: Array, q_leader: Array) -> float:
         """Least distance between the bodies that the controller keeps apart, as it measures it [m]."""
+        ...
+
+
+@runtime_checkable
+class Seeing(Protocol):
+    """A controller that tells how it sees the leader; all that come with the project do.
+
+    Attributes:
+        leader_seen: how the leader is seen, and how old its state is.
+    """
+
+    @property
+    def leader_seen(self) -> Foreseen:
+        """How the leader is seen."""
         ...
 
 

@@ -50,6 +50,10 @@ class FollowerGains(NamedTuple):
 class Variants(NamedTuple):
     """Points in which the paper's print and its correction differ and both are worth running; see the errata.
 
+    With all of them off the equations are those that the paper prints. The damping of (7), the hysteresis of (13) and
+    the bound of a step of the integration stay, and so do the gains: without the first three the law is not defined at
+    a singularity, alternates at the edge of (13), or steps past where it was linearised.
+
     Attributes:
         angle_law: view angle decays linearly; else as (9) prints it, like its sine.
         bounded_rates: errors are reduced no faster than the robot can brake, and its braking does not turn the view

@@ -28,6 +28,7 @@ from deltaq_controllers.camera.qp_problem import QuadraticProgram
 from deltaq_controllers.camera.qp_tasks import Aim, TaskGains, Tasks, view_tasks
 from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.camera.subtasks import RollJoint
 from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
@@ -138,6 +139,11 @@ class QpFollower:
             return self.limits.admissible(np.zeros_like(q), q, dq_last)
         dq, self.slack_m = solution
         return self.limits.admissible(dq, q, dq_last)
+
+    @property
+    def leader_seen(self) -> Foreseen:
+        """How the leader is seen, and how old its state is."""
+        return self._others.leader
 
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
         """View angle error [rad] and view distance less the desired one [m], at measured configurations."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from deltaq_cell.description import ServoLag
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, RobotView
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import Sight
 
 STALE_S = 0.1
 """Age of a view beyond what the link always takes, from which on it is stale: its motion fades."""
@@ -26,14 +26,6 @@ _ACCELERATION_S = 0.03
 """How long an acceleration that nobody sees goes on; nobody accelerates for long."""
 _STEADY_S, _VELOCITY_S = 0.15, 0.3
 """How long a velocity that nobody sees is taken to stay, and then to decay."""
-
-
-class Sight(StrEnum):
-    """How well another robot is seen."""
-
-    FRESH = "fresh"
-    STALE = "view_stale"
-    LOST = "view_lost"
 
 
 @dataclass(frozen=True)

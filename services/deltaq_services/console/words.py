@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, Sight, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.console.messages import Bound
 
@@ -15,6 +15,10 @@ _PHASES = {
     Phase.ENGAGED: "engaged",
     Phase.BRAKING: "braking: no increment was admitted for this cycle",
     Phase.HELD: "held",
+}
+_SIGHTS: dict[Sight | None, str] = {
+    Sight.STALE: ", and sees what it follows late (view_stale)",
+    Sight.LOST: ", and sees what it follows no more (view_lost)",
 }
 _REMEDIES = {
     ReasonCode.OPERATOR_STOP: "Reset it when the cell is clear.",
@@ -43,7 +47,7 @@ def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
             "no state comes: what is shown is old",
             "See that its Robot Server and the HLI run: deltaq status.",
         )
-    text = _PHASES[state.phase]
+    text = _PHASES[state.phase] + _SIGHTS.get(state.sight, "")
     if state.reason is None:
         return text, ""
     if state.phase is Phase.HELD:

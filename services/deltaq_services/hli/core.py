@@ -204,6 +204,7 @@ class HliCore:
             q_ahead=q_ahead,
             setpoint_cycle=setpoint_cycle,
             playout=playout,
+            sight=link.sight,
         )
         told = ToTopic(topics.STATE, state.robot, placed)
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]

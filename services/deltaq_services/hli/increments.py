@@ -11,9 +11,10 @@ from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.carried_motion import MOST_CARRIED_CYCLES
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.leases import Lease
-from deltaq_services.hli.playout import PlayoutBuffer
+from deltaq_services.hli.playout import Fate, Left, PlayoutBuffer
 from deltaq_services.hli.refusals import answered_by_error, at_fault, unknown_robot
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.hli.state import HliState
@@ -39,7 +40,7 @@ class Increments:
         if reason is not None or lease is None or link is None:
             why = reason or unknown_robot(robot)
             return outputs + self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
-        lease.used = True
+        lease.used, link.sight = True, increment.sight
         assert link.state is not None  # without one it would have been refused
         asked = Asked(increment, lease.epoch, sender, came=link.state.cycle)
         if link.playout is not None:
@@ -103,10 +104,10 @@ class Increments:
             asked = link.take_waiting()
         else:
             assert link.state is not None  # it has just come
-            turn = link.playout.turn(link.state.cycle)
+            turn = link.playout.turn(link.state.cycle, link.last_dq)
             asked = turn.asked
-            for late in turn.late:
-                outputs += self._state.refuse_asked(late, _superseded())
+            for left in turn.left:
+                outputs += self._tell_of(left)
         if asked is None:
             return None, outputs
         # the robot may have been held, or a state been lost
@@ -117,14 +118,19 @@ class Increments:
         return send, outputs
 
     def _put_into(self, playout: PlayoutBuffer, asked: Asked) -> list[Output]:
-        replaced = playout.put(asked, asked.came)
-        if replaced is None:
-            return []
-        if replaced is not asked:
-            return self._state.refuse_asked(replaced, _superseded())
-        cycle, oldest = asked.increment.cycle, playout.oldest_cycle
-        late = Reason(code=ReasonCode.STALE_CYCLE, what="cycle", value=float(cycle), bound=float(oldest))
-        return self._state.refuse_asked(asked, late)
+        left = playout.put(asked, asked.came)
+        return [] if left is None else self._tell_of(left)
+
+    def _tell_of(self, left: Left) -> list[Output]:
+        """The verdict on an increment that has no turn of its own."""
+        if left.fate is Fate.SUPERSEDED:
+            return self._state.refuse_asked(left.asked, _superseded())
+        late = Reason(
+            code=ReasonCode.LATE, what="cycles", value=float(left.late_cycles), bound=MOST_CARRIED_CYCLES
+        )
+        if left.fate is Fate.LATE:
+            return self._state.refuse_asked(left.asked, late)
+        return self._state.carry(left.asked, late)
 
     def _request(self, robot: str, link: RobotLink, asked: Asked) -> Output:
         self._state.counters["requests"] += 1

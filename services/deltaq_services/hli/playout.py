@@ -3,26 +3,34 @@
 On a long way increments come unevenly: none in one cycle, three in the next. Each would be the newest for a moment, the
 robot would brake in the gaps, and most of the motion would be lost. So each waits until as many cycles have passed
 since the state that it answers as nearly all of those before it needed, and goes to the gate then. What that costs is a
-constant delay, with which a controller can reckon; `deltaq_protocol.in_flight` does.
+constant delay, with which a controller can reckon; `deltaq_protocol.in_flight` does. The motion of one that comes after
+its turn is carried over (`carried_motion`).
 
-Pure: cycles are handed in, and nothing but the cycles that increments answer is looked at.
+Pure: cycles are handed in.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 
+import numpy as np
+
+from deltaq_protocol.brake import brake_travel
+from deltaq_protocol.guarded import Plan
 from deltaq_protocol.messages import Playout
 from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.carried_motion import MOST_CARRIED_CYCLES, CarriedMemory, CarriedMotion
 
 _REMEMBERED = 250
 """Increments whose time under way is remembered, 3 s of them at 12 ms; as many must have been quicker before the delay
 becomes shorter."""
 
-_LATE_SHARE = 0.02
-"""Increments that may come too late for their turn. A longer delay would cost every cycle for the sake of few."""
+_LATE_SHARE = 0.05
+"""Increments that may come too late for their turn: their motion is carried over, and a longer delay would cost every
+cycle. On links that lose packets a greater share and a smaller one let the camera follower err by more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +45,31 @@ class PlayoutMemory:
     passed_on_in: int
     late: int
     empty: int
+    settled: tuple[int, ...]
+    carried: CarriedMemory
+
+
+class Fate(Enum):
+    """What becomes of an increment that has no turn of its own."""
+
+    CARRIED = "its motion goes out with those behind it"
+    SUPERSEDED = "another that answers the same state was taken"
+    LATE = "its turn was too long ago"
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """An increment without a turn.
+
+    Attributes:
+        asked: the increment.
+        fate: what becomes of it.
+        late_cycles: how long ago its turn was.
+    """
+
+    asked: Asked
+    fate: Fate
+    late_cycles: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +77,12 @@ class PlayoutTurn:
     """What a cycle brings.
 
     Attributes:
-        asked: the increment whose turn it is, if there is one.
-        late: those whose turn is over, to be refused.
+        asked: the increment whose turn it is, if there is one, with a part of what is owed.
+        left: those whose turn is over.
     """
 
     asked: Asked | None
-    late: Sequence[Asked]
+    left: Sequence[Left]
 
 
 class PlayoutBuffer:
@@ -57,26 +90,24 @@ class PlayoutBuffer:
 
     Args:
         max_cycles: how long an increment may be under way.
+        carried: takes the motion of those that come too late.
 
     Attributes:
         max_cycles: as given.
     """
 
-    def __init__(self, max_cycles: int) -> None:
+    def __init__(self, max_cycles: int, carried: CarriedMotion) -> None:
         self.max_cycles = max_cycles
+        self._carried = carried
         self._under_way_cycles: deque[int] = deque(maxlen=_REMEMBERED)
         self._waiting: dict[int, Asked] = {}
         self._delay_cycles = 0
         self._needed_lately: list[int] = []
         self._answered_cycle = self._passed_on_in = -1
         self._late = self._empty = 0
+        self._settled: set[int] = set()
 
-    @property
-    def oldest_cycle(self) -> int:
-        """The oldest cycle that an increment may still answer."""
-        return self._answered_cycle + 1
-
-    def put(self, asked: Asked, newest_cycle: int) -> Asked | None:
+    def put(self, asked: Asked, newest_cycle: int) -> Left | None:
         """Keep an increment for its turn, or say that its turn is over.
 
         Args:
@@ -91,35 +122,56 @@ class PlayoutBuffer:
         self._under_way_cycles.append(newest_cycle + 1 - cycle)
         self._adapt_delay()
         if cycle <= self._answered_cycle:
-            self._late += 1
-            return asked
+            return self._left(asked, newest_cycle)
         replaced = self._waiting.get(cycle)
         self._waiting[cycle] = asked
-        return replaced
+        return None if replaced is None else Left(replaced, Fate.SUPERSEDED)
 
-    def turn(self, newest_cycle: int) -> PlayoutTurn:
+    def moved(self, newest_cycle: int, plan: Plan) -> None:
+        """A state has come, with the plan of its robot: what it braked in cycles without an increment is unasked.
+
+        After a pause longer than motion is carried for nothing is owed either way.
+        """
+        empty = newest_cycle - self._passed_on_in - 1
+        if self._passed_on_in < 0 or not 0 <= empty <= MOST_CARRIED_CYCLES:
+            self._carried.forget()
+            return
+        dq, braked = np.array(plan.dq), min(plan.step, empty)
+        before = brake_travel(dq, plan.brake_cycles, plan.step - braked)
+        self._carried.moved(before - brake_travel(dq, plan.brake_cycles, plan.step), empty)
+
+    def turn(self, newest_cycle: int, last_dq: Sequence[float] | None = None) -> PlayoutTurn:
         """A state has come: whose turn it is.
 
-        Where there are several, as after the delay has become shorter, the newest takes the turn of all.
+        Where there are several, as after the delay has become shorter, the newest takes the turn of all, and the motion
+        of the others is carried over.
+
+        Args:
+            newest_cycle: of the state.
+            last_dq: (n,) the increment that was sent last [rad or m]; None where that is not known.
         """
         if newest_cycle < self._passed_on_in:  # another Robot Server, which counts from one
             return self._begin_anew()
         due = sorted(cycle for cycle in self._waiting if newest_cycle - cycle >= self._delay_cycles)
         if not due:
             return PlayoutTurn(None, ())
-        late = [self._waiting.pop(cycle) for cycle in due[:-1]]
-        self._late += len(late)
+        if self._answered_cycle >= 0:
+            self._carried.settle(missing=due[-1] - self._answered_cycle - len(due))
+        left = [self._left(self._waiting.pop(cycle), newest_cycle) for cycle in due[:-1]]
         asked = self._waiting.pop(due[-1])
         missed = newest_cycle - self._passed_on_in - 1
         if self._passed_on_in >= 0 and missed <= self.max_cycles:  # else the controller had paused
             self._empty += missed
         self._answered_cycle, self._passed_on_in = due[-1], newest_cycle
-        return PlayoutTurn(asked, late)
+        self._settle(due[-1])
+        dq = self._carried.add_to(asked.increment.dq, last_dq)
+        return PlayoutTurn(replace(asked, increment=asked.increment.model_copy(update={"dq": dq})), left)
 
     def drop(self) -> list[Asked]:
         """Forget the increments that wait, and return them."""
         waiting = list(self._waiting.values())
         self._waiting.clear()
+        self._carried.forget()
         return waiting
 
     def told(self) -> Playout:
@@ -130,6 +182,7 @@ class PlayoutBuffer:
             answered_cycle=None if self._answered_cycle < 0 else self._answered_cycle,
             late=self._late,
             empty=self._empty,
+            owed=self._carried.owed,
         )
 
     def snapshot(self) -> PlayoutMemory:
@@ -143,6 +196,8 @@ class PlayoutBuffer:
             self._passed_on_in,
             self._late,
             self._empty,
+            tuple(sorted(self._settled)),
+            self._carried.snapshot(),
         )
 
     def restore(self, memory: PlayoutMemory) -> None:
@@ -152,6 +207,23 @@ class PlayoutBuffer:
         self._delay_cycles, self._answered_cycle = memory.delay_cycles, memory.answered_cycle
         self._needed_lately = list(memory.needed_lately)
         self._passed_on_in, self._late, self._empty = memory.passed_on_in, memory.late, memory.empty
+        self._settled = set(memory.settled)
+        self._carried.restore(memory.carried)
+
+    def _left(self, asked: Asked, newest_cycle: int) -> Left:
+        self._late += 1
+        cycle = asked.increment.cycle
+        late_cycles = max(0, newest_cycle - cycle - self._delay_cycles)
+        if cycle in self._settled:
+            return Left(asked, Fate.SUPERSEDED, late_cycles)
+        if late_cycles > MOST_CARRIED_CYCLES:
+            return Left(asked, Fate.LATE, late_cycles)
+        self._settle(cycle)
+        self._carried.asked(asked.increment.dq)
+        return Left(asked, Fate.CARRIED, late_cycles)
+
+    def _settle(self, cycle: int) -> None:
+        self._settled = {one for one in self._settled if cycle - one <= self.max_cycles} | {cycle}
 
     def _adapt_delay(self) -> None:
         """Longer at once, since a gap is a brake; shorter only after a while, since that takes a turn away."""
@@ -173,4 +245,5 @@ class PlayoutBuffer:
         late = self.drop()
         self._late += len(late)
         self._answered_cycle = self._passed_on_in = -1
-        return PlayoutTurn(None, late)
+        self._settled = set()
+        return PlayoutTurn(None, [Left(asked, Fate.LATE) for asked in late])

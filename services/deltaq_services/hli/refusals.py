@@ -16,14 +16,20 @@ _LONGEST_NAME = 64
 
 
 def refusal(
-    robot: str, cycle: int, seq: int, reason: Reason, sender: Sender | None, is_holders: bool
+    robot: str,
+    cycle: int,
+    seq: int,
+    reason: Reason,
+    sender: Sender | None,
+    is_holders: bool,
+    outcome: Outcome = Outcome.REFUSED,
 ) -> list[Output]:
-    """Send the verdict `refused` on an increment to the sender; on the holder's, to every watcher too.
+    """Send the HLI's verdict on an increment to the sender; on the holder's, to every watcher too.
 
     A sender over zenoh reads the open verdict: a zenoh sample does not say where it came from. It holds the lease, or
     has just lost it.
     """
-    verdict = Verdict(robot=robot, cycle=cycle, seq=seq, outcome=Outcome.REFUSED, reasons=(reason,))
+    verdict = Verdict(robot=robot, cycle=cycle, seq=seq, outcome=outcome, reasons=(reason,))
     outputs: list[Output] = [] if sender is None else [ToSender(sender, verdict)]
     if is_holders or sender is None:
         outputs.append(ToTopic(topics.VERDICT, robot, verdict))

@@ -11,10 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import ServerState
-from deltaq_protocol.messages import Increment, Phase, Reason, Verdict
+from deltaq_protocol.messages import Increment, Phase, Reason, Sight, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead, AheadMemory
 from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.carried_motion import CarriedMotion
 from deltaq_services.hli.playout import PlayoutBuffer, PlayoutMemory
 from deltaq_services.outputs import Sender
 
@@ -37,6 +38,7 @@ class LinkMemory:
         waiting: the increment that waits.
         admitted: what is known of the setpoints to come.
         playout: the increments of a controller far away.
+        sight: how well the controller sees what it follows.
     """
 
     state: ServerState | None
@@ -47,6 +49,7 @@ class LinkMemory:
     waiting: Asked | None
     admitted: AheadMemory | None
     playout: PlayoutMemory | None
+    sight: Sight | None
 
 
 class RobotLink:
@@ -57,11 +60,13 @@ class RobotLink:
         max_age_cycles: an increment that answers a cycle older than this is stale.
         max_state_age_s: a robot whose newest state is older than this is taken for offline.
         max_playout_cycles: the same where the lease has a playout buffer, with the time in there.
+        carried: takes the motion of increments that come after their turn there.
         admitted: what is known of the setpoints to come; None without a lookahead.
 
     Attributes:
         joints: as given.
         playout: keeps the increments of the lease until their turn; None where it did not ask for that.
+        sight: how well the controller sees what it follows; None where it says nothing.
         state, received_s: newest state of the robot, and when it came [s].
     """
 
@@ -71,11 +76,14 @@ class RobotLink:
         max_age_cycles: int,
         max_state_age_s: float,
         max_playout_cycles: int,
+        carried: CarriedMotion,
         admitted: AdmittedAhead | None = None,
     ) -> None:
         self.joints = joints
         self._max_age_cycles = max_age_cycles
         self._max_playout_cycles = max_playout_cycles
+        self._carried = carried
+        self.sight: Sight | None = None
         self.playout: PlayoutBuffer | None = None
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
@@ -99,13 +107,14 @@ class RobotLink:
             self._waiting,
             admitted,
             None if self.playout is None else self.playout.snapshot(),
+            self.sight,
         )
 
     def restore(self, memory: LinkMemory) -> None:
         """Go on from where another was."""
         self.state, self.received_s = memory.state, memory.received_s
         self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
-        self._waiting = memory.waiting
+        self._waiting, self.sight = memory.waiting, memory.sight
         self._awaited = dict(memory.awaited)
         if self._admitted is not None and memory.admitted is not None:
             self._admitted.restore(memory.admitted)
@@ -121,7 +130,8 @@ class RobotLink:
 
     def begin_playout(self) -> PlayoutBuffer:
         """From now on, until the lease ends, increments wait for their turn."""
-        self.playout = PlayoutBuffer(self._max_playout_cycles)
+        self._carried.forget()
+        self.playout = PlayoutBuffer(self._max_playout_cycles, self._carried)
         return self.playout
 
     def fault(self, increment: Increment, time_s: float) -> Reason | None:
@@ -191,6 +201,8 @@ class RobotLink:
         self._answered_cycle = min(self._answered_cycle, state.cycle)  # another process counts from one
         if self._admitted is not None:
             self._admitted.cycle_passed(state)
+        if self.playout is not None:
+            self.playout.moved(state.cycle, state.plan)
 
     def decided(self, verdict: Verdict) -> tuple[bool, Sender | None]:
         """The gate has decided; returns whether a verdict for this sequence number was awaited, and by whom."""
@@ -199,6 +211,11 @@ class RobotLink:
         if verdict.seq not in self._awaited:
             return False, None
         return True, self._awaited.pop(verdict.seq)
+
+    @property
+    def last_dq(self) -> tuple[float, ...] | None:
+        """(n,) the increment before the one that is asked for now [rad or m]; None with a lookahead."""
+        return None if self._admitted is not None or self.state is None else self.state.dq
 
     def told_ahead(self) -> tuple[tuple[float, ...] | None, int | None]:
         """The setpoint (n,) [rad or m] to which an increment is added now, and the cycle that it goes into."""
@@ -231,7 +248,7 @@ class RobotLink:
     def end_lease(self) -> list[Asked]:
         """The lease has ended: forget the increments that wait, and return them."""
         waited = self.drop()
-        self.playout = None
+        self.playout = self.sight = None
         return waited
 
     def take_waiting(self) -> Asked | None:

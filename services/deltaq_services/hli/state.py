@@ -11,10 +11,11 @@ from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.guarded import Command, Health
 from deltaq_protocol.identity import CellIdentity, mismatch
-from deltaq_protocol.messages import Done, Error, IoReply, Phase, Reason, Verdict
+from deltaq_protocol.messages import Done, Error, IoReply, Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead
 from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.carried_motion import CarriedMotion
 from deltaq_services.hli.commands import Commands
 from deltaq_services.hli.deeds import Deed, Tell, deed_of, told_to_nobody
 from deltaq_services.hli.leases import Lease, Leases
@@ -61,6 +62,7 @@ class HliState:
                 topics.INCREMENT.age_cycles(cell.cycle_s, age_s),
                 topics.SERVER_STATE.age_s(cell.cycle_s, age_s),
                 max(1, round(cell.max_playout_s / cell.cycle_s)),
+                CarriedMotion.of(robot, cell.cycle_s),
                 AdmittedAhead(ahead, cell.cycle_s) if ahead > 1 else None,
             )
             for name, robot in cell.robots.items()
@@ -129,6 +131,14 @@ class HliState:
         """Refuse an increment that had been accepted before."""
         increment = asked.increment
         return self.refuse(increment.robot, increment.cycle, increment.seq, reason, asked.sender)
+
+    def carry(self, asked: Asked, late: Reason) -> list[Output]:
+        """Say that an increment came after its turn, and its motion goes out with those behind it."""
+        self.counters["carried"] += 1
+        increment = asked.increment
+        return refusal(
+            increment.robot, increment.cycle, increment.seq, late, asked.sender, True, Outcome.CARRIED
+        )
 
     def end_lease(self, lease: Lease) -> list[Output]:
         """End a lease; nothing that was queued under it survives."""

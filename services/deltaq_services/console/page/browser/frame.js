@@ -1,7 +1,7 @@
 // The binary frame of the live WebSocket, as deltaq_services/console/frame.py packs it.
 
 export const PHASES = ["offline", "ready", "engaged", "braking", "held"];
-export const OUTCOMES = ["admitted", "scaled", "held", "refused", "unknown"];
+export const OUTCOMES = ["admitted", "scaled", "held", "refused", "unknown", "carried"];
 const VERSION = 1;
 const NO_BODY = 65535;
 const NO_OUTCOME = 255;

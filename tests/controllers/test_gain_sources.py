@@ -1,0 +1,43 @@
+"""Every gain says where it comes from, and its unit agrees with its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from deltaq_controllers.camera.gain_sources import FOLLOWER, QP, GainSource
+from deltaq_controllers.camera.gains import FollowerGains
+from deltaq_controllers.camera.qp_gains import QpGains
+from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2
+
+TABLES = pytest.mark.parametrize(("gains", "sources"), [(FollowerGains, FOLLOWER), (QpGains, QP)])
+UNITS = {"_m": "m", "_s": "s", "_m2": "m²/rad²", "_m_s2": "m/s²", "_rad_s2": "rad/s²"}
+
+
+@TABLES
+def test_every_gain_has_a_source_and_no_source_is_of_a_gain_that_is_gone(
+    gains: Any, sources: dict[str, GainSource]
+) -> None:
+    assert tuple(sources) == gains._fields
+    assert all(all(source) for source in sources.values())
+
+
+@TABLES
+def test_a_unit_in_a_name_is_that_of_the_table(gains: Any, sources: dict[str, GainSource]) -> None:
+    for name in gains._fields:
+        endings = sorted((end for end in UNITS if name.endswith(end)), key=len)
+        if endings:
+            assert sources[name].unit == UNITS[endings[-1]], name
+
+
+def test_values_that_are_said_to_follow_from_others_do() -> None:
+    gains, qp = FollowerGains(), QpGains()
+    assert gains.emergency_on_m < gains.emergency_off_m
+    assert gains.max_step_s == gains.horizon_s == pytest.approx(5 * 0.012)
+    assert qp.others_share < qp.barrier_share
+    assert qp.barrier_price > qp.reserve_price > qp.angle_weight
+    shared = ("limit_scale", "spin_rad_s2")
+    assert [getattr(qp, name) for name in shared] == [getattr(gains, name) for name in shared]
+    assert qp.others_brake_m_s2 == STICK_ACCELERATION_M_S2
+    assert (qp.evasion_range_m, qp.evasion_min_m) == (gains.repulsion_range_m, gains.repulsion_min_m)

@@ -1,0 +1,25 @@
+"""What the console says of a robot whose controller sees badly."""
+
+from __future__ import annotations
+
+import pytest
+
+from deltaq_protocol.messages import Phase, RobotState, Sight, ToolPose
+from deltaq_services.console.words import phase_words
+
+POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("sight", "said"),
+    [
+        (None, "engaged"),
+        (Sight.FRESH, "engaged"),
+        (Sight.STALE, "engaged, and sees what it follows late (view_stale)"),
+        (Sight.LOST, "engaged, and sees what it follows no more (view_lost)"),
+    ],
+)
+def test_a_view_that_is_stale_or_lost_is_said_beside_the_phase(sight: Sight | None, said: str) -> None:
+    told = {"robot": "fr", "cycle": 1, "ipoc": 4, "time_s": 0.0, "q": (0.0,), "q_cmd": (0.0,), "tool": POSE}
+    state = RobotState.model_validate({**told, "phase": Phase.ENGAGED, "sight": sight})
+    assert phase_words(state, is_stale=False) == (said, "")
