@@ -253,6 +253,7 @@ def waiting(decided_cycle, step, lookahead_cycles=3):
         (21, 0, 22, True),  # the next one
         (22, 0, 23, False),  # as much is in flight as may be
         (19, 0, 20, True),  # the last that was in flight is being sent
+        (19, 4, 20, True),  # it was held: the chain goes on all the same
         (18, 1, 20, True),  # it brakes: on at once
         (18, 4, 22, True),  # it rests, and can wait
     ],
