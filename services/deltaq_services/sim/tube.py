@@ -43,7 +43,7 @@ class Branch:
         else:
             share = np.cumsum((self.brake_cycles - steps) / self.brake_cycles)
             to_come = start + share[:, None] * self.dq
-        return np.vstack([*self.path, to_come]) if self.path else to_come
+        return np.vstack([*self.path, to_come])
 
 
 class Piece(Protocol):
