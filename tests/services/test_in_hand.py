@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from small_cell import server_state
 
 from deltaq_protocol.guarded import Admission, Plan, Request
-from deltaq_protocol.messages import Outcome, Phase, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.inbox import Inbox
 
@@ -74,7 +74,9 @@ def test_with_a_silent_hli_nothing_is_used_from_hand(rig):
     rig.request()
     missed(rig)
     rig.cycle()
-    assert rig.verdict().reasons[0].code is ReasonCode.STALE_CYCLE
+    stale = rig.verdict()
+    told = {"what": "cycle", "value": rig.state.cycle - 2, "bound": rig.state.cycle - 1}
+    assert stale.reasons == (Reason(code=ReasonCode.STALE_CYCLE, **told),)
     assert rig.alive() is None
     assert rig.state.phase is Phase.READY
 

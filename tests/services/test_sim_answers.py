@@ -284,6 +284,19 @@ def test_commands_are_counted_by_kind(rig):
     assert (rig.sim.counters["command_stop"], rig.sim.counters["command_io"]) == (2, 1)
 
 
+def test_a_stop_is_answered_once_the_last_robot_shows_it_and_at_once_where_all_show_it_already(rig):
+    assert rig.command(kind="stop") is None
+    rig.cycle()
+    assert rig.reply() is None  # the states are those before the stop came
+    rig.cycle()
+    assert [type(message) for message in rig.said] == [Supervision, Supervision, CommandReply]
+    assert (rig.reply().id, rig.reply().accepted) == (1, True)
+    rig.cycle()
+    assert rig.reply() is None
+    again = rig.command(kind="stop")
+    assert (again.id, again.accepted) == (2, True)
+
+
 def test_a_stop_refuses_the_request_that_waits_and_that_one_only(rig):
     rig.sim.on_request(ask(rig, seq=1))
     rig.sim.on_request(ask(rig, seq=2))  # waits for the next state
