@@ -322,6 +322,18 @@ def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
     assert all(reply.message for reply in replies)
 
 
+def test_what_was_decided_last_and_what_is_violated_is_recalled_too():
+    rig = Rig(fr=TOO_NEAR)
+    assert rig.request(dq=tuple(-dq for dq in DOWN), seq=7).outcome is Outcome.ADMITTED  # it retreats
+    memory = rig.sim.snapshot()
+    fr = memory.robots["fr"]
+    assert (fr.decided.seq, fr.spoken_cycle) == (7, rig.state.cycle)
+    assert [kept.pair for kept in memory.violations] == [("fr/link_3", "structure/floor")]
+    heir = Sim(CELL, epoch=9)
+    heir.restore(memory)
+    assert heir.snapshot() == memory
+
+
 def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):
     rig.request(seq=3, lease_epoch=2)
     rig.cycle()
