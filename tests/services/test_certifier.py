@@ -155,7 +155,9 @@ def test_of_several_courses_of_another_robot_each_counts(certify):
 def test_what_holds_leaves_nothing_open(certifier):
     beside, far = standing("fr", FR_BESIDE_GR), standing("gr", FAR)
     assert certifier(PROXIMITY).alone("fr", beside, PROXIMITY.alone["fr"]).failing is None
-    assert certifier(PROXIMITY).between("fr", beside, "gr", far, PROXIMITY.between["fr", "gr"]).failing is None
+    assert (
+        certifier(PROXIMITY).between("fr", beside, "gr", far, PROXIMITY.between["fr", "gr"]).failing is None
+    )
 
 
 def test_the_structure_is_told_before_the_other_robot(certify):
