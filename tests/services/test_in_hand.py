@@ -85,7 +85,7 @@ def test_nothing_goes_from_one_lease_into_the_next(rig):
     rig.request()
     missed(rig)
     verdict = rig.alive(lease_epoch=2)
-    assert verdict.reasons[0].code is ReasonCode.LEASE_NOT_HELD
+    assert verdict.reasons == (Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"),)
     assert rig.alive() is None
 
 
