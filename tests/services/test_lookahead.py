@@ -87,6 +87,16 @@ def test_an_admission_is_handed_out_in_its_cycle_and_once() -> None:
     assert (due.take(11), due.forget()) == (None, 0)
 
 
+def test_what_another_kept_is_handed_out_as_it_would_have_been() -> None:
+    due, heir = AdmissionsDue(lookahead_cycles=3), AdmissionsDue(lookahead_cycles=3)
+    for cycle in (12, 10):
+        due.put(at(cycle), 10)
+    heir.put(at(11), 10)
+    heir.restore(due.snapshot())
+    assert heir.snapshot() == due.snapshot() == (at(12), at(10))
+    assert [heir.take(cycle) for cycle in (10, 11, 12)] == [at(10), None, at(12)]
+
+
 def test_of_two_admissions_for_one_cycle_the_newer_counts() -> None:
     due = AdmissionsDue(lookahead_cycles=1)
     due.put(at(10, sequence=2), 10)
