@@ -126,6 +126,19 @@ def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_t
     assert server.state.inputs == {"closed": True}
 
 
+def test_a_robot_is_sent_its_outputs_and_whether_its_krc_has_to_end_the_motion():
+    server = RobotServer(CELL, "gr", process=1)
+    home = CELL.robots["gr"].home
+    orders = Supervision(robot="gr", epoch=EPOCH, cycle=0, outputs={"gripper": True}, cell=IDENTITY)
+    assert server.take(orders, 0.0) == []
+    (sent,) = server.take(Measurement(12, home, q_start=home), 0.0)
+    np.testing.assert_allclose(sent.q_cmd, home, atol=1e-3)
+    assert (sent.outputs, sent.motion_stop) == ({"gripper": True, "tool_changer": False}, False)
+    server.motion_stop = True
+    (sent,) = server.take(Measurement(24, home), 0.0)
+    assert sent.motion_stop is True
+
+
 def test_without_admission_the_setpoint_stands_still(rig):
     for _ in range(5):
         state = rig.cycle()
