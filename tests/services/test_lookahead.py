@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from small_cell import server_state, small_cell
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission, Plan, Supervision
 from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.setpoint_motion import SetpointMotion
@@ -92,9 +94,19 @@ def test_what_another_kept_is_handed_out_as_it_would_have_been() -> None:
     for cycle in (12, 10):
         due.put(at(cycle), 10)
     heir.put(at(11), 10)
-    heir.restore(due.snapshot())
+    heir.restore(due.snapshot(), 10)
     assert heir.snapshot() == due.snapshot() == (at(12), at(10))
     assert [heir.take(cycle) for cycle in (10, 11, 12)] == [at(10), None, at(12)]
+
+
+def test_an_admission_that_may_be_late_is_due_at_once_and_so_it_is_to_an_heir(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(topics, "ADMISSION", replace(topics.ADMISSION, max_age_cycles=1))
+    due, heir = AdmissionsDue(lookahead_cycles=3), AdmissionsDue(lookahead_cycles=3)
+    assert (due.put(at(8), 10), due.put(at(9), 10)) == (Refusal.LATE, None)
+    heir.restore(due.snapshot(), 10)
+    assert due.take(10) == heir.take(10) == at(9)
 
 
 def test_of_two_admissions_for_one_cycle_the_newer_counts() -> None:

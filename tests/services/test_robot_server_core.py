@@ -139,6 +139,20 @@ def test_a_robot_is_sent_its_outputs_and_whether_its_krc_has_to_end_the_motion()
     assert sent.motion_stop is True
 
 
+def test_what_is_admitted_before_the_first_telegram_is_counted_and_not_taken(rig):
+    server = RobotServer(CELL, "fr", process=1)
+    for _ in range(2):
+        server.take(rig.admission(STEP), 0.0)
+    assert server.counters == {"admission_while_not_ready": 2}
+
+
+def test_a_krc_that_falls_silent_ends_the_motion_and_leaves_the_number_of_the_last_admission(rig):
+    rig.run_up(3)
+    rig.server.krc_silent(rig.ipoc / 1000 + 1.0)
+    state = rig.server.state
+    assert (state.sequence, state.dq, state.phase) == (3, (0.0,) * 6, Phase.HELD)
+
+
 def test_without_admission_the_setpoint_stands_still(rig):
     for _ in range(5):
         state = rig.cycle()
