@@ -97,7 +97,7 @@ def rig():
 
 def test_it_is_offline_until_the_gate_is_heard():
     server = RobotServer(CELL, "fr", process=1)
-    server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
+    server.take(Measurement(12, FR.home, q_start=FR.home), 0.0)
     assert server.state.phase is Phase.OFFLINE
     assert server.motion_stop is False
 
