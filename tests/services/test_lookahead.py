@@ -137,6 +137,21 @@ def test_the_gate_counts_on_the_whole_chain() -> None:
     np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 1])
 
 
+def test_where_nothing_is_admitted_for_some_cycles_the_gate_counts_on_the_brake() -> None:
+    state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    found = motions(SetpointMotion.of(state), 20, chain_of(state, 20), cycles=4)
+    np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 0.5, 0.25])
+
+
+@pytest.mark.parametrize("cycles", [(20, 22), (22,), (21, 24)])
+def test_what_follows_a_brake_that_is_still_to_come_is_due(cycles: tuple[int, ...]) -> None:
+    state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    chain = chain_of(state, *cycles)
+    assert still_due(state, chain) == chain
+    another = state.model_copy(update={"plan": Plan(dq=DQ, brake_cycles=4, step=2)})
+    assert still_due(another, chain) == (chain if cycles[0] == 20 else ())  # it brakes otherwise
+
+
 def test_behind_an_admission_that_was_not_taken_nothing_is_due() -> None:
     before = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS)
     chain = chain_of(before, 20, 21, 22)
