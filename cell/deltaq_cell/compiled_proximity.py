@@ -102,14 +102,7 @@ class CompiledProximity(ProximityEngine):
         keeps_apart(self._anatomy, self._where, 0, 0, np.array([0.0, 0.0, 1.0]), 0.0, 0.0, self._found.twist)
         strip_around(self._q[None])
 
-    def place(
-        self,
-        robot: str,
-        q: Array,
-        half: Array,
-        direction: Array | None = None,
-        among_themselves: bool = True,  # noqa: ARG002 the kernel needs no bodies of their own for it
-    ) -> float:
+    def place(self, robot: str, q: Array, half: Array, direction: Array | None = None) -> float:
         """Place a robot in a strip, as `ProximityEngine.place` has it; for all groups always."""
         along = np.zeros_like(half) if direction is None else direction
         told = q.tobytes() + half.tobytes() + along.tobytes()

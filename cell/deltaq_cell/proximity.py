@@ -42,7 +42,6 @@ class _Placed:
     travel: Array
     centres: Array
     greatest: float
-    among_themselves: bool = False
 
     def is_at(self, q: Array, half: Array, direction: Array) -> bool:
         """Whether the robot is placed there already."""
@@ -150,14 +149,7 @@ class ProximityEngine:
         self.alone = {name: ScreenedGroups(groups, self._around) for name, groups in self.alone.items()}
         self.between = {names: ScreenedGroups(groups, self._around) for names, groups in self.between.items()}
 
-    def place(
-        self,
-        robot: str,
-        q: Array,
-        half: Array,
-        direction: Array | None = None,
-        among_themselves: bool = True,
-    ) -> float:
+    def place(self, robot: str, q: Array, half: Array, direction: Array | None = None) -> float:
         """Place a robot at `q` and inflate its bodies by their travel within `q` +- `half`.
 
         Args:
@@ -165,7 +157,6 @@ class ProximityEngine:
             q: (n,) middle of the strip [rad or m].
             half: (n,) half-widths of the strip, not negative.
             direction: (n,) along which the strip lies, |direction| <= half; none if it is a box [rad or m].
-            among_themselves: inflate for the groups of the robot against itself as well.
 
         Returns:
             The greatest travel of any of its bodies [m].
@@ -174,9 +165,7 @@ class ProximityEngine:
         placed = self._placed.get(robot)
         if placed is None or not placed.is_at(q, half, along):
             placed = self._placed[robot] = self._move(robot, q, half, along)
-        if among_themselves and not placed.among_themselves:
             self._self_groups[robot].inflate(placed.travel, placed.centres)
-            placed.among_themselves = True
         return placed.greatest
 
     def least(self, group: Group) -> float:

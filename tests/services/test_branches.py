@@ -30,6 +30,14 @@ def test_a_branch_without_motion_has_no_setpoints_to_come():
     assert len(Branch(np.array([0.0, 0.1]), 4, -1).setpoints(HERE)) == 4
 
 
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_branch_behind_what_is_in_flight_goes_on_from_the_end_of_that(count):
+    path = tuple(HERE + np.array([0.1, -0.1]) * k for k in range(1, 1 + count))
+    to_come = [path[-1] + DQ, path[-1] + 1.5 * DQ]
+    np.testing.assert_allclose(Branch(DQ, 2, -1, path).setpoints(HERE), [*path, *to_come])
+    np.testing.assert_allclose(Branch(np.zeros(2), 2, -1, path).setpoints(HERE), path)
+
+
 def test_a_tube_holds_the_last_setpoints_and_those_to_come():
     piece = tube(rising(3), Branch(DQ, 2, -1), LAG)
     np.testing.assert_allclose(piece.points, [*rising(3), HERE + DQ, HERE + 1.5 * DQ])

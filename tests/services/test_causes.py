@@ -64,6 +64,12 @@ def test_a_sequence_of_this_gate_that_neither_was_there_nor_is_under_way(state: 
     assert judged(state, followed_another, in_flight=(admitted(),)) == said
 
 
+def test_a_robot_of_no_sequence_that_is_elsewhere_though_it_was_not_reset() -> None:
+    said = judged(server_state(cycle=101, sequence=0, plan=AT_REST, q_cmd=(0.5,) * 6), BEFORE)
+    assert said == "a setpoint of joint 1 that no admission leads to"
+    assert judged(server_state(cycle=101, sequence=0, plan=AT_REST), BEFORE) is None
+
+
 def test_a_plan_counts_though_nothing_is_sent_of_it_now() -> None:
     said = judged(server_state(cycle=101, plan=MOVING), BEFORE)
     assert said == "a plan that sequence 1 is not"

@@ -42,34 +42,50 @@ def certify(certifier):
     return lambda robot, tube, *others: certifier(PROXIMITY).certify(robot, tube, list(others))
 
 
+@pytest.fixture
+def fails_again(certifier):
+    """Whether those bodies alone at which a certificate failed let it fail once more."""
+    return lambda failed, robot, tube, *others: (
+        not certifier(PROXIMITY).judge(robot, tube, list(others), [failed.failing])
+    )
+
+
 LOW, HIGH = above_the_floor(-1e-3), above_the_floor(-1e-3) - one_joint("fr", 1, 0.2)
 NEAR = with_room(-1e-3, "gr", BESIDE, 4)
 FAR = NEAR - one_joint("gr", 4, 0.1)
 
 
 @pytest.mark.parametrize(("start", "end"), [(LOW, HIGH), (HIGH, LOW)])
-def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(certify, start, end):
+def test_a_path_that_begins_or_ends_too_near_to_the_structure_is_not_certified(
+    certify, fails_again, start, end
+):
     middle = (start + end) / 2
     assert certify("fr", path(middle, HIGH)).holds is True
     failed = certify("fr", path(start, end))
     assert failed.holds is False
     assert failed.binding.nearest.pair == ("fr/link_3", "structure/floor")
     assert failed.binding.room_m < 0
+    assert failed.failing.other is None
+    assert fails_again(failed, "fr", path(start, end))
+    assert not fails_again(failed, "fr", path(middle, HIGH))
 
 
 @pytest.mark.parametrize(("start", "end"), [(NEAR, FAR), (FAR, NEAR)])
 def test_a_path_that_begins_or_ends_too_near_to_another_robot_is_not_certified_whoever_moves(
-    certify, start, end
+    certify, fails_again, start, end
 ):
     beside = standing("fr", FR_BESIDE_GR)
     middle = (start + end) / 2
     assert certify("gr", path(middle, FAR), ("fr", beside)).holds is True
     assert certify("fr", beside, ("gr", path(middle, FAR))).holds is True
-    for failed in (
-        certify("gr", path(start, end), ("fr", beside)),
-        certify("fr", beside, ("gr", path(start, end))),
+    for asked in (
+        ("gr", path(start, end), ("fr", beside)),
+        ("fr", beside, ("gr", path(start, end))),
     ):
+        failed = certify(*asked)
         assert failed.holds is False
+        assert failed.failing.other == asked[2][0]
+        assert fails_again(failed, *asked)
         assert set(failed.binding.nearest.pair) == {"fr/link_1", "gr/link_3"}
         assert failed.binding.room_m < 0
 
@@ -136,6 +152,14 @@ def test_of_several_courses_of_another_robot_each_counts(certify):
     assert certify("fr", beside, far, near).holds is False
 
 
+def test_what_holds_leaves_nothing_open(certifier):
+    beside, far = standing("fr", FR_BESIDE_GR), standing("gr", FAR)
+    assert certifier(PROXIMITY).alone("fr", beside, PROXIMITY.alone["fr"]).failing is None
+    assert (
+        certifier(PROXIMITY).between("fr", beside, "gr", far, PROXIMITY.between["fr", "gr"]).failing is None
+    )
+
+
 def test_the_structure_is_told_before_the_other_robot(certify):
     low = standing("fr", LOW)
     assert certify("fr", low, ("gr", standing("gr", HOME["gr"]))).binding.nearest.pair[1] == "structure/floor"
@@ -191,13 +215,15 @@ def corner(first, second, third):
     return Windows(np.array([first, second, third]), 2, 2, 2)
 
 
-def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all(certify):
+def test_what_cannot_be_divided_further_is_certified_as_it_is_or_not_at_all(certify, fails_again):
     beside = standing("fr", FR_BESIDE_GR)
     around = corner(FAR, NEAR, NEAR + one_joint("gr", 0, 0.05))
     failed = certify("gr", around, ("fr", beside))
     assert failed.holds is False
     assert failed.binding.nearest.distance_m > STOP_M  # in its middle there is room
     assert set(failed.binding.nearest.pair) == {"fr/link_1", "gr/link_3"}
+    assert failed.failing.other == "fr"
+    assert fails_again(failed, "gr", around, ("fr", beside))
     turning = path(FR_BESIDE_GR, FR_BESIDE_GR + one_joint("fr", 0, 1e-3))
     assert certify("gr", around, ("fr", turning)).holds is False
     assert certify("fr", turning, ("gr", around)).holds is False

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from small_cell import server_state
 
 from deltaq_protocol.guarded import Admission, Plan, Request
-from deltaq_protocol.messages import Outcome, Phase, Verdict
+from deltaq_protocol.messages import Outcome, Phase, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.sim.inbox import Inbox
 
@@ -74,7 +74,9 @@ def test_with_a_silent_hli_nothing_is_used_from_hand(rig):
     rig.request()
     missed(rig)
     rig.cycle()
-    assert rig.verdict().reasons[0].code is ReasonCode.STALE_CYCLE
+    stale = rig.verdict()
+    told = {"what": "cycle", "value": rig.state.cycle - 2, "bound": rig.state.cycle - 1}
+    assert stale.reasons == (Reason(code=ReasonCode.STALE_CYCLE, **told),)
     assert rig.alive() is None
     assert rig.state.phase is Phase.READY
 
@@ -83,7 +85,7 @@ def test_nothing_goes_from_one_lease_into_the_next(rig):
     rig.request()
     missed(rig)
     verdict = rig.alive(lease_epoch=2)
-    assert verdict.reasons[0].code is ReasonCode.LEASE_NOT_HELD
+    assert verdict.reasons == (Reason(code=ReasonCode.LEASE_NOT_HELD, what="lease"),)
     assert rig.alive() is None
 
 
@@ -253,6 +255,7 @@ def waiting(decided_cycle, step, lookahead_cycles=3):
         (21, 0, 22, True),  # the next one
         (22, 0, 23, False),  # as much is in flight as may be
         (19, 0, 20, True),  # the last that was in flight is being sent
+        (19, 4, 20, True),  # it was held: the chain goes on all the same
         (18, 1, 20, True),  # it brakes: on at once
         (18, 4, 22, True),  # it rests, and can wait
     ],

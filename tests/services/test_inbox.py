@@ -97,6 +97,35 @@ def test_a_heartbeat_may_overtake_its_state_and_one_from_far_off_says_nothing(in
     assert inbox.due(state(HERE + 1))
 
 
+def test_by_two_cycles_a_heartbeat_may_overtake_its_state(inbox):
+    holding(inbox, cycle=HERE + 2)
+    inbox.spoken_cycle = HERE
+    inbox.heartbeat(request(HERE + 2, lease_epoch=3, dq=None), HERE)
+    assert inbox.due(state(HERE + 2))
+
+
+def test_what_overtook_its_state_is_due_as_soon_as_that_has_come(inbox):
+    holding(inbox, cycle=HERE + 2)
+    inbox.cycle_passed(HERE + 1, missed=False)
+    assert not inbox.due(state(HERE + 1))
+    inbox.cycle_passed(HERE + 2, missed=False)
+    assert inbox.due(state(HERE + 2))
+
+
+def test_that_the_hli_has_spoken_in_a_cycle_is_not_forgotten_for_what_came_before(inbox):
+    inbox.heartbeat(request(HERE + 1, dq=None), HERE)
+    holding(inbox).decided_cycle = HERE
+    inbox.cycle_passed(HERE + 1, missed=False)
+    assert inbox.due(state(HERE + 1))
+
+
+def test_a_request_from_far_off_does_not_speak_for_the_cycles_until_then(inbox):
+    holding(inbox, cycle=HERE + 50, seq=1).take()
+    holding(inbox, seq=2).decided_cycle = HERE
+    inbox.cycle_passed(HERE + 1, missed=False)
+    assert not inbox.due(state(HERE + 1))
+
+
 def test_what_waited_in_the_hli_for_a_state_waits_for_it_here_too(inbox):
     inbox.put(request(seq=1).model_copy(update={"newest": HERE + 1}), HERE)
     assert not inbox.due(state())

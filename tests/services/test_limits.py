@@ -39,6 +39,17 @@ def test_a_share_is_the_way_to_the_bound_on_the_side_that_the_joint_goes_to():
     np.testing.assert_array_equal(shares, [0.5, 0.25, 1.0, 2.0])
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_slow_motion_is_a_share_of_each_joint_s_speed_and_none_is_left_to_a_faster_brake(sign):
+    slow = TWO_JOINTS.max_dq[0] / 4
+    assert TWO_JOINTS.slow_scale(both(0, 0), sign * both(2 * slow, 4 * slow), 0.25) == 0.25
+    assert TWO_JOINTS.slow_scale(both(0, 0), sign * both(slow, 0), 0.25) == 1.0
+    assert TWO_JOINTS.slow_scale(both(0, sign * slow), sign * both(slow, 3 * slow), 0.25) == 0.0
+    too_fast = sign * both(0, 1.5 * slow)
+    assert TWO_JOINTS.slow_scale(too_fast, both(0, 0), 0.25) == 0.0
+    assert TWO_JOINTS.slow_scale(sign * both(0, slow), both(0, 0), 0.25) == 1.0
+
+
 def test_all_joints_go_together_as_far_as_the_first_that_is_bound_and_never_beyond_the_end():
     low, high = np.full(2, -1.0), np.full(2, 2.0)
     assert share_within(np.zeros(2), both(4, 8), low, high) == 0.25

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from small_cell import server_state, small_cell
 from deltaq_cell.description import CellDescription
 from deltaq_cell.identity import content_identity
 from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol import topics
 from deltaq_protocol.guarded import Admission, Plan, Supervision
 from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.setpoint_motion import SetpointMotion
@@ -87,6 +89,26 @@ def test_an_admission_is_handed_out_in_its_cycle_and_once() -> None:
     assert (due.take(11), due.forget()) == (None, 0)
 
 
+def test_what_another_kept_is_handed_out_as_it_would_have_been() -> None:
+    due, heir = AdmissionsDue(lookahead_cycles=3), AdmissionsDue(lookahead_cycles=3)
+    for cycle in (12, 10):
+        due.put(at(cycle), 10)
+    heir.put(at(11), 10)
+    heir.restore(due.snapshot(), 10)
+    assert heir.snapshot() == due.snapshot() == (at(12), at(10))
+    assert [heir.take(cycle) for cycle in (10, 11, 12)] == [at(10), None, at(12)]
+
+
+def test_an_admission_that_may_be_late_is_due_at_once_and_so_it_is_to_an_heir(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(topics, "ADMISSION", replace(topics.ADMISSION, max_age_cycles=1))
+    due, heir = AdmissionsDue(lookahead_cycles=3), AdmissionsDue(lookahead_cycles=3)
+    assert (due.put(at(8), 10), due.put(at(9), 10)) == (Refusal.LATE, None)
+    heir.restore(due.snapshot(), 10)
+    assert due.take(10) == heir.take(10) == at(9)
+
+
 def test_of_two_admissions_for_one_cycle_the_newer_counts() -> None:
     due = AdmissionsDue(lookahead_cycles=1)
     due.put(at(10, sequence=2), 10)
@@ -113,6 +135,21 @@ def test_the_gate_counts_on_the_whole_chain() -> None:
     found = motions(SetpointMotion.of(state), 20, chain_of(state, 20, 22), cycles=3)
     assert [motion.sequence for motion in found] == [5, 6, 6, 7]
     np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 1])
+
+
+def test_where_nothing_is_admitted_for_some_cycles_the_gate_counts_on_the_brake() -> None:
+    state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    found = motions(SetpointMotion.of(state), 20, chain_of(state, 20), cycles=4)
+    np.testing.assert_allclose([motion.dq[0] / STEP for motion in found], [1, 1, 0.75, 0.5, 0.25])
+
+
+@pytest.mark.parametrize("cycles", [(20, 22), (22,), (21, 24)])
+def test_what_follows_a_brake_that_is_still_to_come_is_due(cycles: tuple[int, ...]) -> None:
+    state = server_state("fr", 20, sequence=5, q_cmd=ZEROS, q=ZEROS, dq=DQ, plan=BRAKING)
+    chain = chain_of(state, *cycles)
+    assert still_due(state, chain) == chain
+    another = state.model_copy(update={"plan": Plan(dq=DQ, brake_cycles=4, step=2)})
+    assert still_due(another, chain) == (chain if cycles[0] == 20 else ())  # it brakes otherwise
 
 
 def test_behind_an_admission_that_was_not_taken_nothing_is_due() -> None:

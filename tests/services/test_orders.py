@@ -195,6 +195,48 @@ def test_resets_that_an_earlier_gate_gave_are_taken_over(rig):
     assert rig.state(resets=3).resets == 3
 
 
+def test_a_stop_is_answered_when_the_robot_shows_it_and_once(rig):
+    orders = rig.settled()
+    for id_ in (31, 32, 31):
+        orders.answer_when_stopped(id_)
+    assert (orders.awaits_stop(31), orders.awaits_stop(33)) == (True, False)
+    assert orders.latched() == []
+    assert rig.state(Phase.BRAKING).latched() == []
+    assert rig.state(Phase.HELD).latched() == [31, 32]
+    assert not orders.awaits_stop(31)
+    assert orders.latched() == []
+
+
+@pytest.mark.parametrize("phase", [Phase.HELD, Phase.OFFLINE])
+def test_a_robot_that_takes_no_admission_shows_a_stop_already(rig, phase):
+    orders = rig.settled(phase)
+    orders.answer_when_stopped(31)
+    assert not orders.awaits_stop(31)
+    assert orders.latched() == []
+
+
+def test_a_hold_that_a_reset_is_about_to_end_answers_no_stop(rig):
+    orders = rig.settled(Phase.HELD)
+    orders.reset(11)
+    orders.answer_when_stopped(31)
+    assert rig.state(Phase.HELD).latched() == []
+    assert orders.awaits_stop(31)
+    assert rig.state(Phase.HELD, resets=1).latched() == [31]
+
+
+def test_a_robot_that_was_never_heard_answers_no_stop(rig):
+    rig.orders.answer_when_stopped(31)
+    assert rig.orders.awaits_stop(31)
+    assert rig.orders.latched() == []
+
+
+def test_of_many_stops_that_wait_for_an_answer_the_last_are_answered(rig):
+    orders = rig.settled()
+    for id_ in range(100):
+        orders.answer_when_stopped(id_)
+    assert rig.state(Phase.HELD).latched() == list(range(36, 100))
+
+
 def test_what_was_not_ordered_is_remembered_as_nothing(rig):
     nothing = OrdersMemory(
         standing_stop=None, resets=0, outputs={}, cycles_without_hli=None, krc_silent=False, awaited_resets=()
@@ -209,6 +251,7 @@ def test_orders_go_on_from_what_others_remember(rig):
     orders.hli_heard()
     orders.cycle_passed()
     orders.reset(21)
+    orders.answer_when_stopped(22)
     orders.stop(ReasonCode.HLI_LOST)
     rig.repeat(reason=ReasonCode.KRC_LOST)
     memory = orders.snapshot()
@@ -220,6 +263,7 @@ def test_orders_go_on_from_what_others_remember(rig):
         3,
         {"gripper": True},
     )
-    assert (memory.cycles_without_hli, memory.krc_silent, memory.awaited_resets) == (1, True, (21,))
+    assert (memory.cycles_without_hli, memory.krc_silent) == (1, True)
+    assert (memory.awaited_resets, memory.awaited_stops) == ((21,), (22,))
     heir.outputs["gripper"] = False
     assert orders.outputs == {"gripper": True}

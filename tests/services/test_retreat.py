@@ -215,6 +215,25 @@ def in_flight(gr, increment):
     return gr
 
 
+@pytest.mark.parametrize("deep_m", [1e-3, 2e-2])
+def test_out_of_a_body_that_it_is_in_a_robot_is_let_go_and_never_deeper(deep_m):
+    within = at_rest("fr", above_the_floor(-STOP_M - deep_m))
+    scale, (reason,) = find(within, OUT)
+    assert (scale, reason.what, reason.value) == (1.0, FLOOR, pytest.approx(-deep_m, abs=1e-5))
+    assert find(within, -0.02 * OUT)[0] == 0.0
+
+
+def test_out_of_a_robot_that_it_is_in_either_is_let_go_and_never_deeper():
+    here = {"fr": FR_BESIDE_GR, "gr": GR_BESIDE_FR}
+    gr, fr = at_rest("gr", with_room(-STOP_M - 5e-3, "gr", here, 4)), at_rest("fr", FR_BESIDE_GR)
+    slow = GATE.retreat_speed * LIMITS["gr"].max_dq[4]
+    scale, reasons = find(gr, one_joint("gr", 4, -slow), [fr])
+    assert scale == 1.0
+    assert min(reason.value for reason in reasons) == pytest.approx(-5e-3, abs=1e-5)
+    assert find(gr, one_joint("gr", 4, 0.1 * slow), [fr])[0] == 0.0
+    assert turns_of(fr, gr) == [0.0, 1.0]
+
+
 def turns_of(fr, gr, violations=None):
     return sorted(find(fr, sign * one_joint("fr", 0, SLOW[0]), [gr], 1.0, violations)[0] for sign in (1, -1))
 

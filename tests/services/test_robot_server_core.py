@@ -97,7 +97,7 @@ def rig():
 
 def test_it_is_offline_until_the_gate_is_heard():
     server = RobotServer(CELL, "fr", process=1)
-    server.cycle(Measurement(12, FR.home, q_start=FR.home), 0.0)
+    server.take(Measurement(12, FR.home, q_start=FR.home), 0.0)
     assert server.state.phase is Phase.OFFLINE
     assert server.motion_stop is False
 
@@ -124,6 +124,33 @@ def test_digital_outputs_are_off_until_ordered_and_others_than_its_own_are_not_t
     server.cycle(Measurement(12, home, q_start=home, inputs={"closed": True}), 0.0, None, orders)
     assert server.outputs == server.state.outputs == {"gripper": True, "tool_changer": False}
     assert server.state.inputs == {"closed": True}
+
+
+def test_a_robot_is_sent_its_outputs_and_whether_its_krc_has_to_end_the_motion():
+    server = RobotServer(CELL, "gr", process=1)
+    home = CELL.robots["gr"].home
+    orders = Supervision(robot="gr", epoch=EPOCH, cycle=0, outputs={"gripper": True}, cell=IDENTITY)
+    assert server.take(orders, 0.0) == []
+    (sent,) = server.take(Measurement(12, home, q_start=home), 0.0)
+    np.testing.assert_allclose(sent.q_cmd, home, atol=1e-3)
+    assert (sent.outputs, sent.motion_stop) == ({"gripper": True, "tool_changer": False}, False)
+    server.motion_stop = True
+    (sent,) = server.take(Measurement(24, home), 0.0)
+    assert sent.motion_stop is True
+
+
+def test_what_is_admitted_before_the_first_telegram_is_counted_and_not_taken(rig):
+    server = RobotServer(CELL, "fr", process=1)
+    for _ in range(2):
+        server.take(rig.admission(STEP), 0.0)
+    assert server.counters == {"admission_while_not_ready": 2}
+
+
+def test_a_krc_that_falls_silent_ends_the_motion_and_leaves_the_number_of_the_last_admission(rig):
+    rig.run_up(3)
+    rig.server.krc_silent(rig.ipoc / 1000 + 1.0)
+    state = rig.server.state
+    assert (state.sequence, state.dq, state.phase) == (3, (0.0,) * 6, Phase.HELD)
 
 
 def test_without_admission_the_setpoint_stands_still(rig):

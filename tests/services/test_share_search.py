@@ -65,6 +65,17 @@ def test_where_suspects_are_never_the_right_ones_the_least_share_is_tried():
     assert len(judged.certificates) == 4
 
 
+def test_where_suspects_are_never_the_right_ones_the_least_share_has_to_be_certified_too():
+    judged = Judged(up_to(0.0), up_to(1.0))
+    assert judged.largest() == 0.0
+    assert judged.certificates[-1] == LEAST
+
+
+def test_where_nothing_stands_in_the_way_no_more_is_asked_for_than_was_refused():
+    judged = Judged(up_to(1.0), up_to(1.0))
+    assert REFUSED - LEAST <= judged.largest() < REFUSED
+
+
 def test_what_is_refused_at_the_least_share_is_not_tried_again():
     judged = Judged(up_to(0.0), up_to(LEAST))
     assert judged.largest() == 0.0

@@ -67,6 +67,18 @@ def test_what_the_gate_cannot_place_is_counted_each_time_and_not_answered(rig):
     assert (rig.sim.counters["unknown_state"], rig.sim.counters["unknown_request"]) == (4, 2)
 
 
+@pytest.mark.parametrize(("cycle", "decides"), [(0, False), (1, True)])
+def test_before_a_robot_was_heard_what_is_asked_of_it_waits_until_the_hli_speaks_of_a_state(
+    rig, cycle, decides
+):
+    sim = Sim(CELL, epoch=5)
+    assert sim.on_request(Request(robot="fr", cycle=cycle, lease_epoch=1)) == []
+    assert sim.on_request(ask(rig, cycle=cycle)) == []
+    answers = sim.on_state(rig.state.model_copy(update={"cycle": 1}))
+    told = [output.message.reasons for output in answers if isinstance(output.message, Verdict)]
+    assert told == ([(Reason(code=ReasonCode.NOT_READY, what="gr"),)] if decides else [])
+
+
 def test_every_state_is_answered_with_supervision_even_a_repeated_one(rig):
     rig.sim.on_command(bound(rig.sim, id=3, kind="io", robot="gr", outputs={"gripper": True}))
     state = next_state(rig, robot="gr", resets=4, epoch=4)  # of a gate before this one
@@ -166,7 +178,7 @@ def test_a_request_that_is_admitted_is_told_so_without_a_receipt(rig):
     assert (output.topic, output.robot) == (topics.GATE_VERDICT, "fr")
     assert (verdict.robot, verdict.cycle, verdict.seq) == ("fr", state.cycle, 4)
     assert (verdict.outcome, verdict.scale, verdict.dq) == (Outcome.ADMITTED, 1.0, SMALL)
-    assert (verdict.reasons, verdict.receipt) == ((), None)
+    assert (verdict.reasons, verdict.receipt, verdict.setpoint_cycle) == ((), None, state.cycle + 1)
     assert 0.05 < verdict.clearance_m < 1.0
     assert len(verdict.pair) == 2
     assert rig.sim.counters["admitted"] == 1
@@ -194,6 +206,7 @@ def test_a_request_that_is_held_gets_a_receipt_and_no_admission():
     assert [output.topic for output in outputs] == [topics.GATE_VERDICT]
     held = outputs[0].message
     assert (held.outcome, held.scale, held.dq) == (Outcome.HELD, 0.0, (0.0,) * 6)
+    assert held.setpoint_cycle is None
     assert "structure/floor" in held.pair
     assert held.clearance_m < 0.05
     assert held.receipt == rig.sim.snapshot().receipt == receipt_of(before, held)
@@ -284,6 +297,19 @@ def test_commands_are_counted_by_kind(rig):
     assert (rig.sim.counters["command_stop"], rig.sim.counters["command_io"]) == (2, 1)
 
 
+def test_a_stop_is_answered_once_the_last_robot_shows_it_and_at_once_where_all_show_it_already(rig):
+    assert rig.command(kind="stop") is None
+    rig.cycle()
+    assert rig.reply() is None  # the states are those before the stop came
+    rig.cycle()
+    assert [type(message) for message in rig.said] == [Supervision, Supervision, CommandReply]
+    assert (rig.reply().id, rig.reply().accepted) == (1, True)
+    rig.cycle()
+    assert rig.reply() is None
+    again = rig.command(kind="stop")
+    assert (again.id, again.accepted) == (2, True)
+
+
 def test_a_stop_refuses_the_request_that_waits_and_that_one_only(rig):
     rig.sim.on_request(ask(rig, seq=1))
     rig.sim.on_request(ask(rig, seq=2))  # waits for the next state
@@ -307,6 +333,18 @@ def test_a_reset_that_is_refused_says_so_for_each_robot(rig):
     ] * 2
     assert "fr" in replies[0].message + replies[1].message
     assert all(reply.message for reply in replies)
+
+
+def test_what_was_decided_last_and_what_is_violated_is_recalled_too():
+    rig = Rig(fr=TOO_NEAR)
+    assert rig.request(dq=tuple(-dq for dq in DOWN), seq=7).outcome is Outcome.ADMITTED  # it retreats
+    memory = rig.sim.snapshot()
+    fr = memory.robots["fr"]
+    assert (fr.decided.seq, fr.spoken_cycle) == (7, rig.state.cycle)
+    assert [kept.pair for kept in memory.violations] == [("fr/link_3", "structure/floor")]
+    heir = Sim(CELL, epoch=9)
+    heir.restore(memory)
+    assert heir.snapshot() == memory
 
 
 def test_a_gate_that_recalls_another_s_memory_gives_its_answers(rig):

@@ -225,6 +225,9 @@ def test_in_a_new_session_the_robot_is_reckoned_with_where_the_krc_has_it(tracke
     assert tracker.at_rest()
     assert tracker.off_path() is None
     assert set(first_joint(tracker.standing())) == {0.5}
+    np.testing.assert_array_equal(
+        tracker.ahead.q_cmd, np.full(6, 0.5)
+    )  # what is decided next goes on from there
     tracker.observe(state(1 + 2 * LAG, 0.5))  # the reset took it
     assert tracker.at_rest()
 

@@ -42,6 +42,6 @@ class AdmissionsDue:
         """Snapshot for `restore`."""
         return tuple(self._kept.values())
 
-    def restore(self, admissions: tuple[Admission, ...]) -> None:
-        """Keep what another kept."""
-        self._kept = {admission.cycle: admission for admission in admissions}
+    def restore(self, admissions: tuple[Admission, ...], cycle: int) -> None:
+        """Keep what another kept after `cycle`."""
+        self._kept = {max(cycle, admission.cycle): admission for admission in admissions}

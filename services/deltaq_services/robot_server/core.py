@@ -205,7 +205,7 @@ class RobotServer:
         if memory.mode is not None:
             self._mode = self._new_mode(np.array(memory.mode.q_start))
             self._mode.restore(memory.mode)
-        self._admissions.restore(memory.admissions)
+        self._admissions.restore(memory.admissions, memory.cycle)
         self._supervision = memory.supervision
 
     def krc_silent(self, time_s: float) -> None:

@@ -127,8 +127,8 @@ class Certifier:
         stack: list[tuple[Piece, Piece, Sequence[Group]]] = [(tube, other_tube, groups)] if groups else []
         while stack:
             mine, theirs, groups = stack.pop()
-            my_travel = self._place(robot, mine, among_themselves=False)
-            their_travel = self._place(other, theirs, among_themselves=False)
+            my_travel = self._place(robot, mine)
+            their_travel = self._place(other, theirs)
             look, binding = self._measure(groups)
             least = least or binding
             if not look.failing:
@@ -145,9 +145,9 @@ class Certifier:
                 return Certificate(False, binding, Suspects(other, look.failing))
         return Certificate(True, least)
 
-    def _place(self, robot: str, piece: Piece, among_themselves: bool = True) -> float:
+    def _place(self, robot: str, piece: Piece) -> float:
         strip = piece.strip()
-        return self._proximity.place(robot, strip.middle, strip.half, strip.direction, among_themselves)
+        return self._proximity.place(robot, strip.middle, strip.half, strip.direction)
 
     def _hopeless(self, look: DistanceQuery) -> bool:
         """The budget is spent, or bodies are too near even at the middle of the strip, where halving does not help."""

@@ -186,7 +186,7 @@ class Sim:
             robot.orders.stop(command.reason)
             outputs += self._forget(robot)
         if not any(robot.orders.awaits_stop(command.id) for robot in robots):
-            outputs.insert(0, reply(command.id))
+            outputs.append(reply(command.id))
         return outputs
 
     def _reset(self, command: Command, robots: Sequence[GatedRobot]) -> list[ToTopic]:

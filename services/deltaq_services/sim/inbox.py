@@ -71,7 +71,7 @@ class Inbox:
         self.lease_epoch, self.seq = request.lease_epoch, request.seq
         sent = _sent_in(request)
         is_near = sent <= newest_cycle + _AHEAD_CYCLES
-        self.spoken_cycle = max(self.spoken_cycle, newest_cycle, sent if is_near else -1)
+        self.spoken_cycle = max(self.spoken_cycle, newest_cycle, sent if is_near else newest_cycle)
         self.decided = None
         replaced, self.waiting = self.waiting, request
         return replaced

@@ -86,7 +86,7 @@ class Tracker:
                 return False
             self.displaced = self._is_displaced(self.state, state)
         self.state = state
-        still = still_due(state, self.in_flight) if self.in_flight else ()
+        still = still_due(state, self.in_flight)
         self.missed += _missed(state, self.in_flight) - len(still)
         self._fly(still)
         # in a new session the drives are held where the KRC says, and a reset continues from there

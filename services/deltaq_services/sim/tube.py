@@ -36,14 +36,14 @@ class Branch:
 
     def setpoints(self, q_cmd: Array) -> Array:
         """(m, n) setpoints still to come after `q_cmd`, m = 0 at rest [rad or m]."""
-        steps = np.arange(max(self.step + 1, 0), self.brake_cycles)
+        steps = np.arange(self.step + 1, self.brake_cycles)
         start = self.path[-1] if self.path else q_cmd
         if not self.dq.any() or steps.size == 0:
             to_come = np.empty((0, q_cmd.size))
         else:
             share = np.cumsum((self.brake_cycles - steps) / self.brake_cycles)
             to_come = start + share[:, None] * self.dq
-        return np.vstack([*self.path, to_come]) if self.path else to_come
+        return np.vstack([*self.path, to_come])
 
 
 class Piece(Protocol):
