@@ -45,6 +45,9 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI, "signs_of_life", "cycles without an increment to hand on, in which the gate got a heartbeat"
     ),
+    Counted(
+        HLI, "carried", "increments that came after their turn, whose motion went out with those behind them"
+    ),
     Counted(HLI, "verdicts_{outcome}", "verdicts of the gate with this outcome"),
     Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
     Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),

@@ -19,6 +19,7 @@ from deltaq_protocol.messages import Increment, Outcome, Phase, Verdict
 from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.hli.admitted_ahead import AdmittedAhead
 from deltaq_services.hli.asked import Asked
+from deltaq_services.hli.carried_motion import CarriedMotion
 from deltaq_services.hli.robot_link import RobotLink
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
 from deltaq_services.robot_server.core import RobotServer
@@ -394,7 +395,9 @@ def test_the_cycles_of_another_robot_server_are_counted_from_one() -> None:
 def test_with_a_lookahead_the_answer_to_each_state_is_passed_on_though_two_come_in_one_cycle(
     ahead: bool,
 ) -> None:
-    link = RobotLink(6, 10, 1.0, 83, AdmittedAhead(2, 0.012) if ahead else None)
+    link = RobotLink(
+        6, 10, 1.0, 83, CarriedMotion(np.ones(6), np.ones(6)), AdmittedAhead(2, 0.012) if ahead else None
+    )
     for cycle in (20, 21):
         link.take_state(server_state("fr", cycle, q_cmd=ZEROS, q=ZEROS), 0.0)
     late, next_one, again = (
