@@ -29,7 +29,7 @@ def test_verdicts_and_reasons_are_counted_and_silence_too() -> None:
     assert summary == {
         "cycles": 4,
         "unanswered": 2,
-        "gate": {"admitted": 1, "scaled": 1, "held": 0, "refused": 0},
+        "gate": {"admitted": 1, "scaled": 1, "held": 0, "refused": 0, "carried": 0},
         "reasons": {"clearance": 1},
     }
     json.dumps(summary)
