@@ -16,12 +16,12 @@ import numpy as np
 from deltaq_controllers.camera.controllers import NAMES, FocusController, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen, Sight
 from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, run
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
+from deltaq_controllers.surroundings.setpoints import Foreseen, Sight
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
 from deltaq_controllers.camera.qp_tasks import Tasks
+from deltaq_controllers.surroundings.barriers import Barriers
 
 N = 6
 NONE = Barriers(np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp))
