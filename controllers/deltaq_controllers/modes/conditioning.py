@@ -135,14 +135,25 @@ def kept_share(motion: Array, mobility: float, ahead: float, max_acceleration: A
 
 
 @compiled
-def ramp_share(change: Array, most: Array, max_jerk: Array) -> float:
-    """The share of a change of joint increments (n,) that one cycle may make, by `most` of each and by the jerk."""
-    share = 1.0
+def ramp_share(bend: Array, change: Array, most: Array, max_jerk: Array) -> float:
+    """The largest share of a change that one cycle may make: of joint increments, `|bend + share change| <= most`.
+
+    Where the way bends so much that going on takes more than that, or a brake has to begin, the least share that
+    comes back to it counts.
+
+    Args:
+        bend: (n,) change of the increments if the tasks went on as they go.
+        change: (n,) change of the increments that takes up the whole change of the tasks.
+        most: (n,) that one cycle may make.
+        max_jerk: (n,) of the increments; what is left of the change ends without a jerk.
+    """
+    least, largest = 0.0, 1.0
     for joint in range(len(change)):
-        size = abs(change[joint])
-        if size > most[joint]:
-            share = min(share, most[joint] / size)
-        # so that the change can end without a jerk
-        if size > 0.5 * max_jerk[joint]:
-            share = min(share, math.sqrt(2.0 * max_jerk[joint] / size))
-    return share
+        size = change[joint]
+        if abs(size) < 1e-15:
+            continue
+        bound = min(most[joint], math.sqrt(2.0 * max_jerk[joint] * abs(bend[joint] + size)))
+        bound = max(bound, min(most[joint], 0.5 * max_jerk[joint]))
+        one, other = (bound - bend[joint]) / size, (-bound - bend[joint]) / size
+        least, largest = max(least, min(one, other)), min(largest, max(one, other))
+    return min(max(least, largest, 0.0), 1.0)

@@ -24,7 +24,7 @@ from deltaq_controllers.modes.conditioning import (
     ramp_share,
 )
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.increment_bounds import bounds_with_jerk
+from deltaq_controllers.modes.increment_bounds import Box, increment_box
 from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
 from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
 from deltaq_controllers.modes.line import Line
@@ -73,6 +73,8 @@ class ResolvedMode(TeleoperationMode):
         self._units = np.tile(np.repeat([1.0, LENGTH_M], 3), len(robot.hands))
         self._line = Line()
         self._asked: Array = np.zeros(robot.n)
+        self._going: Array | None = None
+        self._motion: Array | None = None
         empty = np.zeros(0, dtype=np.intp)
         self._nothing_near = Near(
             Barriers(np.zeros((0, robot.n)), np.zeros(0), empty, empty), empty, np.zeros(0)
@@ -101,20 +103,29 @@ class ResolvedMode(TeleoperationMode):
         """The hands go from where they are."""
         self._line.forget()
         self._asked = np.zeros_like(q)
+        self._going = self._motion = None
 
     def advance(self, instant: Instant, asked: Motion) -> Advance:
         """The increment that goes on towards what is asked for."""
         q, dq_last, limits = instant.q_cmd, instant.dq_last, instant.limits
-        slowest, fastest = bounds_with_jerk(
-            limits, q, dq_last, instant.dq_before, brake_cycles(dq_last, limits.max_ddq), instant.max_jerk
+        box = increment_box(
+            limits,
+            q,
+            dq_last,
+            instant.dq_before,
+            brake_cycles(dq_last, limits.max_ddq),
+            instant.max_jerk,
+            instant.cycle_s,
         )
-        if not asked and (slowest <= 0.0).all() and (fastest >= 0.0).all():
+        if not asked and (box.slowest <= 0.0).all() and (box.fastest >= 0.0).all():
             self._rest()
+            self._going = self._motion = None
             self._asked = np.zeros_like(q)
             return Advance(self._asked)
         if np.abs(dq_last - self._asked).max() > _AS_ASKED:
+            self._going = self._motion = None
             self._intervened()
-        found = self._towards(instant, asked, slowest, fastest)
+        found = self._towards(instant, asked, box)
         self._asked = limits.admissible(found.dq, q, dq_last)
         return Advance(self._asked, found.limitation)
 
@@ -126,7 +137,7 @@ class ResolvedMode(TeleoperationMode):
         """The gate did not admit all that was asked for: the line goes on from where the hands are."""
         self._line.forget()
 
-    def _towards(self, instant: Instant, asked: Motion, slowest: Array, fastest: Array) -> Advance:
+    def _towards(self, instant: Instant, asked: Motion, box: Box) -> Advance:
         q, dq_last, limits, cycle_s = instant.q_cmd, instant.dq_last, instant.limits, instant.cycle_s
         hands, line = self._hands, self._line
         hands.update(q)
@@ -140,7 +151,7 @@ class ResolvedMode(TeleoperationMode):
         tasks = self._tasks(asked)
         back = np.zeros(len(tasks.rates))
         back[: len(error)] = self._units * error
-        made = tasks.rows @ dq_last / cycle_s
+        made = self._going if self._going is not None else tasks.rows @ dq_last / cycle_s
         motions = least_motions(tasks.rows, self._shares, tasks.rates, made)
         share, ended = self._allowed(instant, asked), None
         if asked and (motions.lost > LOST or motions.mobility < WATCHED_M):
@@ -151,39 +162,46 @@ class ResolvedMode(TeleoperationMode):
             kept = kept_share(motions.asked, motions.mobility, then, self._robot.max_acceleration)
             kept = 0.0 if motions.lost > LOST else kept
             if kept < SLOWED:
-                bend = (ahead.rows - tasks.rows) @ direction / GLANCE
+                curved = (ahead.rows - tasks.rows) @ direction / GLANCE
                 ended = self._ended(
-                    asked, Conditioning(tasks.rates, direction, bend, motions.mobility, motions.lost)
+                    asked, Conditioning(tasks.rates, direction, curved, motions.mobility, motions.lost)
                 )
             share = min(share, kept)
-        change = cycle_s * (share * motions.asked - motions.made)
-        ramp = ramp_share(change, RAMP_SHARE * limits.max_ddq, instant.max_jerk)
+        bend = motions.made - (motions.made if self._motion is None else self._motion)
+        ramp = ramp_share(
+            cycle_s * bend,
+            cycle_s * (share * motions.asked - motions.made),
+            RAMP_SHARE * limits.max_ddq,
+            instant.max_jerk,
+        )
         way = self._way(made, made + ramp * (share * tasks.rates - made))
         size = float(np.linalg.norm(way))
         most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
-        near = self._near(instant, slowest, fastest)
-        joints = programme.Joints(slowest, fastest, cycle_s * self._drift(q, way), 1.0 / self._shares)
+        near = self._near(instant, box)
+        drift = programme.Drift(cycle_s * self._drift(q, way), 1.0 / self._shares)
         found = programme.solve(
-            programme.Wanted(tasks.rows, cycle_s * way, back, most_pace), joints, near.barriers
+            programme.Wanted(tasks.rows, cycle_s * way, back, most_pace), box, drift, near.barriers
         )
         if found is None:
             cycles = brake_cycles(dq_last, limits.max_ddq)
             line.forget()
+            self._going = self._motion = None
             return Advance(dq_last * ((cycles - 1) / cycles))
-        gone = found.pace * cycle_s * way[: len(error)] / self._units
-        line.go(gone.reshape(-1, 6))
+        self._going = found.pace * way
+        self._motion = found.pace * (motions.made + ramp * (share * motions.asked - motions.made))
+        line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6))
         if not asked or ended is not None or found.pace >= SLOWED:
             return Advance(found.dq, ended)
-        return Advance(found.dq, binding(self._robot, instant, found, joints, near))
+        return Advance(found.dq, binding(self._robot, instant, found, box, near))
 
     def _way(self, made: Array, way: Array) -> Array:
         """(r,) rates of the tasks in this cycle, from those that were made."""
         del made
         return way
 
-    def _near(self, instant: Instant, slowest: Array, fastest: Array) -> Near:
+    def _near(self, instant: Instant, box: Box) -> Near:
         if instant.surroundings is None:
             return self._nothing_near
         return instant.surroundings.near(
-            instant.q_cmd, instant.dq_last, instant.limits.max_ddq, slowest, fastest
+            instant.q_cmd, instant.dq_last, instant.limits.max_ddq, box.slowest, box.fastest
         )
