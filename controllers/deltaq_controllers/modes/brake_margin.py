@@ -34,9 +34,9 @@ def allowed_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration:
         max_acceleration: (n,) of the robot [rad/s^2 or m/s^2].
     """
     brake_s = float(np.max(np.abs(rates) / max_acceleration))
-    hands.update(q)
+    hands.place(q)
     rotations, positions = hands.rotations, hands.positions
-    hands.update(q + 0.5 * brake_s * rates)
+    hands.place(q + 0.5 * brake_s * rates)
     off = np.linalg.norm(hands.error(rotations, positions).reshape(-1, 2, 3), axis=2).max(axis=0)
     excess = float(np.max(off / (BRAKED_M, BRAKED_RAD)))
     return float(excess**-0.25) if excess > 0.0 else math.inf

@@ -31,6 +31,9 @@ LEAST_M = 0.02
 WATCHED_M = 0.5
 """Mobility below which it is asked how it changes [m/rad]."""
 
+LEADS_OUT = 0.05
+"""Rise of the mobility along a way that leads out of a singularity [m/rad^2]."""
+
 LOST = 1e-2
 """Part of a way that no joint motion makes, beyond which it is lost altogether."""
 
@@ -126,6 +129,9 @@ def kept_share(motion: Array, mobility: float, ahead: float, max_acceleration: A
         max_acceleration: (n,) of the joints [rad/s^2 or m/s^2].
     """
     fall = (mobility - ahead) / GLANCE
+    if mobility < LEAST_M:
+        # out again, but not along it
+        return 1.0 if fall < -LEADS_OUT else 0.0
     if fall <= 0.0:
         return 1.0
     size = math.sqrt((motion * motion).sum())

@@ -77,7 +77,7 @@ class CoupledMode(ResolvedMode):
     def _tasks(self, motion: Motion) -> Tasks:
         return Tasks(self._units[:, None] * self._hands.jacobian, self._units * motion.hands.ravel())
 
-    def _drift(self, q: Array, way: Array) -> Array:
+    def _drift(self, q: Array, made: Array) -> Array:
         """(n,) rates that lower the criteria."""
         descent = np.zeros_like(q)
         for criterion in self._criteria:
@@ -85,6 +85,6 @@ class CoupledMode(ResolvedMode):
         # shared out as the tasks are: only then does what the tasks leave of the descent still descend
         rates = self._shares * descent
         fastest = float(np.max(np.abs(rates) / self._max_velocity))
-        allowed = DRIFT_SHARE_S_M * float(np.linalg.norm(way.reshape(-1, 3), axis=1).max())
+        allowed = DRIFT_SHARE_S_M * float(np.linalg.norm(made.reshape(-1, 3), axis=1).max())
         drift: Array = rates * allowed / max(fastest, FULL_DESCENT_S)
         return drift

@@ -80,7 +80,7 @@ def of_speed(name: str) -> Limitation:
 def of_pair(pair: tuple[str, str], distance_m: float, kept_m: float) -> Limitation:
     """Two bodies that come no nearer."""
     what = " and ".join(pair)
-    text = f"{EXPLANATIONS[ReasonCode.CLEARANCE]}: {what}, {distance_m * 1000:.0f} mm, kept {kept_m * 1000:.0f} mm"
+    text = f"{what} come no nearer: {distance_m * 1000:.0f} mm, kept {kept_m * 1000:.0f} mm"
     return Limitation(Limit.CLEARANCE, what, text)
 
 

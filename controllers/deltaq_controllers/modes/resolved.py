@@ -40,6 +40,9 @@ RAMP_SHARE = 0.5
 REVOLUTE_SHARE = 0.25
 """Share of a rad of a revolute joint in the work, where a m of a prismatic one has one."""
 
+SWIFT_RAD_S2, LEAST_SHARE = 4.0, 0.25
+"""Acceleration from which on a revolute joint has its full share; a slower one has less, down to this part of it."""
+
 SLOWED = 0.95
 """Pace, or share of what is commanded, below which the operator is told what binds."""
 
@@ -69,7 +72,8 @@ class ResolvedMode(TeleoperationMode):
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._hands = Hands(robot)
-        self._shares = np.where(robot.revolute, REVOLUTE_SHARE, 1.0)
+        swift = np.clip(robot.max_acceleration / SWIFT_RAD_S2, LEAST_SHARE, 1.0)
+        self._shares = np.where(robot.revolute, REVOLUTE_SHARE * swift, 1.0)
         self._units = np.tile(np.repeat([1.0, LENGTH_M], 3), len(robot.hands))
         self._line = Line()
         self._asked: Array = np.zeros(robot.n)
@@ -89,9 +93,9 @@ class ResolvedMode(TeleoperationMode):
         del instant, motion
         return 1.0
 
-    def _drift(self, q: Array, way: Array) -> Array:
-        """(n,) joint rates that are wanted besides tasks that go at rates `way` (r,) [m/s]."""
-        del way
+    def _drift(self, q: Array, made: Array) -> Array:
+        """(n,) joint rates that are wanted besides tasks that go at rates `made` (r,) [m/s]."""
+        del made
         return np.zeros_like(q)
 
     def _ended(self, motion: Motion, conditioning: Conditioning) -> Limitation:
@@ -140,18 +144,20 @@ class ResolvedMode(TeleoperationMode):
     def _towards(self, instant: Instant, asked: Motion, box: Box) -> Advance:
         q, dq_last, limits, cycle_s = instant.q_cmd, instant.dq_last, instant.limits, instant.cycle_s
         hands, line = self._hands, self._line
-        hands.update(q)
+        hands.place(q)
         if not line.is_set:
             line.begin(hands)
         # half a cycle ahead the Jacobian is that of the whole cycle, to second order
         middle = q + 0.5 * dq_last
-        back = np.zeros(0)
         error = line.back(hands, cycle_s).ravel()
         hands.update(middle)
         tasks = self._tasks(asked)
         back = np.zeros(len(tasks.rates))
         back[: len(error)] = self._units * error
-        made = self._going if self._going is not None else tasks.rows @ dq_last / cycle_s
+        if self._going is None or len(self._going) != len(tasks.rates):
+            # nothing was asked for before, or fewer tasks, or the gate did otherwise
+            self._going, self._motion = tasks.rows @ dq_last / cycle_s, None
+        made = self._going
         motions = least_motions(tasks.rows, self._shares, tasks.rates, made)
         share, ended = self._allowed(instant, asked), None
         if asked and (motions.lost > LOST or motions.mobility < WATCHED_M):
@@ -178,7 +184,7 @@ class ResolvedMode(TeleoperationMode):
         size = float(np.linalg.norm(way))
         most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
         near = self._near(instant, box)
-        drift = programme.Drift(cycle_s * self._drift(q, way), 1.0 / self._shares)
+        drift = programme.Drift(cycle_s * self._drift(q, made), 1.0 / self._shares)
         found = programme.solve(
             programme.Wanted(tasks.rows, cycle_s * way, back, most_pace), box, drift, near.barriers
         )
@@ -202,6 +208,4 @@ class ResolvedMode(TeleoperationMode):
     def _near(self, instant: Instant, box: Box) -> Near:
         if instant.surroundings is None:
             return self._nothing_near
-        return instant.surroundings.near(
-            instant.q_cmd, instant.dq_last, instant.limits.max_ddq, box.slowest, box.fastest
-        )
+        return instant.surroundings.near(instant.q_cmd, box.slowest, box.fastest)

@@ -13,19 +13,18 @@ from deltaq_controllers.surroundings.barriers import Barriers, Braking, Keeping,
 from deltaq_controllers.surroundings.neighbours import Neighbours
 from deltaq_controllers.surroundings.others import OtherRobots
 from deltaq_protocol.arrays import Array, Indices
-from deltaq_protocol.brake import brake_cycles
 
 MOST_PAIRS = 16
 """Pairs of bodies that are taken into account: the nearest in proportion to their range."""
 
-CLEAR_OF_OTHERS_M, CLEAR_OF_STRUCTURE_M, CLEAR_OF_SELF_M = 0.03, 0.01, 0.005
+CLEAR_OF_OTHERS_M, CLEAR_OF_STRUCTURE_M, CLEAR_OF_SELF_M = 0.03, 0.01, 0.01
 """Distances that are kept beyond those of the gate [m]."""
 
 RANGE_M, RANGE_OF_OTHERS_M = 0.15, 0.5
 """How far beyond what is kept a pair is taken into account [m]."""
 
-SHARE, SHARE_OF_OTHERS = 0.2, 0.06
-"""Part of what is left of a distance that one cycle may take."""
+SHARE, SHARE_OF_OTHERS = 0.05, 0.05
+"""Part of what is left of a distance that one cycle may take: whatever brakes in 39 cycles stops before it is used up."""
 
 REACTION_S, OTHERS_BRAKE_M_S2 = 0.2, 2.0
 """How long another robot is expected to keep its speed [s], and how hard it brakes then [m/s^2]."""
@@ -37,7 +36,7 @@ class Near(NamedTuple):
     Attributes:
         barriers: for the next increment.
         pairs: (k,) pair of bodies of each, for `Surroundings.kept`.
-        distances: (k,) of each pair where the present brake ends [m].
+        distances: (k,) of each pair [m].
     """
 
     barriers: Barriers
@@ -81,23 +80,21 @@ class Surroundings:
         """The names of a pair of bodies, and the distance that is kept between them [m]."""
         return self._neighbours.names[pair], float(self._keeping.margins[pair])
 
-    def near(self, q: Array, dq_last: Array, max_ddq: Array, slowest: Array, fastest: Array) -> Near:
+    def near(self, q: Array, slowest: Array, fastest: Array) -> Near:
         """Barriers of all that is in range.
+
+        They are judged where the robot is, not where its brake ends: a self-motion's brake is straight in the joints
+        and moves the hands a little, and against that no self-motion helps. `SHARE` leaves room for every brake.
 
         Args:
             q: (n,) setpoint that the increment is added to [rad or m].
-            dq_last: (n,) increment that led to it [rad or m].
-            max_ddq: (n,) largest change of the increment between two cycles [rad or m].
             slowest: (n,) least increment [rad or m].
             fastest: (n,) greatest increment [rad or m].
         """
-        cycles = brake_cycles(dq_last, max_ddq)
-        travel = dq_last * (0.5 * (cycles - 1))
-        near = self._neighbours.near(self._others.joined(q + travel, self._others.ahead()), self._ranges)
-        # the brake that follows the increment ends `reach * dq` away; at most it is a cycle longer
-        braking = Braking(travel, 0.5 * (cycles + 2))
+        near = self._neighbours.near(self._others.joined(q, self._others.ahead()), self._ranges)
+        here = Braking(np.zeros_like(q), 1.0)
         barriers = barriers_of(
-            near, self._keeping, braking, self._others.rates(), slowest, fastest, self._cycle_s
+            near, self._keeping, here, self._others.rates(), slowest, fastest, self._cycle_s
         )
         return Near(barriers, near.pairs[barriers.places], near.distance[barriers.places])
 
