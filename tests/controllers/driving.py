@@ -96,9 +96,7 @@ class PlainDrive:
 class StackDrive:
     """The same through emulated controller, Robot Server, gate and HLI, in virtual time."""
 
-    def __init__(
-        self, robot: str, mode: ModeName, q: Array | None = None, keeps_clear: bool = False
-    ) -> None:
+    def __init__(self, robot: str, mode: ModeName, q: Array | None = None, keeps_clear: bool = False) -> None:
         cell = "dawm" if robot == "dawm" else "lab"
         self.name = robot
         self.stack = VirtualCell(cell, {} if q is None else {robot: q})

@@ -15,9 +15,7 @@ _PRESSES = 1e-9
 """Force of a constraint below which it does not bind."""
 
 
-def binding(
-    robot: RobotModel, instant: Instant, found: Solution, box: Box, near: Near
-) -> Limitation | None:
+def binding(robot: RobotModel, instant: Instant, found: Solution, box: Box, near: Near) -> Limitation | None:
     """The constraint that presses hardest, in words; None for acceleration, which passes.
 
     Args:

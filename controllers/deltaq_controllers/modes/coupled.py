@@ -10,15 +10,15 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
-from deltaq_controllers.modes.avoidance import travel_gradient
+from deltaq_controllers.modes.joint_travel import travel_gradient
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved import ResolvedMode, Tasks
 from deltaq_protocol.arrays import Array
 
-DRIFT_SHARE_S_M = 2.0
+DRIFT_SHARE_S_M = 2.5
 """Fraction of its greatest speed that the criteria may ask of a joint, per m/s of the fastest hand [s/m]."""
 
-FULL_DESCENT_S = 0.02
+FULL_DESCENT_S = 0.005
 """Weighted descent of the criteria, over a joint's greatest speed, above which it is clipped [s]."""
 
 

@@ -9,7 +9,8 @@
 
 R are the tasks' rows, w the rates that they are to have, `back` an older error of theirs. The weights lie so far apart
 that they act as an order: first the lines of the tasks, then clearance, then room before limits, then the pace along
-the lines, and in the null space of all of these the joints' drift. Where something binds, the pace gives way and the lines do not.
+the lines, and in the null space of all of these the joints' drift. Where something binds, the pace gives way and the
+lines do not.
 
 Every weight stands by itself on the diagonal of the cost: however far they lie apart, none blurs another. The solver is
 DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)), begun anew in each cycle: the same

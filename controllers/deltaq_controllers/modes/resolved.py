@@ -54,7 +54,8 @@ class Tasks(NamedTuple):
     """Tasks at a configuration.
 
     Attributes:
-        rows: (r, n) displacement of each per joint displacement, turns as travel: six for each hand, then driven joints.
+        rows: (r, n) displacement of each per joint displacement, turns as travel; six for each hand, then those of
+            driven joints.
         rates: (r,) that are asked for [m/s].
     """
 

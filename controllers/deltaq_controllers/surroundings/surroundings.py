@@ -24,7 +24,7 @@ RANGE_M, RANGE_OF_OTHERS_M = 0.15, 0.5
 """How far beyond what is kept a pair is taken into account [m]."""
 
 SHARE, SHARE_OF_OTHERS = 0.05, 0.05
-"""Part of what is left of a distance that one cycle may take: whatever brakes in 39 cycles stops before it is used up."""
+"""Part of what is left of a distance that one cycle may take: what brakes in 39 cycles stops before it is used up."""
 
 REACTION_S, OTHERS_BRAKE_M_S2 = 0.2, 2.0
 """How long another robot is expected to keep its speed [s], and how hard it brakes then [m/s^2]."""
