@@ -15,6 +15,7 @@ from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.surroundings.surroundings import Surroundings
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Verdict
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -69,6 +70,15 @@ class PlainDrive:
         for _ in range(round(duration_s / CYCLE_S)):
             self.step(OperatorCommand(rates, mode))
         return self.driven
+
+    def step_scaled(self, share: float, **rates: float) -> None:
+        """Hold a command for a cycle of which a gate admits a share, between the brake and what is asked for."""
+        last = self.dq_last.copy()
+        self.step(OperatorCommand(rates))
+        brake = last * (1.0 - 1.0 / brake_cycles(last, self.teleoperator.limits.max_ddq))
+        admitted = brake + share * (self.dq_last - brake)
+        self.now = self.now - self.dq_last + admitted
+        self.dq_last = admitted
 
     def step(self, command: OperatorCommand) -> Array:
         self.cycle += 1

@@ -158,8 +158,11 @@ def ramp_share(bend: Array, change: Array, most: Array, max_jerk: Array) -> floa
         size = change[joint]
         if abs(size) < 1e-15:
             continue
-        bound = min(most[joint], math.sqrt(2.0 * max_jerk[joint] * abs(bend[joint] + size)))
-        bound = max(bound, min(most[joint], 0.5 * max_jerk[joint]))
+        bound, jerk = most[joint], max_jerk[joint]
+        if jerk < math.inf:
+            # a change that falls by the jerk in each cycle adds up to no more than what is left
+            left = abs(bend[joint] + size)
+            bound = min(bound, math.sqrt(0.25 * jerk * jerk + 2.0 * jerk * left) - 0.5 * jerk)
         one, other = (bound - bend[joint]) / size, (-bound - bend[joint]) / size
         least, largest = max(least, min(one, other)), min(largest, max(one, other))
     return min(max(least, largest, 0.0), 1.0)

@@ -1,12 +1,12 @@
-"""The box that an increment stays in: position, speed and acceleration, and within them the jerk.
+"""The box that an increment stays in: position, speed and acceleration; and what is wished for within it.
 
 The gate follows every increment by a straight brake of all joints together, as many cycles long as the joint needs that
 takes longest. So a joint that speeds up takes room away from all joints near their limits. The box therefore bounds
 the length of the next brake too: it may grow by a cycle only where every joint has the room for that. Whatever is in
 the box the gate admits, and the present brake, which keeps the hands on their line, is always in it.
 
-Before its limit a joint is to slow down by itself, so slowly that others can take over its work. That is a wish within
-the box: where only the whole arm can slow down, it does.
+Before its limit a joint is to slow down by itself, so slowly that others can take over its work, and its acceleration
+is to change by no more than the jerk. Both are wishes within the box: where only the whole arm can slow down, it does.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Box(NamedTuple):
     Attributes:
         slowest: (n,) least increment [rad or m].
         fastest: (n,) greatest increment [rad or m].
-        approach_down: (n,) least increment that is wished for, at or above `slowest` [rad or m].
-        approach_up: (n,) greatest increment that is wished for, at or below `fastest` [rad or m].
+        approach_down: (n,) least increment that is wished for, above `slowest` [rad or m].
+        approach_up: (n,) greatest increment that is wished for, below `fastest` [rad or m].
         why_slowest: (n,) what the least increment comes from.
         why_fastest: (n,) what the greatest comes from.
     """
@@ -65,8 +65,6 @@ def increment_box(
 ) -> Box:
     """The box of the next increment.
 
-    The limits go before the jerk: a joint that has to brake before one does so at once.
-
     Args:
         limits: of the increments.
         q: (n,) configuration [rad or m].
@@ -83,21 +81,25 @@ def increment_box(
     why_slowest, why_fastest = np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
     for joint in range(n):
         low, high = limits.lower[joint] - q[joint], limits.upper[joint] - q[joint]
-        even, jerk = 2.0 * dq_last[joint] - dq_before[joint], max_jerk[joint]
+        even = 2.0 * dq_last[joint] - dq_before[joint]
         for sense, room in ((-1.0, -low), (1.0, high)):
             last, stopping = sense * dq_last[joint], sense * brake[joint]
             swift = min(limits.max_dq[joint], most * _SHY * limits.max_ddq[joint])
             bound, why = swift, SPEED
-            if last + limits.max_ddq[joint] < bound or sense * even + jerk < bound:
-                bound, why = min(last + limits.max_ddq[joint], sense * even + jerk), ACCELERATION
+            if last + limits.max_ddq[joint] < bound:
+                bound, why = last + limits.max_ddq[joint], ACCELERATION
             if 2.0 / (most + 1) * room < bound:
                 bound, why = 2.0 / (most + 1) * room, POSITION
             bound = max(bound, stopping)
             # as far as it can slow down by itself
             wish = max(cycle_s / APPROACH_S * room, last - limits.max_ddq[joint], 0.0)
             if wish <= bound:
-                why = POSITION
-            wish = min(wish, bound)
+                bound_of_wish, why = wish, POSITION
+            else:
+                bound_of_wish = bound
+            if sense * even + max_jerk[joint] < bound_of_wish:
+                bound_of_wish, why = sense * even + max_jerk[joint], ACCELERATION
+            wish = bound_of_wish
             if sense < 0.0:
                 slowest[joint], down[joint], why_slowest[joint] = -bound, -wish, why
             else:
@@ -119,3 +121,14 @@ def next_brake(limits: IncrementLimits, q: Array, brake: Array, cycles: int) -> 
         if has_room:
             return most
     return cycles - 1
+
+
+@compiled
+def can_rest(box: Box, dq_last: Array, max_jerk: Array) -> bool:
+    """Whether all joints may stand in the next cycle, and stay so in the one after it."""
+    for joint in range(len(dq_last)):
+        low = max(box.slowest[joint], box.approach_down[joint])
+        high = min(box.fastest[joint], box.approach_up[joint])
+        if low > 0.0 or high < 0.0 or abs(dq_last[joint]) > max_jerk[joint]:
+            return False
+    return True

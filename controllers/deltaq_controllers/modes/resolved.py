@@ -24,7 +24,7 @@ from deltaq_controllers.modes.conditioning import (
     ramp_share,
 )
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.increment_bounds import Box, increment_box
+from deltaq_controllers.modes.increment_bounds import Box, can_rest, increment_box
 from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
 from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
 from deltaq_controllers.modes.line import Line
@@ -122,7 +122,7 @@ class ResolvedMode(TeleoperationMode):
             instant.max_jerk,
             instant.cycle_s,
         )
-        if not asked and (box.slowest <= 0.0).all() and (box.fastest >= 0.0).all():
+        if not asked and can_rest(box, dq_last, instant.max_jerk):
             self._rest()
             self._going = self._motion = None
             self._asked = np.zeros_like(q)
