@@ -176,7 +176,8 @@ def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() 
         found.append((travel(q, robot.lower, robot.upper), hands))
     (with_criteria, hands), (without, others) = found
     assert with_criteria < without - 0.01
-    assert hands.error(others.rotations, others.positions) == pytest.approx(np.zeros(12), abs=1e-5)
+    # along their lines the pace differs a little
+    assert hands.error(others.rotations, others.positions) == pytest.approx(np.zeros(12), abs=1e-4)
 
 
 @pytest.mark.parametrize("name", ["manipulability", "smallest_singular_value", "condition"])
@@ -211,6 +212,16 @@ def test_weights_given_by_name_make_an_elbow_give_way_to_what_stands_about() -> 
     assert len(gained) == 6
     assert sum(gained) > 0.01
     assert max(gained) > 0.01
+
+
+def test_a_joint_that_was_driven_a_moment_ago_is_free_when_another_is_driven() -> None:
+    run = PlainDrive("gr", SELF_MOTION)
+    start = run.now
+    for joint in ("e1", "e2", "e3", "a1", "a2"):
+        driven = run.drive(0.4, **{joint: 0.1})
+        assert driven.limitations[-1] == "", joint
+        assert max(run.driven.hand_errors(driven.q_cmd, start)) < KEPT_M
+    assert run.violations == 0
 
 
 def test_self_motion_needs_a_joint_to_spare() -> None:

@@ -43,21 +43,18 @@ class SelfMotionMode(ResolvedMode):
     def enter(self, q: Array) -> None:
         """Keep the hands where they are."""
         super().enter(q)
-        self._driven[:] = False
         self._hands.update(q)
         self._line.begin(self._hands)
 
     def _rest(self) -> None:
-        self._driven[:] = False
+        """The hands stay where they were when the mode began."""
 
     def _intervened(self) -> None:
         """The hands stay where they were when the mode began, whatever the gate did."""
 
     def _allowed(self, instant: Instant, motion: Motion) -> float:
-        # joints that were driven a moment ago come to rest as tasks
-        self._driven |= motion.joints != 0.0
         rates = instant.dq_last / instant.cycle_s
-        going = float(np.abs(rates[self._driven]).max(initial=0.0))
+        going = float(np.abs(rates[motion.joints != 0.0]).max(initial=0.0))
         allowed = going * allowed_while_braked(
             self._hands, instant.q_cmd, rates, self._robot.max_acceleration
         )
@@ -65,7 +62,10 @@ class SelfMotionMode(ResolvedMode):
         return min(1.0, allowed / asked) if going > 0.0 and asked > 0.0 else 1.0
 
     def _tasks(self, motion: Motion) -> Tasks:
-        driven = self._driven | (motion.joints != 0.0)
+        driven = motion.joints != 0.0
+        if (driven != self._driven).any():
+            # other tasks than before: how they go is read off the joints
+            self._driven, self._going = driven, None
         hands = self._units[:, None] * self._hands.jacobian
         rates = np.concatenate([np.zeros(len(hands)), motion.joints[driven]])
         return Tasks(np.vstack([hands, self._joints[driven]]), rates)
