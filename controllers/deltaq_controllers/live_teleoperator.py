@@ -14,7 +14,7 @@ from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.motion import Frame, ModeName
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
-from deltaq_controllers.surroundings.surroundings import Surroundings
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.client import Cell
 
 
@@ -54,5 +54,5 @@ def teleoperator_for(
     cell = cell_model(description)
     if weights is not None:
         modes[ModeName.COUPLED] = partial(CoupledMode, criteria=(weighed(RobotData(cell, robot), weights),))
-    around = Surroundings(cell, robot)
+    around = RobotSurroundings(cell, robot)
     return Teleoperator(model, description.cycle_s, mode, frame, modes, around, jerk_time_s)

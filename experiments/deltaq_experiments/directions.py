@@ -32,7 +32,7 @@ WHOLE = 0.95
 
 
 @dataclass(frozen=True)
-class Direction:
+class DirectionGone:
     """One axis, driven for a time.
 
     Attributes:
@@ -91,7 +91,7 @@ def drive(
 
 def judged(
     robot: RobotModel, rates: dict[str, float], way: Sequence[Array], duration_s: float, limited: str = ""
-) -> Direction:
+) -> DirectionGone:
     """How far along its line, and how far off, a way of configurations (n,) takes the hands."""
     ((axis, rate),) = rates.items()
     hand, _, plain = axis.rpartition(".")
@@ -106,7 +106,7 @@ def judged(
         reached = float((np.sign(rate) * moved[driven, column]).min())
         moved[driven, column] = 0.0
         off = np.maximum(off, np.linalg.norm(moved.reshape(-1, 2, 3), axis=2).max(axis=0))
-    return Direction(
+    return DirectionGone(
         axis=("+" if rate > 0.0 else "-") + axis,
         reached=reached,
         share=reached / (abs(rate) * duration_s),
@@ -122,8 +122,8 @@ def run(
     mode: ModeName,
     duration_s: float = 6.0,
     passes: int = 1,
-    progress: Callable[[Direction], None] = lambda _: None,
-) -> tuple[list[Direction], Steps]:
+    progress: Callable[[DirectionGone], None] = lambda _: None,
+) -> tuple[list[DirectionGone], Steps]:
     """Drive every direction.
 
     Args:
@@ -140,7 +140,7 @@ def run(
     loaded = CellModel.load(cell)
     model, cycle_s = model_of(loaded.robots, robot), loaded.description.cycle_s
     drive(model, mode, next(commands(model)), 5 * cycle_s, cycle_s)  # to compile is no part of a step
-    directions: list[Direction] = []
+    directions: list[DirectionGone] = []
     seconds: list[float] = []
     gc.collect()
     gc.freeze()

@@ -13,7 +13,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.surroundings.surroundings import Surroundings
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Verdict
@@ -113,7 +113,7 @@ class StackDrive:
         self.robot = self.stack.cell.robots[robot]
         self.stack.run_until_ready()
         self.stack.acquire(robot, "test")
-        around = Surroundings(self.stack.cell, robot) if keeps_clear else None
+        around = RobotSurroundings(self.stack.cell, robot) if keeps_clear else None
         self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode, surroundings=around)
 
     def drive(

@@ -19,7 +19,7 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_experiments.directions import Direction, commands, drive, judged
+from deltaq_experiments.directions import DirectionGone, commands, drive, judged
 from deltaq_protocol.messages import Outcome
 
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
@@ -57,7 +57,7 @@ SPEEDING_UP = 0.015
 """Part of a way of six seconds that speeding up may take: pink speeds up at once."""
 
 
-def gone(robot: str, mode: ModeName, rates: dict[str, float]) -> Direction:
+def gone(robot: str, mode: ModeName, rates: dict[str, float]) -> DirectionGone:
     way, _, limited = drive(model(robot), mode, rates, DURATION_S, CYCLE_S)
     return judged(model(robot), rates, way, DURATION_S, limited)
 

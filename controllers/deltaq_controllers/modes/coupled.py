@@ -12,7 +12,7 @@ from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.modes.joint_travel import travel_gradient
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.modes.resolved import ResolvedMode, Tasks
+from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
 from deltaq_protocol.arrays import Array
 
 DRIFT_SHARE_S_M = 2.5
@@ -74,8 +74,8 @@ class CoupledMode(ResolvedMode):
             else tuple(criteria)
         )
 
-    def _tasks(self, motion: Motion) -> Tasks:
-        return Tasks(self._units[:, None] * self._hands.jacobian, self._units * motion.hands.ravel())
+    def _tasks(self, motion: Motion) -> DrivenTasks:
+        return DrivenTasks(self._units[:, None] * self._hands.jacobian, self._units * motion.hands.ravel())
 
     def _drift(self, q: Array, made: Array) -> Array:
         """(n,) rates that lower the criteria."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.modes.resolved import ResolvedMode, Tasks
+from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
 
 
 class DecoupledMode(ResolvedMode):
@@ -23,8 +23,8 @@ class DecoupledMode(ResolvedMode):
         self.drives_joints = np.logical_not(self._hands.arms.any(axis=0))
         self._base = np.eye(robot.n)[self.drives_joints]
 
-    def _tasks(self, motion: Motion) -> Tasks:
+    def _tasks(self, motion: Motion) -> DrivenTasks:
         hands = self._units[:, None] * self._hands.jacobian
         base = np.where(self.drives_joints, motion.joints, 0.0)
         rates = self._units * motion.hands.ravel() + hands @ base
-        return Tasks(np.vstack([hands, self._base]), np.concatenate([rates, base[self.drives_joints]]))
+        return DrivenTasks(np.vstack([hands, self._base]), np.concatenate([rates, base[self.drives_joints]]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.surroundings.surroundings import Surroundings
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 
 
@@ -35,7 +35,7 @@ class Instant:
     limits: IncrementLimits
     max_jerk: Array
     cycle_s: float
-    surroundings: Surroundings | None = None
+    surroundings: RobotSurroundings | None = None
 
 
 class Advance(NamedTuple):

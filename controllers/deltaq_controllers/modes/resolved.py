@@ -50,8 +50,8 @@ _AS_ASKED = 1e-9
 """An increment that differs by less from what was asked for was admitted whole [rad or m]."""
 
 
-class Tasks(NamedTuple):
-    """Tasks at a configuration.
+class DrivenTasks(NamedTuple):
+    """DrivenTasks at a configuration.
 
     Attributes:
         rows: (r, n) displacement of each per joint displacement, turns as travel; six for each hand, then those of
@@ -86,7 +86,7 @@ class ResolvedMode(TeleoperationMode):
         )
 
     @abstractmethod
-    def _tasks(self, motion: Motion) -> Tasks:
+    def _tasks(self, motion: Motion) -> DrivenTasks:
         """The tasks of a motion where `_hands` are."""
 
     def _allowed(self, instant: Instant, motion: Motion) -> float:

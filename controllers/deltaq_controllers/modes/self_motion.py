@@ -10,7 +10,7 @@ from deltaq_controllers.modes.brake_margin import allowed_while_braked
 from deltaq_controllers.modes.interface import Instant
 from deltaq_controllers.modes.limitation import Conditioning, Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
-from deltaq_controllers.modes.resolved import ResolvedMode, Tasks
+from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
 from deltaq_protocol.arrays import Array
 
 
@@ -61,14 +61,14 @@ class SelfMotionMode(ResolvedMode):
         asked = float(np.abs(motion.joints).max())
         return min(1.0, allowed / asked) if going > 0.0 and asked > 0.0 else 1.0
 
-    def _tasks(self, motion: Motion) -> Tasks:
+    def _tasks(self, motion: Motion) -> DrivenTasks:
         driven = motion.joints != 0.0
         if (driven != self._driven).any():
             # other tasks than before: how they go is read off the joints
             self._driven, self._going = driven, None
         hands = self._units[:, None] * self._hands.jacobian
         rates = np.concatenate([np.zeros(len(hands)), motion.joints[driven]])
-        return Tasks(np.vstack([hands, self._joints[driven]]), rates)
+        return DrivenTasks(np.vstack([hands, self._joints[driven]]), rates)
 
     def _way(self, made: Array, way: Array) -> Array:
         del made

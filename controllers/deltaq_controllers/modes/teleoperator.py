@@ -20,7 +20,7 @@ from deltaq_controllers.modes.joint import JointMode
 from deltaq_controllers.modes.limitation import Limitation, from_verdict
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.self_motion import SelfMotionMode
-from deltaq_controllers.surroundings.surroundings import Surroundings
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Verdict
 
@@ -67,7 +67,7 @@ class Teleoperator:
         mode: ModeName = ModeName.JOINT,
         frame: Frame = Frame.WORLD,
         modes: ModeTable = MODES,
-        surroundings: Surroundings | None = None,
+        surroundings: RobotSurroundings | None = None,
         jerk_time_s: float = 0.0,
     ) -> None:
         if not 0.0 <= jerk_time_s <= LONGEST_JERK_TIME_S:

@@ -35,7 +35,7 @@ class Near(NamedTuple):
 
     Attributes:
         barriers: for the next increment.
-        pairs: (k,) pair of bodies of each, for `Surroundings.kept`.
+        pairs: (k,) pair of bodies of each, for `RobotSurroundings.kept`.
         distances: (k,) of each pair [m].
     """
 
@@ -44,7 +44,7 @@ class Near(NamedTuple):
     distances: Array
 
 
-class Surroundings:
+class RobotSurroundings:
     """The rest of a cell, the robot's own bodies among it, as one robot sees it.
 
     Pairs that a contact of the cell names are left to the gate: only it knows whether they may touch.
