@@ -44,6 +44,15 @@ def drive(
     speed_m_s: Annotated[
         float, typer.Option(min=0.001, max=0.5, help="Hand speed of keyboard and gamepad.")
     ] = 0.1,
+    jerk_time_s: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Time in which a joint's acceleration builds up to its limit in modes of the hands; "
+            "0 sets no limit to the jerk.",
+        ),
+    ] = 0.0,
     json: JsonOption = False,
 ) -> None:
     """Drive a robot by keyboard, gamepad or script; however the drive ends, the robot comes to rest and is released."""
@@ -63,7 +72,7 @@ def drive(
     description = load_cell(cell)
     known_robot(description, robot)
     weights = weights_of(criterion, "--criterion")
-    choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s)
+    choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s, jerk_time_s)
     with ExitStack() as terminal:
         # a terminal is given back last: keys that are still held are not for the shell
         summary, error = choice.run(terminal)
@@ -89,6 +98,7 @@ class _Choice:
     script: Path | None
     gamepad: bool
     speed_m_s: float
+    jerk_time_s: float
 
     def run(self, terminal: ExitStack) -> tuple[dict[str, Any], DeltaqError | None]:
         """Drive, and return the summary and the error that ended the drive, if one did.
@@ -126,7 +136,9 @@ class _Choice:
             cycle_s = running.description.cycle_s
             with ExitStack() as stack:
                 modes = ModeName(self.mode), Frame(self.frame)
-                teleoperator = teleoperator_for(running, self.robot, stack, *modes, self.weights)
+                teleoperator = teleoperator_for(
+                    running, self.robot, stack, *modes, self.weights, self.jerk_time_s
+                )
                 log, statistics, enough = (
                     DriveLog(teleoperator, cycle_s),
                     ControlStatistics(),

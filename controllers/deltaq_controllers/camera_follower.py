@@ -16,7 +16,6 @@ import numpy as np
 from deltaq_controllers.camera.controllers import NAMES, FocusController, Seeing, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.camera.sightings import Sightings
 from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import View
@@ -24,6 +23,7 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import cell_model, drive, model_of, read_clock, run
 from deltaq_controllers.path_clock import PathClock
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
+from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol import connect
 from deltaq_protocol.client import DEFAULT_ADDRESS
 from deltaq_protocol.messages import Sight

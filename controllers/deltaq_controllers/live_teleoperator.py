@@ -14,6 +14,7 @@ from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.motion import Frame, ModeName
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.client import Cell
 
 
@@ -24,6 +25,7 @@ def teleoperator_for(
     mode: ModeName = ModeName.JOINT,
     frame: Frame = Frame.WORLD,
     weights: Mapping[str, float] | None = None,
+    jerk_time_s: float = 0.0,
 ) -> Teleoperator:
     """A teleoperator as `deltaq drive` uses it; no mode but the first is made yet.
 
@@ -34,6 +36,7 @@ def teleoperator_for(
         mode: to begin with.
         frame: axes in which hands are moved.
         weights: of the criteria of `coupled` and `advisor`; their own if not given.
+        jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
 
     Raises:
         ControllerError: the robot is unknown, or cannot be driven in that mode.
@@ -48,7 +51,8 @@ def teleoperator_for(
         return AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}
+    cell = cell_model(description)
     if weights is not None:
-        criteria = (weighed(RobotData(cell_model(description), robot), weights),)
-        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=criteria)
-    return Teleoperator(model, description.cycle_s, mode, frame, modes)
+        modes[ModeName.COUPLED] = partial(CoupledMode, criteria=(weighed(RobotData(cell, robot), weights),))
+    around = RobotSurroundings(cell, robot)
+    return Teleoperator(model, description.cycle_s, mode, frame, modes, around, jerk_time_s)

@@ -11,10 +11,9 @@ import pinocchio as pin
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.avoidance import travel_gradient
 from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.joint_travel import travel_gradient
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
-from deltaq_controllers.modes.resolved_rate import Inverse
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
 
@@ -33,6 +32,10 @@ CHANGE_S = 0.4
 
 NEAR_M, NEAR_RAD = 1.5e-3, np.deg2rad(0.3)
 """Tolerance within which an operator takes a goal for reached."""
+
+
+_WEAK = 0.02
+"""Singular values below this part of the greatest are taken for zero."""
 
 
 @dataclass(frozen=True)
@@ -146,8 +149,8 @@ class PostureOperator:
         gains = []
         for joint in self._base:
             jacobian = self._robot.jacobian(q)
-            inverse = Inverse.of(np.where(np.arange(self._robot.n) == joint, 0.0, jacobian))
-            way = -inverse(jacobian[:, joint])
+            others = np.where(np.arange(self._robot.n) == joint, 0.0, jacobian)
+            way = -np.linalg.pinv(others, rcond=_WEAK) @ jacobian[:, joint]
             way[joint] = 1.0
             gains.append(float(descent @ way))
         best = int(np.argmax(np.abs(gains)))
@@ -260,5 +263,5 @@ class JointOperator:
     def _inverse(self, q: Array, pose: Array) -> Array:
         for _ in range(30):
             error = error_to(pose, self._robot.forward(q))
-            q = q + Inverse.of(self._robot.jacobian(q) * self._arm)(error)
+            q = q + np.linalg.pinv(self._robot.jacobian(q) * self._arm, rcond=_WEAK) @ error
         return q

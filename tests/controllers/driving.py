@@ -13,7 +13,9 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Verdict
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -69,6 +71,15 @@ class PlainDrive:
             self.step(OperatorCommand(rates, mode))
         return self.driven
 
+    def step_scaled(self, share: float, **rates: float) -> None:
+        """Hold a command for a cycle of which a gate admits a share, between the brake and what is asked for."""
+        last = self.dq_last.copy()
+        self.step(OperatorCommand(rates))
+        brake = last * (1.0 - 1.0 / brake_cycles(last, self.teleoperator.limits.max_ddq))
+        admitted = brake + share * (self.dq_last - brake)
+        self.now = self.now - self.dq_last + admitted
+        self.dq_last = admitted
+
     def step(self, command: OperatorCommand) -> Array:
         self.cycle += 1
         self.teleoperator.command = command
@@ -95,14 +106,15 @@ class PlainDrive:
 class StackDrive:
     """The same through emulated controller, Robot Server, gate and HLI, in virtual time."""
 
-    def __init__(self, robot: str, mode: ModeName, q: Array | None = None) -> None:
+    def __init__(self, robot: str, mode: ModeName, q: Array | None = None, keeps_clear: bool = False) -> None:
         cell = "dawm" if robot == "dawm" else "lab"
         self.name = robot
         self.stack = VirtualCell(cell, {} if q is None else {robot: q})
         self.robot = self.stack.cell.robots[robot]
         self.stack.run_until_ready()
         self.stack.acquire(robot, "test")
-        self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode)
+        around = RobotSurroundings(self.stack.cell, robot) if keeps_clear else None
+        self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode, surroundings=around)
 
     def drive(
         self, duration_s: float, mode: ModeName | None = None, option: int | None = None, **rates: float
@@ -113,7 +125,8 @@ class StackDrive:
         for _ in range(round(duration_s / CYCLE_S)):
             self.stack.cycle()
             state = self.stack.states[self.name]
-            increment = self.teleoperator.increment(View(RobotView.from_state(state)))
+            views = {name: RobotView.from_state(one) for name, one in self.stack.states.items()}
+            increment = self.teleoperator.increment(View(views.pop(self.name), views))
             verdict = self.stack.ask(self.name, increment)
             assert verdict is not None
             self.teleoperator.take_verdict(verdict)

@@ -8,14 +8,16 @@ from advising import advised
 from driving import CYCLE_S, PlainDrive, StackDrive, model
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.avoidance import travel, travel_gradient
+from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.coupled import CoupledMode, weighed
 from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.interface import Instant
+from deltaq_controllers.modes.joint_travel import travel, travel_gradient
 from deltaq_controllers.modes.motion import Frame, ModeName, Motion, OperatorCommand
-from deltaq_controllers.modes.resolved_rate import Inverse
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_protocol.brake import brake_cycles, brake_travel
 
@@ -43,15 +45,6 @@ def test_each_hand_of_two_has_an_arm_of_six_joints_and_the_rest_is_base() -> Non
     assert not (hands.arms[0] & hands.arms[1]).any()
     base = np.array(model("dawm").joint_names)[~hands.arms.any(axis=0)]
     assert base.tolist() == ["torso", "left_yaw", "left_pitch", "right_yaw", "right_pitch"]
-
-
-def test_the_inverse_is_exact_away_from_singularities_and_finite_at_them() -> None:
-    random = np.random.default_rng(0)
-    jacobian = random.normal(size=(6, 9))
-    wanted = random.normal(size=6)
-    assert jacobian @ Inverse.of(jacobian)(wanted) == pytest.approx(wanted, abs=1e-9)
-    jacobian[:, :] = np.outer(jacobian[:, 0], jacobian[0])
-    assert np.abs(Inverse.of(jacobian)(wanted)).max() < 100.0
 
 
 def test_the_travel_criterion_has_the_gradient_it_says() -> None:
@@ -132,7 +125,7 @@ def test_decoupled_drives_base_joints_and_carries_the_hand_along() -> None:
     hands.update(run.now)
     start = hands.positions[0].copy()
     run.drive(1.0, e1=0.2)
-    assert run.now[1:] == pytest.approx(model("gr").home[1:])
+    assert run.now[1:] == pytest.approx(model("gr").home[1:], abs=1e-9)
     hands.update(run.now)
     assert hands.positions[0] - start == pytest.approx([model("gr").home[0] - run.now[0], 0.0, 0.0])
 
@@ -162,20 +155,29 @@ def test_coupled_reaches_where_the_arm_alone_does_not() -> None:
     assert travelled[DECOUPLED] < 1.0 < 1.5 < travelled[COUPLED]
 
 
+def driven_down(mode: CoupledMode, robot: RobotModel, cycles: int) -> np.ndarray:
+    """Where a mode takes a robot whose hands are driven down from home."""
+    down = Motion(np.zeros(robot.n), np.tile([0.0, 0.0, -0.1, 0.0, 0.0, 0.0], (2, 1)))
+    limits, no_limit = IncrementLimits.of(robot, CYCLE_S), np.full(robot.n, np.inf)
+    q, last, before = robot.home.copy(), np.zeros(robot.n), np.zeros(robot.n)
+    for _ in range(cycles):
+        dq = mode.advance(Instant(q, last, before, limits, no_limit, CYCLE_S), down).dq
+        q, last, before = q + dq, dq, last
+    return q
+
+
 def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() -> None:
     robot = model("dawm")
-    down = Motion(np.zeros(robot.n), np.tile([0.0, 0.0, -0.1, 0.0, 0.0, 0.0], (2, 1)))
     found = []
     for mode in (CoupledMode(robot), CoupledMode(robot, criteria=())):
-        q = robot.home.copy()
-        for _ in range(250):
-            q = q + mode.step(q, down, CYCLE_S)
+        q = driven_down(mode, robot, 250)
         hands = Hands(robot)
         hands.update(q)
         found.append((travel(q, robot.lower, robot.upper), hands))
     (with_criteria, hands), (without, others) = found
     assert with_criteria < without - 0.01
-    assert hands.error(others.rotations, others.positions) == pytest.approx(np.zeros(12), abs=1e-5)
+    # along their lines the pace differs a little
+    assert hands.error(others.rotations, others.positions) == pytest.approx(np.zeros(12), abs=1e-4)
 
 
 @pytest.mark.parametrize("name", ["manipulability", "smallest_singular_value", "condition"])
@@ -183,12 +185,9 @@ def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> N
     cell = CellModel.load("dawm")
     robot, data = cell.robots["dawm"], RobotData(cell, "dawm")
     cost = Normalised(data, {name: 1.0})
-    down = Motion(np.zeros(robot.n), np.tile([0.0, 0.0, -0.1, 0.0, 0.0, 0.0], (2, 1)))
     found = []
     for criteria in ((weighed(data, {name: 1.0}),), ()):
-        mode, q = CoupledMode(robot, criteria), robot.home.copy()
-        for _ in range(120):
-            q = q + mode.step(q, down, CYCLE_S)
+        q = driven_down(CoupledMode(robot, criteria), robot, 120)
         found.append(float(cost.total(Postures(data, q[None]))[0]))
     assert found[0] < found[1] - 1e-3
 
@@ -213,6 +212,16 @@ def test_weights_given_by_name_make_an_elbow_give_way_to_what_stands_about() -> 
     assert len(gained) == 6
     assert sum(gained) > 0.01
     assert max(gained) > 0.01
+
+
+def test_a_joint_that_was_driven_a_moment_ago_is_free_when_another_is_driven() -> None:
+    run = PlainDrive("gr", SELF_MOTION)
+    start = run.now
+    for joint in ("e1", "e2", "e3", "a1", "a2"):
+        driven = run.drive(0.4, **{joint: 0.1})
+        assert driven.limitations[-1] == "", joint
+        assert max(run.driven.hand_errors(driven.q_cmd, start)) < KEPT_M
+    assert run.violations == 0
 
 
 def test_self_motion_needs_a_joint_to_spare() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from closed_loop import lab
 
-from deltaq_controllers.camera.neighbours import Neighbours
+from deltaq_controllers.surroundings.neighbours import Neighbours
 
 
 def configurations(seed: int) -> np.ndarray:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
 from deltaq_controllers.camera.qp_tasks import Tasks
+from deltaq_controllers.surroundings.barriers import Barriers
 
 N = 6
-NONE = Barriers(np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp))
+NONE = Barriers(np.zeros((0, N)), np.zeros(0), np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
 FIRST = np.zeros(1, dtype=np.intp)
 
 
@@ -28,7 +28,7 @@ def test_bounds_outweigh_every_task_and_every_barrier() -> None:
     row, narrow = np.eye(N)[:1], np.full(N, 1e-3)
     barrier, least = np.eye(N)[:1], np.array([0.05])
     solution = program().solve(
-        Tasks(row, np.array([-0.05]), np.ones(1)), -narrow, narrow, Barriers(barrier, least, FIRST)
+        Tasks(row, np.array([-0.05]), np.ones(1)), -narrow, narrow, Barriers(barrier, least, FIRST, FIRST)
     )
     assert solution is not None
     dq, slack = solution
@@ -43,7 +43,7 @@ def test_a_barrier_outweighs_the_tasks() -> None:
         Tasks(row, np.array([-5e-3]), np.ones(1)),
         -wide,
         wide,
-        Barriers(np.eye(N)[:1], np.array([1e-3]), FIRST),
+        Barriers(np.eye(N)[:1], np.array([1e-3]), FIRST, FIRST),
     )
     assert solution is not None
     assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
@@ -55,7 +55,10 @@ def test_a_barrier_that_gives_way_does_not_loosen_one_of_another_kind() -> None:
     kinds = np.array([0, 1], dtype=np.intp)
     least = np.array([5e-3, -1e-3])
     solution = program().solve(
-        Tasks(barriers[:1], np.zeros(1), np.ones(1)), -wide, wide, Barriers(barriers, least, kinds)
+        Tasks(barriers[:1], np.zeros(1), np.ones(1)),
+        -wide,
+        wide,
+        Barriers(barriers, least, kinds, np.arange(len(least))),
     )
     assert solution is not None
     assert solution[0][0] == pytest.approx(1e-3, abs=1e-5)
@@ -82,7 +85,10 @@ def test_there_is_always_an_answer_within_the_bounds(seed: int) -> None:
             slowest,
             fastest,
             Barriers(
-                barriers, random.normal(scale=0.05, size=len(barriers)), random.integers(0, 2, len(barriers))
+                barriers,
+                random.normal(scale=0.05, size=len(barriers)),
+                random.integers(0, 2, len(barriers)),
+                np.arange(len(barriers)),
             ),
         )
         assert solution is not None

@@ -11,7 +11,11 @@ CAMERA = ROOT / "controllers/deltaq_controllers/camera"
 PAGE = (ROOT / "docs/explanation/camera-follower.md").read_text(encoding="utf-8")
 SOURCES = {
     path.name: path.read_text(encoding="utf-8")
-    for path in (*CAMERA.parent.glob("*.py"), *CAMERA.glob("*.py"))
+    for path in (
+        *CAMERA.parent.glob("*.py"),
+        *CAMERA.glob("*.py"),
+        *(CAMERA.parent / "surroundings").glob("*.py"),
+    )
 }
 
 

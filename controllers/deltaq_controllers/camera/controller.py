@@ -7,8 +7,8 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.follower import CameraFollower
-from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.interface import LastIncrement, View
+from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
 
 

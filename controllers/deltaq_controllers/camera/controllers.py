@@ -14,8 +14,8 @@ from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.interface import Controller, ControllerError
+from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
 
 

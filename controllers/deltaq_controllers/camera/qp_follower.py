@@ -20,20 +20,20 @@ from __future__ import annotations
 import numpy as np
 
 from deltaq_controllers.camera.error import CameraPose, view_angle
-from deltaq_controllers.camera.neighbours import NearPairs, Neighbours
-from deltaq_controllers.camera.qp_constraints import Barriers, Braking, Keeping, barriers_of, bounds
 from deltaq_controllers.camera.qp_gains import QpGains
-from deltaq_controllers.camera.qp_others import OtherRobots
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
 from deltaq_controllers.camera.qp_tasks import Aim, TaskGains, Tasks, view_tasks
 from deltaq_controllers.camera.repulsion import Obstacles, Potential, Repulsion
 from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen
 from deltaq_controllers.camera.subtasks import RollJoint
 from deltaq_controllers.interface import ControllerError, LastIncrement, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.redundancy import WeightedGradient, inverse_weights, limit_gradient
+from deltaq_controllers.surroundings.barriers import Barriers, Braking, Keeping, barriers_of, bounds
+from deltaq_controllers.surroundings.neighbours import NearPairs, Neighbours
+from deltaq_controllers.surroundings.others import OtherRobots
+from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 
@@ -89,7 +89,7 @@ class QpFollower:
         last = self._camera.last
         self._roll_joint = RollJoint(last, self.limits.lower[last], self.limits.upper[last], is_free=False)
         self._leader = Kinematics(scene.leader, "tool")
-        self._others = OtherRobots(scene)
+        self._others = OtherRobots(scene.cell, scene.robot_name)
         self._neighbours = Neighbours(scene.cell, scene.robot_name, MOST_PAIRS)
         foreign, gains = self._neighbours.foreign, self.gains
         margins = self._margin_of_pairs()
@@ -114,7 +114,7 @@ class QpFollower:
         tasks = self._tasks(q, *self._focus_ahead(), evade=True)
         reach = bounds(self.limits, q, np.zeros_like(q), 1)
         self._program.solve(tasks, *reach, self._barriers(near, np.zeros_like(q), 1, *reach))
-        self._others = OtherRobots(self._scene)
+        self._others = OtherRobots(self._scene.cell, self._scene.robot_name)
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
@@ -143,7 +143,7 @@ class QpFollower:
     @property
     def leader_seen(self) -> Foreseen:
         """How the leader is seen, and how old its state is."""
-        return self._others.leader
+        return self._others.named(self._scene.leader.name)
 
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
         """View angle error [rad] and view distance less the desired one [m], at measured configurations."""
@@ -166,9 +166,10 @@ class QpFollower:
         """(3,) the focus when the last increment arrives [m], and its velocity (3,) [m/s]."""
         if self.focus is not None:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
-        self._leader.update(self._others.leader.ahead(-self._cycle_s))  # what the increment starts from
+        leader = self._others.named(self._scene.leader_name)
+        self._leader.update(leader.ahead(-self._cycle_s))  # what the increment starts from
         focus = self._leader.position
-        return focus, self._leader.at_point(focus) @ self._others.leader.velocity
+        return focus, self._leader.at_point(focus) @ leader.velocity
 
     def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
         """What the increment is for, at configuration `q` (n,)."""

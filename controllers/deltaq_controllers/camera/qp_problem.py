@@ -18,8 +18,8 @@ import daqp
 import numpy as np
 
 from deltaq_cell.compiled import compiled
-from deltaq_controllers.camera.qp_constraints import Barriers
 from deltaq_controllers.camera.qp_tasks import Tasks
+from deltaq_controllers.surroundings.barriers import Barriers
 from deltaq_protocol.arrays import Array
 
 _MILLI = 1e3

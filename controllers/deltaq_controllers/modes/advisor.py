@@ -15,9 +15,9 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import TeleoperationMode
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_controllers.modes.stepped import SteppedMode
 from deltaq_protocol.arrays import Array
 
 AT_START = 1e-9
@@ -92,7 +92,7 @@ class Advisor(Protocol):
         ...
 
 
-class AdvisorMode(TeleoperationMode):
+class AdvisorMode(SteppedMode):
     """Intelligent assistance (Hooper & Noakes, section III): options are requested as the mode begins.
 
     The robot goes to the chosen option along a self-motion, in the time that its joints need, and comes to
@@ -108,7 +108,8 @@ class AdvisorMode(TeleoperationMode):
     drives_hands = False
 
     def __init__(self, robot: RobotModel, cycle_s: float, advisor: Advisor) -> None:
-        self._robot, self._cycle_s, self._advisor = robot, cycle_s, advisor
+        super().__init__(robot)
+        self._cycle_s, self._advisor = cycle_s, advisor
         self._hands = Hands(robot)
         self.drives_joints = np.zeros(robot.n, dtype=np.bool_)
         self._wanted: int | None = None
@@ -185,6 +186,7 @@ class AdvisorMode(TeleoperationMode):
 
     def enter(self, q: Array) -> None:
         """Ask for options with the hands where they are."""
+        super().enter(q)
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
         self._advisor.ask(q)

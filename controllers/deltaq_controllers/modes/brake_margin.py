@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from deltaq_controllers.modes.hands import Hands
@@ -15,7 +17,12 @@ GLIMPSE_S = 1e-3
 
 
 def kept_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Array) -> float:
-    """The share of its rates from which a self-motion can be braked without moving the hands.
+    """The share of its rates from which a self-motion can be braked without moving the hands."""
+    return min(1.0, allowed_while_braked(hands, q, rates, max_acceleration))
+
+
+def allowed_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Array) -> float:
+    """By how much the rates of a self-motion may be multiplied for a brake to leave the hands where they are.
 
     The error of the hands after a straight brake grows with the square of the brake's length, and that length with the
     square of the speed.
@@ -27,9 +34,9 @@ def kept_while_braked(hands: Hands, q: Array, rates: Array, max_acceleration: Ar
         max_acceleration: (n,) of the robot [rad/s^2 or m/s^2].
     """
     brake_s = float(np.max(np.abs(rates) / max_acceleration))
-    hands.update(q)
+    hands.place(q)
     rotations, positions = hands.rotations, hands.positions
-    hands.update(q + 0.5 * brake_s * rates)
+    hands.place(q + 0.5 * brake_s * rates)
     off = np.linalg.norm(hands.error(rotations, positions).reshape(-1, 2, 3), axis=2).max(axis=0)
     excess = float(np.max(off / (BRAKED_M, BRAKED_RAD)))
-    return excess**-0.25 if excess > 1.0 else 1.0
+    return float(excess**-0.25) if excess > 0.0 else math.inf

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.kinematics import joints_that_move
 from deltaq_protocol.arrays import Array
@@ -44,16 +46,18 @@ class Hands:
     def update(self, q: Array) -> None:
         """Place the robot at `q` (n,)."""
         columns = pin.computeJointJacobians(self._model, self._data, q)
+        self._read_poses()
+        self.jacobian: Array = _stacked(columns, self.positions, self.moved_by)
+
+    def place(self, q: Array) -> None:
+        """Place the robot at `q` (n,), `jacobian` left as it is."""
+        pin.forwardKinematics(self._model, self._data, q)
+        self._read_poses()
+
+    def _read_poses(self) -> None:
         poses = [pin.updateFramePlacement(self._model, self._data, frame) for frame in self._frames]
         self.rotations: Array = np.array([pose.rotation for pose in poses])
         self.positions: Array = np.array([pose.translation for pose in poses])
-        jacobian = np.tile(columns, (len(poses), 1))
-        for hand, (x, y, z) in enumerate(self.positions.tolist()):
-            rows = jacobian[6 * hand : 6 * hand + 6]
-            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            rows[:3] -= cross @ rows[3:]
-            rows *= self.moved_by[hand]
-        self.jacobian: Array = jacobian
 
     def error(self, rotations: Array, positions: Array) -> Array:
         """(6 h,) displacement from the present poses to the given ones: offset [m] over rotation vector [rad]."""
@@ -61,6 +65,24 @@ class Hands:
         angles = np.array([pin.log3(turn) for turn in turns])
         error: Array = np.hstack([positions - self.positions, angles]).ravel()
         return error
+
+
+@compiled
+def _stacked(columns: Array, positions: Array, moved_by: NDArray[np.bool_]) -> Array:
+    """(6 h, n) velocities (6, n) at the world's origin, taken to each hand's; zero for joints that do not move it."""
+    hands, n = moved_by.shape
+    jacobian = np.zeros((6 * hands, n))
+    for hand in range(hands):
+        x, y, z = positions[hand]
+        for joint in range(n):
+            if moved_by[hand, joint]:
+                wx, wy, wz = columns[3, joint], columns[4, joint], columns[5, joint]
+                jacobian[6 * hand, joint] = columns[0, joint] + wy * z - wz * y
+                jacobian[6 * hand + 1, joint] = columns[1, joint] + wz * x - wx * z
+                jacobian[6 * hand + 2, joint] = columns[2, joint] + wx * y - wy * x
+                for axis in range(3, 6):
+                    jacobian[6 * hand + axis, joint] = columns[axis, joint]
+    return jacobian
 
 
 def turned(rotations: Array, angles: Array) -> Array:

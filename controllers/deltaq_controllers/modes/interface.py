@@ -2,14 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
+
+
+@dataclass(frozen=True)
+class Instant:
+    """Where a robot is in a cycle, and what bounds its next increment.
+
+    Attributes:
+        q_cmd: (n,) setpoint that the increment is added to [rad or m].
+        dq_last: (n,) increment that led to it [rad or m].
+        dq_before: (n,) the one before that [rad or m].
+        limits: of the increments.
+        max_jerk: (n,) greatest change of an increment's change; infinite for no limit [rad or m].
+        cycle_s: the cycle [s].
+        surroundings: what the robot keeps clear of by itself; None leaves that to the gate.
+    """
+
+    q_cmd: Array
+    dq_last: Array
+    dq_before: Array
+    limits: IncrementLimits
+    max_jerk: Array
+    cycle_s: float
+    surroundings: RobotSurroundings | None = None
+
+
+class Advance(NamedTuple):
+    """An increment, and what keeps it from what is asked for.
+
+    Attributes:
+        dq: (n,) increment [rad or m].
+        limitation: what limits the operator; None if nothing does.
+    """
+
+    dq: Array
+    limitation: Limitation | None = None
 
 
 class TeleoperationMode(Protocol):
@@ -57,15 +95,6 @@ class TeleoperationMode(Protocol):
         """Set the option that is commanded in this cycle."""
         del option
 
-    def bounded(self, q: Array, motion: Motion, /) -> Motion:
-        """The motion, slowed as far as this mode's guarantee requires at `q` (n,)."""
-        del q
-        return motion
-
-    def step(self, q: Array, motion: Motion, time_s: float, /) -> Array:
-        """The joint displacement (n,) for a motion over a time from `q` (n,); zero for no motion."""
-        ...
-
-    def limitation(self, q: Array, motion: Motion, /) -> Limitation | None:
-        """The limit of the robot's geometry that this motion meets at `q` (n,)."""
+    def advance(self, instant: Instant, asked: Motion, /) -> Advance:
+        """The increment of this cycle towards a motion that is asked for; zero at rest and for no motion."""
         ...

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
+from deltaq_controllers.modes.conditioning import LOST
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.resolved_rate import WEAK, Inverse
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Verdict
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
@@ -76,49 +77,57 @@ def of_speed(name: str) -> Limitation:
     return Limitation(Limit.SPEED, name, f"{name} is at its velocity limit")
 
 
-def of_conditioning(hands: Hands, inverse: Inverse, wanted: Array, q: Array) -> Limitation | None:
-    """A direction that the hands have lost, if the operator asks for it.
+def of_pair(pair: tuple[str, str], distance_m: float, kept_m: float) -> Limitation:
+    """Two bodies that come no nearer."""
+    what = " and ".join(pair)
+    text = f"{what} come no nearer: {distance_m * 1000:.0f} mm, kept {kept_m * 1000:.0f} mm"
+    return Limitation(Limit.CLEARANCE, what, text)
 
-    The Jacobian's weakest direction is lost at an edge of the workspace and at singularities inside it. At an edge
-    the reach is greatest: the hands' second derivative along the weak joint direction points back inside. This is
-    checked where the lost direction is one of travel; lost rotations are singularities of the wrist.
 
-    Args:
-        hands: placed at `q`.
-        inverse: of their Jacobian there.
-        wanted: (6 h,) displacement that is asked for [m, rad].
-        q: (n,) configuration [rad or m].
+class Conditioning(NamedTuple):
+    """A way that the joints can hardly do any more.
+
+    Attributes:
+        rates: (r,) of the tasks that are asked for, turns as travel, six for each hand first [m/s].
+        motion: (n,) direction in which the joints would have to move.
+        bend: (r,) change along it of the tasks' displacements per joint displacement [m/rad^2].
+        mobility: of the way [m/rad].
+        lost: part of the way that no joint motion makes.
     """
-    if inverse.weakest >= WEAK:
-        return None
-    lost = inverse.left[-1]
-    hand = int(np.argmax([np.linalg.norm(lost[6 * i : 6 * i + 6]) for i in range(len(hands.names))]))
-    asked = np.linalg.norm(inverse.left @ wanted)
-    share = float(lost @ wanted)
-    if asked == 0.0 or abs(share) < 0.1 * asked:
-        return None
+
+    rates: Array
+    motion: Array
+    bend: Array
+    mobility: float
+    lost: float
+
+
+def of_conditioning(hands: Hands, conditioning: Conditioning) -> Limitation:
+    """A singularity, or the edge of the workspace.
+
+    At an edge the reach is greatest: the hands' second derivative along the motion of the joints points back inside.
+    This is checked where travel is asked for; lost rotations are singularities of the wrist.
+    """
+    way = conditioning.rates[: 6 * len(hands.names)]
+    busy = [float(np.linalg.norm(conditioning.motion[arm])) for arm in hands.arms]
+    asked = [float(np.linalg.norm(part)) for part in way.reshape(-1, 6)]
+    # of equally busy arms the one whose hand is asked to move
+    hand = int(np.argmax([busy[i] * (asked[i] > 0.0) for i in range(len(busy))]))
     name = hands.names[hand]
-    size = f"smallest singular value {inverse.weakest:.3f} m/rad"
-    travel = float(np.linalg.norm(lost.reshape(-1, 6)[:, :3]))
-    if travel > _MOSTLY and _is_edge(hands, inverse, share, q):
-        return Limitation(Limit.WORKSPACE_EDGE, name, f"the {name} is at the edge of its reach ({size})")
-    return Limitation(Limit.SINGULARITY, name, f"the {name} is at a singularity ({size})")
+    size = float(np.linalg.norm(conditioning.rates))
+    travel = float(np.linalg.norm(way.reshape(-1, 6)[:, :3])) / size
+    bend = float(conditioning.rates @ conditioning.bend) / size
+    if conditioning.lost > LOST:
+        text = f"the {name} is at a singularity: no joints move it that way"
+        return Limitation(Limit.SINGULARITY, name, text)
+    told = f"{1000.0 * conditioning.mobility:.0f} mm of its way for each radian of the joints"
+    if travel > _MOSTLY and bend < -_BENT:
+        return Limitation(Limit.WORKSPACE_EDGE, name, f"the {name} is at the edge of its reach ({told})")
+    return Limitation(Limit.SINGULARITY, name, f"the {name} is at a singularity ({told})")
 
 
 _MOSTLY = 0.7
-"""Fraction of travel in a lost direction, a unit vector, that makes it a direction of travel."""
+"""Fraction of travel in a way that makes it one of travel."""
 
 _BENT = 0.05
 """Second derivative of the reach that counts as an edge [m/rad^2]."""
-
-
-def _is_edge(hands: Hands, inverse: Inverse, share: float, q: Array) -> bool:
-    lost, joints = inverse.left[-1], inverse.right[-1]
-    step = 1e-4
-    hands.update(q + step * joints)
-    ahead = hands.jacobian @ joints
-    hands.update(q - step * joints)
-    behind = hands.jacobian @ joints
-    hands.update(q)
-    bend = float(lost @ (ahead - behind)) / (2.0 * step)
-    return bend * share < 0.0 and abs(bend) > _BENT

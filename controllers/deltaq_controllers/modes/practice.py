@@ -28,9 +28,10 @@ def practise(teleoperator: Teleoperator) -> None:
     Args:
         teleoperator: that is to drive a robot afterwards.
     """
-    robot, cycle_s = teleoperator.robot, teleoperator.cycle_s
+    robot, cycle_s, around = teleoperator.robot, teleoperator.cycle_s, teleoperator.surroundings
     for mode in teleoperator.made_modes:
-        practising = Teleoperator(robot, cycle_s, mode.name, modes={mode.name: _always(mode.stand_in())})
+        modes = {mode.name: _always(mode.stand_in())}
+        practising = Teleoperator(robot, cycle_s, mode.name, modes=modes, surroundings=around)
         q, cycle = robot.home, 0
         for command in _commands(practising):
             practising.command = command

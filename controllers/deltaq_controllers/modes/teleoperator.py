@@ -12,15 +12,15 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.modes import speed_scaling
 from deltaq_controllers.modes.coupled import CoupledMode
 from deltaq_controllers.modes.decoupled import DecoupledMode
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.interface import TeleoperationMode
+from deltaq_controllers.modes.interface import Instant, TeleoperationMode
 from deltaq_controllers.modes.joint import JointMode
-from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_joint, of_speed
+from deltaq_controllers.modes.limitation import Limitation, from_verdict
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.self_motion import SelfMotionMode
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Verdict
 
@@ -47,9 +47,11 @@ class Teleoperator:
         mode: the mode to begin with.
         frame: the axes in which hands are moved.
         modes: makers of the modes.
+        surroundings: what the robot keeps clear of by itself; without them that is left to the gate.
+        jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
 
     Attributes:
-        robot, cycle_s: as given.
+        robot, cycle_s, surroundings, jerk_time_s: as given.
         command: what the operator commands now.
         frame: the axes in which hands are moved.
         limitation: what limits the operator in this cycle; None if nothing does.
@@ -65,7 +67,13 @@ class Teleoperator:
         mode: ModeName = ModeName.JOINT,
         frame: Frame = Frame.WORLD,
         modes: ModeTable = MODES,
+        surroundings: RobotSurroundings | None = None,
+        jerk_time_s: float = 0.0,
     ) -> None:
+        if not 0.0 <= jerk_time_s <= LONGEST_JERK_TIME_S:
+            raise ControllerError(
+                f"jerk time {jerk_time_s:g} s: choose one from 0 to {LONGEST_JERK_TIME_S:g} s; 0 sets no limit"
+            )
         self.robot = robot
         self._table = modes
         self.command = OperatorCommand()
@@ -74,13 +82,16 @@ class Teleoperator:
         self.limits = IncrementLimits.of(robot, cycle_s)
         self._hands = Hands(robot)
         self.cycle_s = cycle_s
+        self.surroundings, self.jerk_time_s = surroundings, jerk_time_s
+        self._max_jerk: Array = (
+            self.limits.max_ddq * (cycle_s / jerk_time_s) if jerk_time_s > 0.0 else np.full(robot.n, np.inf)
+        )
         self._last = LastIncrement(self.limits.max_ddq)
+        self._dq_before: Array = np.zeros(robot.n)
         self._modes: dict[ModeName, TeleoperationMode] = {}
         self._mode = self.mode_named(mode)
         self._next: TeleoperationMode | None = self._mode
         self._rest = Motion.rest(robot.n, len(self._hands.names))
-        self._motion = self._rest
-        self._asked = np.zeros(robot.n)
         self._is_moving = False
         self._settle_cycles = self._still_cycles = math.ceil(SETTLE_S / cycle_s)
 
@@ -168,7 +179,10 @@ class Teleoperator:
 
     def increment(self, view: View) -> Array:
         """The increment for this cycle, (n,) [rad or m]."""
-        q_cmd, dq_last = view.own.q_cmd, self._last.update(view.own)
+        # one kind of array: for a read-only one the compiled parts would be compiled anew within a cycle
+        q_cmd, dq_last = np.array(view.own.q_cmd, dtype=np.float64), self._last.update(view.own)
+        if self.surroundings is not None:
+            self.surroundings.update(view)
         moving = bool((np.abs(dq_last) > _STILL).any())
         self._take_command()
         self._still_cycles = 0 if moving else self._still_cycles + 1
@@ -176,16 +190,21 @@ class Teleoperator:
             self._mode.leave()
             self._mode, self._next = self._next, None
             self._mode.enter(q_cmd)
-            self._motion = self._rest
         asked = self._rest if self._next else self._commanded(q_cmd)
-        commanded = self._mode.bounded(q_cmd, asked) if asked else asked
-        previous = self._motion.scaled(self._made(dq_last))
-        step = self._step_from(q_cmd)
-        found = speed_scaling.fit(step, previous, commanded, self.limits, q_cmd, dq_last)
-        self._motion, self._asked = found.motion, found.dq
-        self._is_moving = moving or bool(found.dq.any())
-        self.limitation = self._limited(found, q_cmd, asked) if asked else None
-        return found.dq
+        instant = Instant(
+            q_cmd,
+            np.array(dq_last, dtype=np.float64),
+            self._dq_before,
+            self.limits,
+            self._max_jerk,
+            self.cycle_s,
+            self.surroundings,
+        )
+        dq, limitation = self._mode.advance(instant, asked)
+        self._dq_before = instant.dq_last
+        self._is_moving = moving or bool(dq.any())
+        self.limitation = limitation if asked else None
+        return dq
 
     def take_verdict(self, verdict: Verdict | None) -> None:
         """Take the verdict on the increment; the gate's reason takes precedence over the mode's own."""
@@ -201,9 +220,6 @@ class Teleoperator:
             if wanted is not (self._next or self._mode):
                 self._next = wanted
         self._mode.choose(self.command.option)
-
-    def _step_from(self, q_cmd: Array) -> Callable[[Motion], Array]:
-        return lambda motion: self._mode.step(q_cmd, motion, self.cycle_s)
 
     def _commanded(self, q: Array) -> Motion:
         """The command as a motion of the axes that the mode drives."""
@@ -228,24 +244,12 @@ class Teleoperator:
                 hand[:3], hand[3:] = rotation @ hand[:3], rotation @ hand[3:]
         return motion
 
-    def _made(self, dq_last: Array) -> float:
-        """Fraction of the motion last asked for that the robot was commanded: the gate may have braked it."""
-        size = float(self._asked @ self._asked)
-        return min(1.0, max(0.0, float(self._asked @ dq_last) / size)) if size > 0.0 else 0.0
-
-    def _limited(self, found: speed_scaling.Fit, q: Array, commanded: Motion) -> Limitation | None:
-        geometry = self._mode.limitation(q, commanded)
-        if geometry is not None:
-            return geometry
-        names, revolute = self.robot.joint_names, self.robot.revolute
-        if found.at_limit is not None:
-            joint = found.at_limit
-            return of_joint(names[joint], float(q[joint]), bool(revolute[joint]))
-        return of_speed(names[found.too_fast]) if found.too_fast is not None else None
-
 
 SETTLE_S = 0.12
 """How long the setpoint stands still before another mode takes over: the drives lag behind it [s]."""
+
+LONGEST_JERK_TIME_S = 1.0
+"""Greatest `jerk_time_s`: a robot that takes longer to change its speed is not driven, but nudged [s]."""
 
 _STILL = 1e-12
 """An increment below this is none [rad or m]."""

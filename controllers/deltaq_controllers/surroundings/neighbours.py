@@ -21,7 +21,9 @@ import pinocchio as pin
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
-from deltaq_controllers.camera.pairs import (
+from deltaq_controllers.kinematics import placement_views
+from deltaq_controllers.spheres import Spheres, local_box
+from deltaq_controllers.surroundings.pairs import (
     TOUCHING_M,
     candidates,
     nearest,
@@ -29,8 +31,6 @@ from deltaq_controllers.camera.pairs import (
     ranges_of_nearer,
     rows_of,
 )
-from deltaq_controllers.kinematics import placement_views
-from deltaq_controllers.spheres import Spheres, local_box
 from deltaq_protocol.arrays import Array, Indices
 
 _UNKNOWN_M = -1e6

@@ -1,4 +1,4 @@
-"""The other robots of a cell as a camera controller sees them: where their setpoints will be, and how fast."""
+"""The other robots of a cell as the controller of one sees them: where their setpoints will be, and how fast."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deltaq_controllers.camera.scene import Scene
-from deltaq_controllers.camera.setpoints import Foreseen
+from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import View
 from deltaq_controllers.spheres import PlacedSpheres
+from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
 
 
@@ -17,15 +17,15 @@ class OtherRobots:
     """Setpoints of every robot but the own one; vectors over the cell are in the cell's order.
 
     Args:
-        scene: the cell and who is who in it.
+        cell: the cell.
+        robot: name of the own one.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self._robots, self._own, self._leader = scene.cell.robots, scene.robot_name, scene.leader_name
+    def __init__(self, cell: CellModel, robot: str) -> None:
+        self._robots, self._own = cell.robots, robot
+        own, cycle_s = cell.robots[robot], cell.description.cycle_s
         self._others = {
-            name: Foreseen(robot, scene.robot, scene.cycle_s)
-            for name, robot in self._robots.items()
-            if name != self._own
+            name: Foreseen(robot, own, cycle_s) for name, robot in self._robots.items() if name != self._own
         }
         self._bodies = {name: PlacedSpheres(self._robots[name]) for name in self._others}
 
@@ -35,10 +35,9 @@ class OtherRobots:
             if name in self._others:
                 self._others[name].update(view.own, other)
 
-    @property
-    def leader(self) -> Foreseen:
-        """The leader."""
-        return self._others[self._leader]
+    def named(self, name: str) -> Foreseen:
+        """One of them."""
+        return self._others[name]
 
     def ahead(self, time_s: float = 0.0) -> dict[str, Array]:
         """(m,) setpoint of each robot that was heard, a time after the own robot's next increment [rad or m]."""

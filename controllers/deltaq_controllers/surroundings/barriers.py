@@ -1,4 +1,4 @@
-"""The constraints of the quadratic programme, compiled: bounds of the joints, and barriers of the distances.
+"""The constraints of the quadratic programmes, compiled: bounds of the joints, and barriers of the distances.
 
 Both are judged at the end of the brake with which the gate follows every increment.
 """
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
-from deltaq_controllers.camera.neighbours import NearPairs
 from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.surroundings.neighbours import NearPairs
 from deltaq_protocol.arrays import Array
 
 _BRAKING = 0.98
@@ -54,11 +54,13 @@ class Barriers(NamedTuple):
         rows: (k, n) change of each distance per increment.
         least: (k,) least change [m].
         kinds: (k,) whose slack it may use.
+        places: (k,) which of the near pairs each is of.
     """
 
     rows: Array
     least: Array
     kinds: NDArray[np.intp]
+    places: NDArray[np.intp]
 
 
 @compiled
@@ -86,7 +88,8 @@ def barriers_of(
         cycle_s: the cycle [s].
     """
     most, n = 2 * len(near.pairs), near.own.shape[1]
-    rows, least, kinds = np.empty((most, n)), np.empty(most), np.empty(most, dtype=np.intp)
+    rows, least = np.empty((most, n)), np.empty(most)
+    kinds, places = np.empty(most, dtype=np.intp), np.empty(most, dtype=np.intp)
     k = 0
     for i in range(len(near.pairs)):
         pair, row = near.pairs[i], near.own[i]
@@ -99,9 +102,9 @@ def barriers_of(
         for kind, more in ((first, 0.0), (RESERVE, share * needed)):
             wanted = (change + travel + more) / braking.reach
             if at_worst < wanted and (kind != RESERVE or more > 0.0):
-                rows[k], least[k], kinds[k] = row, wanted, kind
+                rows[k], least[k], kinds[k], places[k] = row, wanted, kind, i
                 k += 1
-    return Barriers(rows[:k], least[:k], kinds[:k])
+    return Barriers(rows[:k], least[:k], kinds[:k], places[:k])
 
 
 @compiled

@@ -1,0 +1,182 @@
+"""One quadratic programme per cycle: the joints' increment, the pace of the tasks, and what each task falls short by.
+
+    minimise    rest |D (dq - drift)|^2  +  |w T|^2 (1 - pace)^2  +  line |e|^2  +  price . s
+    subject to  R dq = pace w T + back + e                 the tasks
+                slowest <= dq <= fastest                   position, speed, acceleration, jerk
+                approach_down - s <= dq <= approach_up + s  limits ahead
+                C dq + s >= c,  s >= 0                      clearance
+                0 <= pace <= most
+
+R are the tasks' rows, w the rates that they are to have, `back` an older error of theirs. The weights lie so far apart
+that they act as an order: first the lines of the tasks, then clearance, then room before limits, then the pace along
+the lines, and in the null space of all of these the joints' drift. Where something binds, the pace gives way and the
+lines do not.
+
+Every weight stands by itself on the diagonal of the cost: however far they lie apart, none blurs another. The solver is
+DAQP's dual active-set method (Arnström, Bemporad and Axehill, 2022, IEEE TAC 67(8)), begun anew in each cycle: the same
+view gives the same increment, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from deltaq_cell.compiled import compiled
+from deltaq_controllers.modes.increment_bounds import Box
+from deltaq_controllers.surroundings.barriers import Barriers
+from deltaq_protocol.arrays import Array, Indices
+
+REST = 1e-5
+"""Cost of a squared mrad of a joint, where a squared mm of lost way along the line costs one."""
+
+LINE = 1e5
+"""Cost of a squared mm off the line."""
+
+APPROACH = 1e1
+"""Cost of a mrad by which a joint approaches its limit faster than wished."""
+
+CLEARANCE = 1e2
+"""Cost of a mm that is missing from a clearance."""
+
+_SLACKS = 3
+"""One for each kind of barrier, so that what one kind needs does not loosen the others."""
+
+_MILLI = 1e3
+"""The programme counts in mm and mrad, so that its numbers are near one."""
+
+_UNBOUNDED = 1e30
+"""What the solver takes for no bound."""
+
+_EQUATION = 5
+"""How the solver is told of an equation."""
+
+_LEAST_WAY_MM = 1e-3
+"""A task that goes by less in a cycle is weighed as if it went by so much."""
+
+
+class Wanted(NamedTuple):
+    """What the tasks are to do in a cycle.
+
+    Attributes:
+        rows: (r, n) displacement of each task per joint displacement, turns as travel [m/rad].
+        way: (r,) displacement that is wanted [m].
+        back: (r,) older error that is to be corrected besides [m].
+        most_pace: greatest pace along `way`.
+    """
+
+    rows: Array
+    way: Array
+    back: Array
+    most_pace: float
+
+
+class Drift(NamedTuple):
+    """What the joints would do by themselves.
+
+    Attributes:
+        dq: (n,) increment [rad or m].
+        weights: (n,) cost of the square of what differs from it.
+    """
+
+    dq: Array
+    weights: Array
+
+
+class Solution(NamedTuple):
+    """The answer.
+
+    Attributes:
+        dq: (n,) increment, within its bounds [rad or m].
+        pace: of the tasks along their way.
+        joint_forces: (n,) how hard the bound of each joint presses, positive at `fastest`.
+        barrier_forces: (k,) how hard each barrier presses.
+    """
+
+    dq: Array
+    pace: float
+    joint_forces: Array
+    barrier_forces: Array
+
+
+def solve(wanted: Wanted, box: Box, drift: Drift, barriers: Barriers) -> Solution | None:
+    """Solve the programme; None if the solver found no answer."""
+    tasks, n = wanted.rows.shape
+    approaching, senses = _approaching(box)
+    hessian, linear, rows, low, high, kinds = _written(wanted, box, drift, barriers, approaching, senses)
+    solution, _, found, told = daqp.solve(hessian, linear, rows, high, low, kinds)
+    solution = np.asarray(solution)
+    if found != 1 or not np.isfinite(solution).all():  # rounding made it inconsistent
+        return None
+    dq = np.minimum(np.maximum(solution[:n] / _MILLI, box.slowest), box.fastest)
+    forces = np.asarray(told["lam"])
+    first = len(solution) + tasks
+    behind = first + len(barriers.least)
+    joint_forces = forces[:n].copy()
+    joint_forces[approaching] += np.abs(forces[behind:]) * senses
+    return Solution(dq, float(solution[n]), joint_forces, np.abs(forces[first:behind]))
+
+
+@compiled
+def _approaching(box: Box) -> tuple[Indices, Array]:
+    """The joints that are wished to be slower than they may be, and on which side, -1 or 1."""
+    n = len(box.slowest)
+    joints, senses, count = np.empty(2 * n, dtype=np.intp), np.empty(2 * n), 0
+    for joint in range(n):
+        if box.approach_down[joint] > box.slowest[joint]:
+            joints[count], senses[count] = joint, -1.0
+            count += 1
+        if box.approach_up[joint] < box.fastest[joint]:
+            joints[count], senses[count] = joint, 1.0
+            count += 1
+    return joints[:count], senses[:count]
+
+
+@compiled
+def _written(
+    wanted: Wanted, box: Box, drift: Drift, barriers: Barriers, approaching: Indices, senses: Array
+) -> tuple[Array, Array, Array, Array, Array, NDArray[np.int32]]:
+    """The programme as the solver takes it: over the increment, the pace, the tasks' errors and the slacks."""
+    tasks, n = wanted.rows.shape
+    pairs, wishes = len(barriers.least), len(approaching)
+    slacks = n + 1 + tasks
+    count = slacks + _SLACKS + wishes
+    hessian, linear = np.zeros((count, count)), np.zeros(count)
+    rows = np.zeros((tasks + pairs + wishes, count))
+    low = np.full(count + len(rows), -_UNBOUNDED)
+    high = np.full(count + len(rows), _UNBOUNDED)
+    kinds = np.zeros(count + len(rows), dtype=np.int32)
+    for joint in range(n):
+        hessian[joint, joint] = REST * drift.weights[joint]
+        linear[joint] = -REST * drift.weights[joint] * _MILLI * drift.dq[joint]
+        low[joint], high[joint] = _MILLI * box.slowest[joint], _MILLI * box.fastest[joint]
+    way = _MILLI * np.sqrt((wanted.way * wanted.way).sum())
+    hessian[n, n] = max(way, _LEAST_WAY_MM) ** 2
+    linear[n] = -hessian[n, n]
+    low[n], high[n] = 0.0, wanted.most_pace
+    for task in range(tasks):
+        hessian[n + 1 + task, n + 1 + task] = LINE
+        rows[task, :n] = wanted.rows[task]
+        rows[task, n] = -_MILLI * wanted.way[task]
+        rows[task, n + 1 + task] = -1.0
+        low[count + task] = high[count + task] = _MILLI * wanted.back[task]
+        kinds[count + task] = _EQUATION
+    for slack in range(slacks, count):
+        # the slacks' own squares keep the programme strictly convex
+        hessian[slack, slack], low[slack] = 1e-3, 0.0
+        linear[slack] = CLEARANCE if slack < slacks + _SLACKS else APPROACH
+    for pair in range(pairs):
+        row = tasks + pair
+        rows[row, :n] = barriers.rows[pair]
+        rows[row, slacks + barriers.kinds[pair]] = 1.0
+        low[count + row] = _MILLI * barriers.least[pair]
+    for wish in range(wishes):
+        row, joint = tasks + pairs + wish, approaching[wish]
+        rows[row, joint] = -senses[wish]
+        rows[row, slacks + _SLACKS + wish] = 1.0
+        bound = box.approach_up[joint] if senses[wish] > 0.0 else box.approach_down[joint]
+        low[count + row] = -_MILLI * senses[wish] * bound
+    return hessian, linear, rows, low, high, kinds

@@ -1,0 +1,212 @@
+"""A mode whose joints follow from tasks, by one quadratic programme per cycle (`programme`).
+
+A mode says which tasks there are: the motions of the hands, and joints that are driven by name. The rest is the same
+for all: how fast what is commanded is taken up, where it has to end, and what binds.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.modes import programme
+from deltaq_controllers.modes.binding import binding
+from deltaq_controllers.modes.conditioning import (
+    GLANCE,
+    LENGTH_M,
+    LOST,
+    WATCHED_M,
+    kept_share,
+    least_motions,
+    ramp_share,
+)
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.increment_bounds import Box, can_rest, increment_box
+from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
+from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
+from deltaq_controllers.modes.line import Line
+from deltaq_controllers.modes.motion import Motion
+from deltaq_controllers.surroundings.barriers import Barriers
+from deltaq_controllers.surroundings.surroundings import Near
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.brake import brake_cycles
+
+RAMP_SHARE = 0.5
+"""Fraction of each joint's acceleration that an operator's own changes of speed use."""
+
+REVOLUTE_SHARE = 0.25
+"""Share of a rad of a revolute joint in the work, where a m of a prismatic one has one."""
+
+SWIFT_RAD_S2, LEAST_SHARE = 4.0, 0.25
+"""Acceleration from which on a revolute joint has its full share; a slower one has less, down to this part of it."""
+
+SLOWED = 0.95
+"""Pace, or share of what is commanded, below which the operator is told what binds."""
+
+_AS_ASKED = 1e-9
+"""An increment that differs by less from what was asked for was admitted whole [rad or m]."""
+
+
+class DrivenTasks(NamedTuple):
+    """DrivenTasks at a configuration.
+
+    Attributes:
+        rows: (r, n) displacement of each per joint displacement, turns as travel; six for each hand, then those of
+            driven joints.
+        rates: (r,) that are asked for [m/s].
+    """
+
+    rows: Array
+    rates: Array
+
+
+class ResolvedMode(TeleoperationMode):
+    """What `decoupled`, `coupled` and `self-motion` have in common.
+
+    Args:
+        robot: the robot.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self._hands = Hands(robot)
+        swift = np.clip(robot.max_acceleration / SWIFT_RAD_S2, LEAST_SHARE, 1.0)
+        self._shares = np.where(robot.revolute, REVOLUTE_SHARE * swift, 1.0)
+        self._units = np.tile(np.repeat([1.0, LENGTH_M], 3), len(robot.hands))
+        self._line = Line()
+        self._asked: Array = np.zeros(robot.n)
+        self._going: Array | None = None
+        self._motion: Array | None = None
+        empty = np.zeros(0, dtype=np.intp)
+        self._nothing_near = Near(
+            Barriers(np.zeros((0, robot.n)), np.zeros(0), empty, empty), empty, np.zeros(0)
+        )
+
+    @abstractmethod
+    def _tasks(self, motion: Motion) -> DrivenTasks:
+        """The tasks of a motion where `_hands` are."""
+
+    def _allowed(self, instant: Instant, motion: Motion) -> float:
+        """The share of a motion that the mode's own guarantee allows."""
+        del instant, motion
+        return 1.0
+
+    def _drift(self, q: Array, made: Array) -> Array:
+        """(n,) joint rates that are wanted besides tasks that go at rates `made` (r,) [m/s]."""
+        del made
+        return np.zeros_like(q)
+
+    def _ended(self, motion: Motion, conditioning: Conditioning) -> Limitation:
+        """What is told where the way ends for want of mobility."""
+        del motion
+        return of_conditioning(self._hands, conditioning)
+
+    def enter(self, q: Array) -> None:
+        """The hands go from where they are."""
+        self._line.forget()
+        self._asked = np.zeros_like(q)
+        self._going = self._motion = None
+
+    def advance(self, instant: Instant, asked: Motion) -> Advance:
+        """The increment that goes on towards what is asked for."""
+        q, dq_last, limits = instant.q_cmd, instant.dq_last, instant.limits
+        box = increment_box(
+            limits,
+            q,
+            dq_last,
+            instant.dq_before,
+            brake_cycles(dq_last, limits.max_ddq),
+            instant.max_jerk,
+            instant.cycle_s,
+        )
+        if not asked and can_rest(box, dq_last, instant.max_jerk):
+            self._rest()
+            self._going = self._motion = None
+            self._asked = np.zeros_like(q)
+            return Advance(self._asked)
+        if np.abs(dq_last - self._asked).max() > _AS_ASKED:
+            self._going = self._motion = None
+            self._intervened()
+        found = self._towards(instant, asked, box)
+        self._asked = limits.admissible(found.dq, q, dq_last)
+        return Advance(self._asked, found.limitation)
+
+    def _rest(self) -> None:
+        """The robot comes to rest: the next motion begins where the hands are then."""
+        self._line.forget()
+
+    def _intervened(self) -> None:
+        """The gate did not admit all that was asked for: the line goes on from where the hands are."""
+        self._line.forget()
+
+    def _towards(self, instant: Instant, asked: Motion, box: Box) -> Advance:
+        q, dq_last, limits, cycle_s = instant.q_cmd, instant.dq_last, instant.limits, instant.cycle_s
+        hands, line = self._hands, self._line
+        hands.place(q)
+        if not line.is_set:
+            line.begin(hands)
+        # half a cycle ahead the Jacobian is that of the whole cycle, to second order
+        middle = q + 0.5 * dq_last
+        error = line.back(hands, cycle_s).ravel()
+        hands.update(middle)
+        tasks = self._tasks(asked)
+        back = np.zeros(len(tasks.rates))
+        back[: len(error)] = self._units * error
+        if self._going is None or len(self._going) != len(tasks.rates):
+            # nothing was asked for before, or fewer tasks, or the gate did otherwise
+            self._going, self._motion = tasks.rows @ dq_last / cycle_s, None
+        made = self._going
+        motions = least_motions(tasks.rows, self._shares, tasks.rates, made)
+        share, ended = self._allowed(instant, asked), None
+        if asked and (motions.lost > LOST or motions.mobility < WATCHED_M):
+            direction = motions.asked / max(float(np.linalg.norm(motions.asked)), 1e-12)
+            hands.update(middle + GLANCE * direction)
+            ahead = self._tasks(asked)
+            then = least_motions(ahead.rows, self._shares, ahead.rates, made).mobility
+            kept = kept_share(motions.asked, motions.mobility, then, self._robot.max_acceleration)
+            kept = 0.0 if motions.lost > LOST else kept
+            if kept < SLOWED:
+                curved = (ahead.rows - tasks.rows) @ direction / GLANCE
+                ended = self._ended(
+                    asked, Conditioning(tasks.rates, direction, curved, motions.mobility, motions.lost)
+                )
+            share = min(share, kept)
+        bend = motions.made - (motions.made if self._motion is None else self._motion)
+        ramp = ramp_share(
+            cycle_s * bend,
+            cycle_s * (share * motions.asked - motions.made),
+            RAMP_SHARE * limits.max_ddq,
+            instant.max_jerk,
+        )
+        way = self._way(made, made + ramp * (share * tasks.rates - made))
+        size = float(np.linalg.norm(way))
+        most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
+        near = self._near(instant, box)
+        drift = programme.Drift(cycle_s * self._drift(q, made), 1.0 / self._shares)
+        found = programme.solve(
+            programme.Wanted(tasks.rows, cycle_s * way, back, most_pace), box, drift, near.barriers
+        )
+        if found is None:
+            cycles = brake_cycles(dq_last, limits.max_ddq)
+            line.forget()
+            self._going = self._motion = None
+            return Advance(dq_last * ((cycles - 1) / cycles))
+        self._going = found.pace * way
+        self._motion = found.pace * (motions.made + ramp * (share * motions.asked - motions.made))
+        line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6))
+        if not asked or ended is not None or found.pace >= SLOWED:
+            return Advance(found.dq, ended)
+        return Advance(found.dq, binding(self._robot, instant, found, box, near))
+
+    def _way(self, made: Array, way: Array) -> Array:
+        """(r,) rates of the tasks in this cycle, from those that were made."""
+        del made
+        return way
+
+    def _near(self, instant: Instant, box: Box) -> Near:
+        if instant.surroundings is None:
+            return self._nothing_near
+        return instant.surroundings.near(instant.q_cmd, box.slowest, box.fastest)
