@@ -143,7 +143,7 @@ class QpFollower:
     @property
     def leader_seen(self) -> Foreseen:
         """How the leader is seen, and how old its state is."""
-        return self._others.named(self._scene.leader.name)
+        return self._others.named(self._scene.leader_name)
 
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
         """View angle error [rad] and view distance less the desired one [m], at measured configurations."""
