@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
 
 import numpy as np
@@ -17,13 +18,18 @@ from deltaq_protocol.messages import RobotSummary
 BLOCKED_S = 2.0
 """A robot that has made no way along its path for so long is not waited for [s]."""
 
-_STEPS = 8
-_BISECTIONS = 6
+_PARTS = 8
+_ROUNDS = 4
+"""A place is found to within a part in `_PARTS ** _ROUNDS`, or a quarter of it."""
 _TAKEN_BACK_CYCLES = 20.0
 """Cycles in which a deviation is corrected: a brake of the gate is straight, a path may bend."""
 _SEARCHED_S = 0.5
 """How far from where it was last the robot is looked for, back and ahead, by the path's time [s]."""
-_SEARCHED = 257
+_SEARCHED = 1025
+_NEARER_IN_TIME = 0.01
+"""Of two places on a path that crosses itself the one nearer in time counts: a cycle is so many greatest increments."""
+_LAST_CYCLES = 2.0
+"""A path may begin or pass where it ends: the end is the end only in its last cycles."""
 _PROGRESS_S = 1e-4
 """Way along the path that counts as some [s of its time]."""
 _ARRIVED = 1e-6
@@ -87,46 +93,43 @@ class TrajectoryFollower:
         here = self._find(own.q_cmd)
         deviation = own.q_cmd - here
         self._ends(own, deviation, dq_last)
-        left_s = self.path.duration_s - self._at_s
-        steps_s = np.linspace(0.0, min(self._cycle_s, left_s), _STEPS + 1)
         back = here + deviation / _TAKEN_BACK_CYCLES
-        excess = self._excess(steps_s, back, dq_last)
-        allowed = np.flatnonzero(excess <= 1.0)
-        if not len(allowed):  # so fast, or so far away, that no step is: the nearest to what is
-            self._sent_to_s = self._at_s + float(steps_s[excess.argmin()])
-            return self._to(self._sent_to_s) - back
-        wanted, beyond = (allowed[0], allowed[0] - 1) if self._stops else (allowed[-1], allowed[-1] + 1)
-        step_s = float(steps_s[wanted])
-        if 0 <= beyond <= _STEPS:
-            other_s = float(steps_s[beyond])
-            for _ in range(_BISECTIONS):
-                middle_s = 0.5 * (step_s + other_s)
-                if self._excess(np.array([middle_s]), back, dq_last)[0] <= 1.0:
-                    step_s = middle_s
-                else:
-                    other_s = middle_s
-        self._sent_to_s = self._at_s + step_s
+        self._sent_to_s = self._at_s + self._step_s(back, dq_last)
         return self._to(self._sent_to_s) - back
 
-    def _excess(self, steps_s: Array, back: Array, dq_last: Array) -> Array:
-        """(k,) 1 or less: that step along the path is within all limits; while it comes to rest, of the joints only."""
-        dq = self._ahead(steps_s) - back
-        joints = np.maximum(
-            np.abs(dq - dq_last) / self._limits.max_ddq, np.abs(dq) / self._limits.max_dq
-        ).max(axis=1)
+    def _step_s(self, back: Array, dq_last: Array) -> float:
+        """How far to go along the path: as far as profile and joints allow or, to come to rest, as little as they do.
+
+        Where the profile asks for less than the joints can do, the joints' limits go first: the robot stays on its path.
+        """
+
+        def excess(steps_s: Array) -> Array:
+            dq = self.path.at(self._at_s + steps_s) - back
+            shares = np.abs(dq - dq_last) / self._limits.max_ddq, np.abs(dq) / self._limits.max_dq
+            return np.asarray(np.maximum(*shares).max(axis=1))
+
+        def is_possible(steps_s: Array) -> Array:
+            return np.asarray(excess(steps_s) <= 1.0)
+
+        def is_in_profile(steps_s: Array) -> Array:
+            return np.asarray(steps_s <= self._cycle_s * self._profile.rate(self._at_s + steps_s))
+
+        most_s = min(self._cycle_s, self.path.duration_s - self._at_s)
+        whole = np.array([most_s])
+        if not self._stops and is_possible(whole)[0] and is_in_profile(whole)[0]:
+            return most_s
+        possible_s = _least(excess, 0.0, most_s)
+        if not is_possible(np.array([possible_s]))[0]:
+            return possible_s
+        slowest_s = _edge(is_possible, possible_s, 0.0)
         if self._stops:
-            return np.asarray(joints)
-        rate = steps_s / self._cycle_s
-        too_fast = rate > self._profile.rate(self._at_s + steps_s)
-        # what passes the profile is never chosen for being nearest to the limits, unless all do
-        return np.where(too_fast, np.maximum(joints, 1.0) + rate, joints)
+            return slowest_s
+        fastest_s = _edge(is_possible, possible_s, most_s)
+        return max(slowest_s, min(fastest_s, _edge(is_in_profile, 0.0, most_s)))
 
     def _to(self, time_s: float) -> Array:
         place: Array = self.path.at(np.array([time_s]))[0]
         return place
-
-    def _ahead(self, steps_s: Array) -> Array:
-        return self.path.at(self._at_s + steps_s)
 
     def _find(self, q_cmd: Array) -> Array:
         """The place on the path (n,) where the robot is now: where it was sent to or, if not there, the nearest one."""
@@ -139,31 +142,50 @@ class TrajectoryFollower:
         distances = self._distances(near_s, q_cmd)
         k = int(distances.argmin())
         lower_s, upper_s = near_s[max(k - 1, 0)], near_s[min(k + 1, _SEARCHED - 1)]
-        for _ in range(5):  # each time eight times as fine
-            fine_s = np.linspace(lower_s, upper_s, 2 * _STEPS + 1)
-            k = int(self._distances(fine_s, q_cmd).argmin())
-            lower_s, upper_s = fine_s[max(k - 1, 0)], fine_s[min(k + 1, 2 * _STEPS)]
-        self._at_s = float(fine_s[k])
+        self._at_s = _least(lambda at_s: self._distances(at_s, q_cmd), float(lower_s), float(upper_s))
         return self._to(self._at_s)
 
     def _distances(self, times_s: Array, q_cmd: Array) -> Array:
         away = (self.path.at(times_s) - q_cmd) / self._limits.max_dq
-        distances: Array = (away**2).sum(axis=1)
+        late = _NEARER_IN_TIME * (times_s - self._sent_to_s) / self._cycle_s
+        distances: Array = (away**2).sum(axis=1) + late**2
         return distances
 
     def _ends(self, own: RobotView, deviation: Array, dq_last: Array) -> None:
         """Whether the trajectory has ended: see `Ending`."""
         rests = bool((np.abs(dq_last) <= _ARRIVED * self._limits.max_dq).all())
-        on_path = bool((np.abs(deviation) <= _ARRIVED * self._limits.max_dq).all())
+        from_end = np.abs(own.q_cmd - self._to(self.path.duration_s))
+        is_last = self.path.duration_s - self._at_s <= _LAST_CYCLES * self._cycle_s
         if self._at_s > self._farthest_s + _PROGRESS_S:
             self._farthest_s, self._idle_cycles = self._at_s, 0
         else:
             self._idle_cycles += 1
         if (np.abs(deviation) > self._within).any():
             self.ending = Ending.OFF_PATH
-        elif rests and on_path and self._at_s >= self.path.duration_s:
+        elif rests and is_last and (from_end <= _ARRIVED * self._limits.max_dq).all():
             self.ending = Ending.ARRIVED
         elif rests and self._stops:
             self.ending = Ending.STOPPED
         elif self._idle_cycles * self._cycle_s > BLOCKED_S:
             self.ending = Ending.BLOCKED
+
+
+def _least(cost: Callable[[Array], Array], lower_s: float, upper_s: float) -> float:
+    """Where a cost is least that falls up to there and rises behind it."""
+    for _ in range(_ROUNDS):
+        places_s = np.linspace(lower_s, upper_s, _PARTS + 1)
+        k = int(cost(places_s).argmin())
+        lower_s, upper_s = float(places_s[max(k - 1, 0)]), float(places_s[min(k + 1, _PARTS)])
+    return float(places_s[k])
+
+
+def _edge(holds: Callable[[Array], Array], inside_s: float, outside_s: float) -> float:
+    """How far from `inside_s`, where it holds, towards `outside_s` it holds."""
+    for _ in range(_ROUNDS):
+        places_s = np.linspace(inside_s, outside_s, _PARTS + 1)
+        does = holds(places_s)
+        if does.all():
+            return outside_s
+        first = max(1, int(does.argmin()))
+        inside_s, outside_s = float(places_s[first - 1]), float(places_s[first])
+    return inside_s

@@ -9,8 +9,10 @@ from deltaq_controllers.ros2.path import Path
 from deltaq_protocol.arrays import Array
 
 SHARE = 0.7
-"""Share of the joints' acceleration limits that bends of the path may take; slowing down for what is ahead takes what
-is left, three tenths or more."""
+"""Share of the joints' acceleration limits that bends of the path may take."""
+
+_BRAKED = 0.9
+"""Share that bends, corners and slowing down for what is ahead take together."""
 
 _MOST_PLACES = 20_000
 
@@ -40,16 +42,16 @@ class Profile:
         bend = np.abs([path.acceleration(at_s) for at_s in inside]).max(axis=0)
         with np.errstate(divide="ignore"):
             driven = np.minimum(1.0, (SHARE * max_acceleration / bend).min(axis=1))
-            fall = ((max_acceleration - driven[:, None] * bend) / speed).min(axis=1)
-            jump = (limits.max_ddq / cycle_s / np.abs(path.corners())).min(axis=1)
+            fall = ((_BRAKED * max_acceleration - driven[:, None] * bend) / speed).min(axis=1)
+            jump = (_BRAKED * limits.max_ddq / cycle_s / np.abs(path.corners())).min(axis=1)
         most = np.minimum(np.append(driven, 1.0), np.append(1.0, driven))
         at_points = np.searchsorted(self._places_s, path.times_s)
         most[at_points] = np.minimum(most[at_points], jump**2)
-        self._rates = np.sqrt(_reachable(most.tolist(), (2.0 * between_s * fall).tolist()))
+        self._squares = _reachable(most.tolist(), (2.0 * between_s * fall).tolist())
 
     def rate(self, times_s: Array) -> Array:
         """(k,) the greatest rate at times (k,) of the path."""
-        rates: Array = np.interp(times_s, self._places_s, self._rates)
+        rates: Array = np.sqrt(np.interp(times_s, self._places_s, self._squares))
         return rates
 
 
