@@ -48,8 +48,10 @@ class IncrementLimits(NamedTuple):
     @classmethod
     def told(cls, summary: RobotSummary, cycle_s: float) -> Self:
         """The same of a robot that is known by what its HLI says of it."""
-        limits = summary.lower, summary.upper, summary.max_velocity, summary.max_acceleration
-        return cls._of(*map(np.array, limits), cycle_s)
+        lower, upper = np.array(summary.lower), np.array(summary.upper)
+        return cls._of(
+            lower, upper, np.array(summary.max_velocity), np.array(summary.max_acceleration), cycle_s
+        )
 
     @classmethod
     def _of(

@@ -142,7 +142,9 @@ class CdrReader:
         """Nothing may be left but padding."""
         left = len(self._body) - self._at
         if left > _PADDING:
-            raise RefusedMessageError("malformed", "message", f"{left} bytes too long", "the fields of its type")
+            raise RefusedMessageError(
+                "malformed", "message", f"{left} bytes too long", "the fields of its type"
+            )
 
     def _bytes(self, size: int, alignment: int, field: str) -> bytes:
         begin = self._at + -self._at % alignment

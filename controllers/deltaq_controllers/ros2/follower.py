@@ -100,7 +100,8 @@ class TrajectoryFollower:
     def _step_s(self, back: Array, dq_last: Array) -> float:
         """How far to go along the path: as far as profile and joints allow or, to come to rest, as little as they do.
 
-        Where the profile asks for less than the joints can do, the joints' limits go first: the robot stays on its path.
+        Where the profile asks for less than the joints can do, the joints' limits go first: the robot stays on its
+        path.
         """
 
         def excess(steps_s: Array) -> Array:

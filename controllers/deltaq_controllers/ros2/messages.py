@@ -88,7 +88,8 @@ class JointState:
     effort: tuple[float, ...] = ()
 
     TYPE: ClassVar[RosType] = RosType(
-        "sensor_msgs/msg/JointState", "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+        "sensor_msgs/msg/JointState",
+        "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
     )
 
     def encode(self) -> bytes:
@@ -129,9 +130,11 @@ class JointTrajectoryPoint:
     @classmethod
     def read(cls, cdr: CdrReader, name: str) -> Self:
         """Read the fields; raises `RefusedMessageError`."""
-        quantities = ("positions", "velocities", "accelerations", "effort")
-        values = [cdr.float64s(f"{name}.{quantity}", MAX_JOINTS) for quantity in quantities]
-        return cls(*values, time_from_start=Time.read(cdr, f"{name}.time_from_start"))
+        positions = cdr.float64s(f"{name}.positions", MAX_JOINTS)
+        velocities = cdr.float64s(f"{name}.velocities", MAX_JOINTS)
+        accelerations = cdr.float64s(f"{name}.accelerations", MAX_JOINTS)
+        effort = cdr.float64s(f"{name}.effort", MAX_JOINTS)
+        return cls(positions, velocities, accelerations, effort, Time.read(cdr, f"{name}.time_from_start"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +146,8 @@ class JointTrajectory:
     points: tuple[JointTrajectoryPoint, ...] = ()
 
     TYPE: ClassVar[RosType] = RosType(
-        "trajectory_msgs/msg/JointTrajectory", "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
+        "trajectory_msgs/msg/JointTrajectory",
+        "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e",
     )
 
     def encode(self) -> bytes:

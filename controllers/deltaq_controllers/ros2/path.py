@@ -7,8 +7,11 @@ whose third kind, quintic where accelerations are given as well, is not here.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltaq_protocol.arrays import Array
+
+_Pieces = NDArray[np.intp]
 
 
 class Path:
@@ -62,17 +65,22 @@ class Path:
         pieces = np.arange(len(self.times_s) - 1)
         begin, end = self._powers[1], self._velocity(pieces, lengths_s)
         rest = np.zeros((1, begin.shape[1]))
-        return np.concatenate([begin, rest]) - np.concatenate([rest, end])
+        jumps: Array = np.concatenate([begin, rest]) - np.concatenate([rest, end])
+        return jumps
 
     def extremes(self) -> tuple[Array, Array, Array]:
-        """Of each piece the least and the greatest position and the greatest speed of each joint, three of (m - 1, n)."""
+        """Of each piece and joint the least and greatest position and the greatest speed, three of (m - 1, n)."""
         lengths_s = np.diff(self.times_s)[:, None]
         _, dq, square, cube = self._powers
         pieces = np.arange(len(lengths_s))
         with np.errstate(divide="ignore", invalid="ignore"):
             fastest_s = -square / (3.0 * cube)
             root = np.sqrt(square**2 - 3.0 * cube * dq)
-            turning_s = [(-square + root) / (3.0 * cube), (-square - root) / (3.0 * cube), -dq / (2.0 * square)]
+            turning_s = [
+                (-square + root) / (3.0 * cube),
+                (-square - root) / (3.0 * cube),
+                -dq / (2.0 * square),
+            ]
         ends_s = [np.zeros_like(dq), np.broadcast_to(lengths_s, dq.shape)]
         places_s = [*ends_s, *(np.clip(np.nan_to_num(at_s), 0.0, lengths_s) for at_s in turning_s)]
         positions = np.array([self._position(pieces, at_s) for at_s in places_s])
@@ -80,18 +88,18 @@ class Path:
         speeds = np.abs([self._velocity(pieces, at_s) for at_s in fast_s])
         return positions.min(axis=0), positions.max(axis=0), speeds.max(axis=0)
 
-    def _since(self, times_s: Array) -> tuple[Array, Array]:
+    def _since(self, times_s: Array) -> tuple[_Pieces, Array]:
         """The piece of each time (k,), and the time since it began (k, 1)."""
         within = np.clip(times_s, 0.0, self.duration_s)
         piece = np.clip(np.searchsorted(self.times_s, within, side="right") - 1, 0, len(self.times_s) - 2)
         return piece, (within - self.times_s[piece])[:, None]
 
-    def _position(self, piece: Array, since: Array) -> Array:
+    def _position(self, piece: _Pieces, since: Array) -> Array:
         q, dq, square, cube = (power[piece] for power in self._powers)
         position: Array = q + since * (dq + since * (square + since * cube))
         return position
 
-    def _velocity(self, piece: Array, since: Array) -> Array:
+    def _velocity(self, piece: _Pieces, since: Array) -> Array:
         _, dq, square, cube = (power[piece] for power in self._powers)
         velocity: Array = dq + since * (2.0 * square + 3.0 * since * cube)
         return velocity

@@ -1,7 +1,7 @@
 """How rmw_zenoh names what it sends: key expressions, liveliness tokens, quality of service, attachments.
 
-Pure text and bytes. Source: github.com/ros2/rmw_zenoh, `docs/design.md` ("Topic and Service name mapping", "Graph Cache",
-"Publishers") and, for the quality of service, `qos_to_keyexpr` in `rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`.
+Pure text and bytes. Source: github.com/ros2/rmw_zenoh, `docs/design.md` ("Topic and Service name mapping", "Graph
+Cache", "Publishers") and, for quality of service, `qos_to_keyexpr` in `rmw_zenoh_cpp/src/detail/liveliness_utils.cpp`.
 """
 
 from __future__ import annotations
@@ -130,7 +130,9 @@ class Attachment:
             raise RefusedMessageError("attachment", "attachment", size, f"{_ATTACHMENT.size} bytes")
         sequence, time_ns, gid_bytes, gid = _ATTACHMENT.unpack(attachment)
         if gid_bytes != _GID_BYTES:
-            raise RefusedMessageError("attachment", "attachment.gid", f"of length {gid_bytes}", str(_GID_BYTES))
+            raise RefusedMessageError(
+                "attachment", "attachment.gid", f"of length {gid_bytes}", str(_GID_BYTES)
+            )
         return cls(sequence, time_ns, gid)
 
 

@@ -76,8 +76,8 @@ def read_trajectory(message: JointTrajectory, robot: RobotSummary, now_ns: int) 
 def path_from(trajectory: Trajectory, q_cmd: Array, robot: RobotSummary) -> Path:
     """The path of a robot that rests at a setpoint.
 
-    A first point later than 0 is reached from there in its time. One at 0 has to be near: it is approached on a straight
-    line at half speed at most, and the times of all points are counted from there.
+    A first point later than 0 is reached from there in its time. One at 0 has to be near: it is approached on a
+    straight line at half speed at most, and the times of all points are counted from there.
 
     Args:
         trajectory: to be followed.
@@ -120,7 +120,9 @@ def _joint_order(given: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
     seen: set[str] = set()
     for k, name in enumerate(given):
         if name in seen:
-            raise RefusedMessageError("joint_names", f"joint_names[{k}]", f"{name!r} again", "each joint once")
+            raise RefusedMessageError(
+                "joint_names", f"joint_names[{k}]", f"{name!r} again", "each joint once"
+            )
         if name not in joints:
             raise RefusedMessageError("joint_names", f"joint_names[{k}]", repr(name), ", ".join(joints))
         seen.add(name)
@@ -188,13 +190,15 @@ def _check_path(path: Path, robot: RobotSummary, first: int) -> None:
     least, greatest, fastest = path.extremes()
     for joint, unit in enumerate(robot.units):
         name, fastest_allowed = robot.joints[joint], robot.max_velocity[joint]
-        k = int(fastest[:, joint].argmax())
-        if fastest[k, joint] > fastest_allowed * (1.0 + _ROUNDING):
-            given, bound = f"{fastest[k, joint]:.4g} {unit}/s", f"{fastest_allowed:g} {unit}/s or less"
-            raise RefusedMessageError("limit", f"the speed towards points[{k + first}], {name},", given, bound)
+        most = int(fastest[:, joint].argmax())
+        if fastest[most, joint] > fastest_allowed * (1.0 + _ROUNDING):
+            given, bound = f"{fastest[most, joint]:.4g} {unit}/s", f"{fastest_allowed:g} {unit}/s or less"
+            raise RefusedMessageError(
+                "limit", f"the speed towards points[{most + first}], {name},", given, bound
+            )
         slack = _ROUNDING * (robot.upper[joint] - robot.lower[joint])
-        for k, farthest in ((least[:, joint].argmin(), least.min(axis=0)), (greatest[:, joint].argmax(), greatest.max(axis=0))):
-            q = farthest[joint]
+        for places, k in ((least, least[:, joint].argmin()), (greatest, greatest[:, joint].argmax())):
+            q = places[k, joint]
             if not robot.lower[joint] - slack <= q <= robot.upper[joint] + slack:
                 bound = f"{robot.lower[joint]:g} to {robot.upper[joint]:g} {unit}"
                 what = f"the way to points[{int(k) + first}], {name},"
