@@ -23,6 +23,8 @@ _ROUNDS = 4
 """A place is found to within a part in `_PARTS ** _ROUNDS`, or a quarter of it."""
 _TAKEN_BACK_CYCLES = 20.0
 """Cycles in which a deviation is corrected: a brake of the gate is straight, a path may bend."""
+_TAKEN_BACK_AT_LEAST = 0.1
+"""Of the greatest change of an increment."""
 _SEARCHED_S = 0.5
 """How far from where it was last the robot is looked for, back and ahead, by the path's time [s]."""
 _SEARCHED = 1025
@@ -93,9 +95,16 @@ class TrajectoryFollower:
         here = self._find(own.q_cmd)
         deviation = own.q_cmd - here
         self._ends(own, deviation, dq_last)
-        back = here + deviation / _TAKEN_BACK_CYCLES
+        back = here + self._taken_back(deviation)
         self._sent_to_s = self._at_s + self._step_s(back, dq_last)
         return self._to(self._sent_to_s) - back
+
+    def _taken_back(self, deviation: Array) -> Array:
+        """The part of a deviation (n,) that a cycle corrects: a share of it, but what is small comes to an end."""
+        least = _TAKEN_BACK_AT_LEAST * self._limits.max_ddq
+        small = np.minimum(np.maximum(deviation, -least), least)
+        share = deviation / _TAKEN_BACK_CYCLES
+        return np.where(np.abs(share) > np.abs(small), share, small)
 
     def _step_s(self, back: Array, dq_last: Array) -> float:
         """How far to go along the path: as far as profile and joints allow or, to come to rest, as little as they do.

@@ -23,6 +23,10 @@ from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, RobotSu
 Say = Callable[[str, Mapping[str, Any]], None]
 """Tells people, and with fields programs, what has happened."""
 
+_NOTHING = 1e-9
+"""Less than that is no difference of setpoints [rad or m]."""
+_LONGEST_REST_S = 2.0
+"""After the end of a trajectory its last increments are waited for no longer [s]."""
 _MAY_NOT_MOVE = (Phase.HELD, Phase.OFFLINE)
 
 
@@ -49,6 +53,7 @@ class TrajectoryMover:
         self._waiting: Trajectory | None = None
         self._driven: TrajectoryFollower | None = None
         self._limited_by: tuple[Reason, ...] = ()
+        self._resting_cycles = 0
 
     @property
     def has_work(self) -> bool:
@@ -97,9 +102,15 @@ class TrajectoryMover:
         if self._driven is None:
             return np.zeros(len(self._robot.joints))
         dq = self._driven.increment(view)
-        if self._driven.ending is not None:
+        if self._driven.ending is not None and self._rests(state, view):
             self._end(self._driven.ending)
         return dq
+
+    def _rests(self, state: RobotState, view: View) -> bool:
+        """Whether nothing is in flight any more: whoever gave the lease back before would take it back, too."""
+        self._resting_cycles += 1
+        in_flight = np.abs(view.own.q_cmd - np.array(state.q_cmd)).max()
+        return bool(in_flight <= _NOTHING) or self._resting_cycles * self._cycle_s > _LONGEST_REST_S
 
     def judged(self, verdict: Verdict | None) -> None:
         """A verdict has come on an increment, or None never will."""
@@ -114,7 +125,7 @@ class TrajectoryMover:
             self._tell(f"the trajectory has ended: {why}", event="ended", ending="lost", why=why)
 
     def _begin(self, trajectory: Trajectory, q_cmd: Array) -> None:
-        self._waiting, self._limited_by = None, ()
+        self._waiting, self._limited_by, self._resting_cycles = None, (), 0
         try:
             self._driven = TrajectoryFollower(trajectory, q_cmd, self._robot, self._cycle_s)
         except RefusedMessageError as error:

@@ -9,12 +9,13 @@ from deltaq_controllers.ros2.path import Path
 from deltaq_protocol.arrays import Array
 
 SHARE = 0.7
-"""Share of the joints' acceleration limits that bends of the path may take."""
+"""Share of the joints' acceleration limits that a bend or a corner of the path may take."""
 
 _BRAKED = 0.9
-"""Share that bends, corners and slowing down for what is ahead take together."""
+"""Share that bends and slowing down for what is ahead take together."""
 
 _MOST_PLACES = 20_000
+_CYCLES_BEFORE = 2.0
 
 
 class Profile:
@@ -31,9 +32,13 @@ class Profile:
     """
 
     def __init__(self, path: Path, limits: IncrementLimits, cycle_s: float) -> None:
+        with np.errstate(divide="ignore"):
+            jump = np.minimum(1.0, (SHARE * limits.max_ddq / cycle_s / np.abs(path.corners())).min(axis=1))
+        # the robot has slowed down for a corner before the cycle in which it passes it
+        before_s = np.maximum(path.times_s - _CYCLES_BEFORE * cycle_s * jump, 0.0)
         spacing_s = max(cycle_s, path.duration_s / _MOST_PLACES)
         regular_s = np.arange(0.0, path.duration_s, spacing_s)
-        self._places_s = np.unique(np.concatenate([regular_s, path.times_s]))
+        self._places_s = np.unique(np.concatenate([regular_s, path.times_s, before_s]))
         max_acceleration = limits.max_ddq / cycle_s**2
         # a bend counts in the whole piece between two places: what is least of both its ends
         between_s = np.diff(self._places_s)
@@ -43,10 +48,9 @@ class Profile:
         with np.errstate(divide="ignore"):
             driven = np.minimum(1.0, (SHARE * max_acceleration / bend).min(axis=1))
             fall = ((_BRAKED * max_acceleration - driven[:, None] * bend) / speed).min(axis=1)
-            jump = (_BRAKED * limits.max_ddq / cycle_s / np.abs(path.corners())).min(axis=1)
         most = np.minimum(np.append(driven, 1.0), np.append(1.0, driven))
-        at_points = np.searchsorted(self._places_s, path.times_s)
-        most[at_points] = np.minimum(most[at_points], jump**2)
+        for at_s in (path.times_s, before_s):
+            np.minimum.at(most, np.searchsorted(self._places_s, at_s), jump**2)
         self._squares = _reachable(most.tolist(), (2.0 * between_s * fall).tolist())
 
     def rate(self, times_s: Array) -> Array:
