@@ -121,12 +121,9 @@ class TrajectoryFollower:
         def is_possible(steps_s: Array) -> Array:
             return np.asarray(excess(steps_s) <= 1.0)
 
-        def is_in_profile(steps_s: Array) -> Array:
-            return np.asarray(steps_s <= self._cycle_s * self._profile.rate(self._at_s + steps_s))
-
         most_s = min(self._cycle_s, self.path.duration_s - self._at_s)
-        whole = np.array([most_s])
-        if not self._stops and is_possible(whole)[0] and is_in_profile(whole)[0]:
+        in_profile_s = self._in_profile_s(most_s)
+        if not self._stops and in_profile_s == most_s and is_possible(np.array([most_s]))[0]:
             return most_s
         possible_s = _least(excess, 0.0, most_s)
         if not is_possible(np.array([possible_s]))[0]:
@@ -135,7 +132,21 @@ class TrajectoryFollower:
         if self._stops:
             return slowest_s
         fastest_s = _edge(is_possible, possible_s, most_s)
-        return max(slowest_s, min(fastest_s, _edge(is_in_profile, 0.0, most_s)))
+        return max(slowest_s, min(fastest_s, in_profile_s))
+
+    def _in_profile_s(self, most_s: float) -> float:
+        """How far the next step may go by the profile, which may have a narrow place within a step."""
+
+        def holds(steps_s: Array) -> Array:
+            return np.asarray(steps_s <= self._cycle_s * self._profile.rate(self._at_s + steps_s))
+
+        narrow_s = self._profile.places_between(self._at_s, self._at_s + most_s) - self._at_s
+        steps_s = np.sort(np.concatenate([np.linspace(0.0, most_s, _PARTS + 1), narrow_s]))
+        does = holds(steps_s)
+        if does.all():
+            return most_s
+        first = max(1, int(does.argmin()))
+        return _edge(holds, float(steps_s[first - 1]), float(steps_s[first]))
 
     def _to(self, time_s: float) -> Array:
         place: Array = self.path.at(np.array([time_s]))[0]

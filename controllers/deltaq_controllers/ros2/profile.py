@@ -58,6 +58,11 @@ class Profile:
         rates: Array = np.sqrt(np.interp(times_s, self._places_s, self._squares))
         return rates
 
+    def places_between(self, begin_s: float, end_s: float) -> Array:
+        """(k,) times of the path within these two between which the rate does not bend."""
+        first, last = np.searchsorted(self._places_s, (begin_s, end_s))
+        return self._places_s[first:last]
+
 
 def _reachable(most: list[float], falls: list[float]) -> Array:
     """From the end backwards: no place may be passed faster than the next one can be slowed down to."""
