@@ -14,7 +14,7 @@ from deltaq_controllers.ros2.messages import (
     JointState,
     JointTrajectory,
     JointTrajectoryPoint,
-    Time,
+    RosTime,
 )
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 
@@ -37,13 +37,13 @@ BY_HAND = bytes.fromhex(
 
 
 def trajectory(names, points, stamp=(0, 0), frame_id=""):
-    made = tuple(JointTrajectoryPoint(*map(tuple, p[:4]), time_from_start=Time(*p[4])) for p in points)
-    return JointTrajectory(Header(Time(*stamp), frame_id), tuple(names), made)
+    made = tuple(JointTrajectoryPoint(*map(tuple, p[:4]), time_from_start=RosTime(*p[4])) for p in points)
+    return JointTrajectory(Header(RosTime(*stamp), frame_id), tuple(names), made)
 
 
 @given(times, texts, names, st.tuples(floats, floats, floats))
 def test_a_joint_state_is_byte_for_byte_that_of_another_library(stamp, frame_id, names, values):
-    ours = JointState(Header(Time(*stamp), frame_id), tuple(names), *map(tuple, values))
+    ours = JointState(Header(RosTime(*stamp), frame_id), tuple(names), *map(tuple, values))
     theirs = ros_types.joint_state(stamp, frame_id, names, *values)
     assert ours.encode() == theirs
     assert JointState.decode(theirs) == ours

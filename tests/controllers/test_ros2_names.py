@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 from deltaq_controllers.ros2.rmw import (
-    Attachment,
+    RosAttachment,
     RosNameError,
     RosNode,
     RosType,
@@ -58,8 +58,8 @@ def test_two_endpoints_have_two_gids_of_16_bytes_and_one_has_always_the_same():
 )
 def test_an_attachment_is_two_numbers_a_length_and_a_gid(sequence, time_ns, gid):
     encoded = struct.pack("<q", sequence) + struct.pack("<q", time_ns) + b"\x10" + gid
-    assert Attachment(sequence, time_ns, gid).encode() == encoded
-    assert Attachment.decode(encoded) == Attachment(sequence, time_ns, gid)
+    assert RosAttachment(sequence, time_ns, gid).encode() == encoded
+    assert RosAttachment.decode(encoded) == RosAttachment(sequence, time_ns, gid)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_an_attachment_is_two_numbers_a_length_and_a_gid(sequence, time_ns, gid)
 )
 def test_what_is_no_attachment_is_refused(attachment, text):
     with pytest.raises(RefusedMessageError, match=text):
-        Attachment.decode(attachment)
+        RosAttachment.decode(attachment)
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from small_cell import small_cell
 
 from deltaq_cell.summary import robot_summary
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.ros2.messages import Header, Time
+from deltaq_controllers.ros2.messages import Header, RosTime
 from deltaq_controllers.ros2.path import Path
-from deltaq_controllers.ros2.profile import SHARE, Profile
+from deltaq_controllers.ros2.profile import SHARE, RateProfile
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 from deltaq_controllers.ros2.trajectory import path_from, read_trajectory
 
@@ -73,10 +73,10 @@ def read(message, robot=ARM):
             "points[0].velocities, a1, is 0.5 rad/s, allowed is rest at the end, 0.0015708 rad/s or less",
         ),
         (
-            trajectory(A, point(1, q()), header=Header(Time(1_700_000_006))),
+            trajectory(A, point(1, q()), header=Header(RosTime(1_700_000_006))),
             "header.stamp is +6.000 s from now, allowed is 0, or within 5 s of now",
         ),
-        (trajectory(A, point(1, q()), header=Header(Time(12))), "header.stamp is -1699999988.000 s from now"),
+        (trajectory(A, point(1, q()), header=Header(RosTime(12))), "header.stamp is -1699999988.000 s from now"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
@@ -170,7 +170,7 @@ def test_a_profile_slows_down_for_bends_and_corners_and_in_time_for_them():
     limits = IncrementLimits.told(ARM, CELL.cycle_s)
     nothing = np.full((3, 6), NAN)
     corner = Path(np.array([0.0, 1.0, 2.0]), np.array([q(at=0.0), q(at=1.0), q(at=0.0)]), nothing)
-    rate = Profile(corner, limits, CELL.cycle_s).rate
+    rate = RateProfile(corner, limits, CELL.cycle_s).rate
     jump = 2.0 * rate(np.array([1.0]))[0]
     np.testing.assert_allclose(jump / (CELL.cycle_s * ARM.max_acceleration[0]), SHARE, rtol=1e-5)
     assert rate(np.array([0.5]))[0] == 1.0
@@ -179,5 +179,5 @@ def test_a_profile_slows_down_for_bends_and_corners_and_in_time_for_them():
     assert 0.8 * ARM.max_acceleration[0] < falls.max() < ARM.max_acceleration[0]
     ends = np.array([q(at=0.0), q(at=1.0)])
     bent = Path(np.array([0.0, 0.5]), ends, np.zeros((2, 6)))  # starts with 24 rad/s^2, the arm has 4
-    begin = Profile(bent, limits, CELL.cycle_s).rate(np.array([0.0]))[0]
+    begin = RateProfile(bent, limits, CELL.cycle_s).rate(np.array([0.0]))[0]
     np.testing.assert_allclose(begin**2 * 24.0, SHARE * ARM.max_acceleration[0], rtol=0.02)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from deltaq_controllers.ros2.messages import JointTrajectory, JointTrajectoryPoint, Time
-from deltaq_controllers.ros2.rmw import Attachment
+from deltaq_controllers.ros2.messages import JointTrajectory, JointTrajectoryPoint, RosTime
+from deltaq_controllers.ros2.rmw import RosAttachment
 
-ATTACHMENT = Attachment(1, 0, bytes(16)).encode()
+ATTACHMENT = RosAttachment(1, 0, bytes(16)).encode()
 
 
 def point(
     time_s: float, positions: Iterable[float], velocities: Iterable[float] = ()
 ) -> JointTrajectoryPoint:
     """A point; positions [rad or m], velocities [rad/s or m/s]."""
-    moment = Time.of_ns(round(time_s * 1e9))
+    moment = RosTime.of_ns(round(time_s * 1e9))
     return JointTrajectoryPoint(_floats(positions), _floats(velocities), time_from_start=moment)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from deltaq_controllers.interface import LastIncrement, RobotView, View
 from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.ros2.path import Path
-from deltaq_controllers.ros2.profile import Profile
+from deltaq_controllers.ros2.profile import RateProfile
 from deltaq_controllers.ros2.trajectory import START_WITHIN, Trajectory, path_from
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import RobotSummary
@@ -38,7 +38,7 @@ _ARRIVED = 1e-6
 """Share of a joint's greatest increment by which it may miss the end."""
 
 
-class Ending(StrEnum):
+class TrajectoryEnding(StrEnum):
     """How a trajectory ended."""
 
     ARRIVED = "arrived"
@@ -64,10 +64,10 @@ class TrajectoryFollower:
     """
 
     def __init__(self, trajectory: Trajectory, q_cmd: Array, robot: RobotSummary, cycle_s: float) -> None:
-        self.ending: Ending | None = None
+        self.ending: TrajectoryEnding | None = None
         self.path: Path = path_from(trajectory, q_cmd, robot)
         self._limits = IncrementLimits.told(robot, cycle_s)
-        self._profile = Profile(self.path, self._limits, cycle_s)
+        self._profile = RateProfile(self.path, self._limits, cycle_s)
         self._last = LastIncrement(self._limits.max_ddq)
         self._within = np.array([START_WITHIN[unit] for unit in robot.units])
         self._cycle_s = cycle_s
@@ -173,7 +173,7 @@ class TrajectoryFollower:
         return distances
 
     def _ends(self, own: RobotView, deviation: Array, dq_last: Array) -> None:
-        """Whether the trajectory has ended: see `Ending`."""
+        """Whether the trajectory has ended: see `TrajectoryEnding`."""
         rests = bool((np.abs(dq_last) <= _ARRIVED * self._limits.max_dq).all())
         from_end = np.abs(own.q_cmd - self._to(self.path.duration_s))
         is_last = self.path.duration_s - self._at_s <= _LAST_CYCLES * self._cycle_s
@@ -182,13 +182,13 @@ class TrajectoryFollower:
         else:
             self._idle_cycles += 1
         if (np.abs(deviation) > self._within).any():
-            self.ending = Ending.OFF_PATH
+            self.ending = TrajectoryEnding.OFF_PATH
         elif rests and is_last and (from_end <= _ARRIVED * self._limits.max_dq).all():
-            self.ending = Ending.ARRIVED
+            self.ending = TrajectoryEnding.ARRIVED
         elif rests and self._stops:
-            self.ending = Ending.STOPPED
+            self.ending = TrajectoryEnding.STOPPED
         elif self._idle_cycles * self._cycle_s > BLOCKED_S:
-            self.ending = Ending.BLOCKED
+            self.ending = TrajectoryEnding.BLOCKED
 
 
 def _least(cost: Callable[[Array], Array], lower_s: float, upper_s: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deltaq_controllers.ros2.messages import Header, JointState, Time
+from deltaq_controllers.ros2.messages import Header, JointState, RosTime
 from deltaq_protocol.messages import RobotState, RobotSummary
 
 _NEAR_CYCLES = 10
@@ -36,4 +36,4 @@ class JointStates:
             velocity = tuple(
                 (q - q_before) / between_s for q, q_before in zip(state.q, before.q, strict=True)
             )
-        return JointState(Header(Time.of_ns(now_ns)), self._joints, state.q, velocity)
+        return JointState(Header(RosTime.of_ns(now_ns)), self._joints, state.q, velocity)

@@ -25,7 +25,7 @@ _NANOSECONDS = 10**9
 
 
 @dataclass(frozen=True, slots=True)
-class Time:
+class RosTime:
     """`builtin_interfaces/msg/Time` or, with a sign, `Duration`: `sec` [s] and `nanosec` [ns] beyond them."""
 
     sec: int = 0
@@ -63,7 +63,7 @@ class Time:
 class Header:
     """`std_msgs/msg/Header`."""
 
-    stamp: Time = field(default_factory=Time)
+    stamp: RosTime = field(default_factory=RosTime)
     frame_id: str = ""
 
     def write(self, cdr: CdrWriter) -> None:
@@ -74,7 +74,7 @@ class Header:
     @classmethod
     def read(cls, cdr: CdrReader) -> Self:
         """Read the fields; raises `RefusedMessageError`."""
-        return cls(Time.read(cdr, "header.stamp"), cdr.string("header.frame_id", MAX_NAME_BYTES))
+        return cls(RosTime.read(cdr, "header.stamp"), cdr.string("header.frame_id", MAX_NAME_BYTES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class JointTrajectoryPoint:
     velocities: tuple[float, ...] = ()
     accelerations: tuple[float, ...] = ()
     effort: tuple[float, ...] = ()
-    time_from_start: Time = field(default_factory=Time)
+    time_from_start: RosTime = field(default_factory=RosTime)
 
     def write(self, cdr: CdrWriter) -> None:
         """Append the fields."""
@@ -134,7 +134,7 @@ class JointTrajectoryPoint:
         velocities = cdr.float64s(f"{name}.velocities", MAX_JOINTS)
         accelerations = cdr.float64s(f"{name}.accelerations", MAX_JOINTS)
         effort = cdr.float64s(f"{name}.effort", MAX_JOINTS)
-        return cls(positions, velocities, accelerations, effort, Time.read(cdr, f"{name}.time_from_start"))
+        return cls(positions, velocities, accelerations, effort, RosTime.read(cdr, f"{name}.time_from_start"))
 
 
 @dataclass(frozen=True, slots=True)

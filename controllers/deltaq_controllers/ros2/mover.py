@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from deltaq_controllers.interface import View
-from deltaq_controllers.ros2.follower import BLOCKED_S, Ending, TrajectoryFollower
+from deltaq_controllers.ros2.follower import BLOCKED_S, TrajectoryEnding, TrajectoryFollower
 from deltaq_controllers.ros2.messages import JointTrajectory
 from deltaq_controllers.ros2.refusal import RefusedMessageError
-from deltaq_controllers.ros2.rmw import Attachment
+from deltaq_controllers.ros2.rmw import RosAttachment
 from deltaq_controllers.ros2.trajectory import Trajectory, read_trajectory
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, RobotSummary, Verdict
 
-Say = Callable[[str, Mapping[str, Any]], None]
+TrajectoryNews = Callable[[str, Mapping[str, Any]], None]
 """Tells people, and with fields programs, what has happened."""
 
 _NOTHING = 1e-9
@@ -46,7 +46,12 @@ class TrajectoryMover:
     """
 
     def __init__(
-        self, name: str, robot: RobotSummary, cycle_s: float, say: Say, counters: Counter[str] | None = None
+        self,
+        name: str,
+        robot: RobotSummary,
+        cycle_s: float,
+        say: TrajectoryNews,
+        counters: Counter[str] | None = None,
     ) -> None:
         self.counters: Counter[str] = Counter() if counters is None else counters
         self._name, self._robot, self._cycle_s, self._say = name, robot, cycle_s, say
@@ -68,7 +73,7 @@ class TrajectoryMover:
     def hear(self, message: bytes, attachment: bytes | None, now_ns: int) -> None:
         """A message has come, from anybody; now is in ns since the epoch."""
         try:
-            Attachment.decode(attachment)
+            RosAttachment.decode(attachment)
             trajectory = read_trajectory(JointTrajectory.decode(message), self._robot, now_ns)
         except RefusedMessageError as error:
             self._refuse(error)
@@ -131,22 +136,22 @@ class TrajectoryMover:
         except RefusedMessageError as error:
             self._refuse(error)
 
-    def _end(self, ending: Ending) -> None:
+    def _end(self, ending: TrajectoryEnding) -> None:
         self._driven = None
-        if ending in (Ending.BLOCKED, Ending.OFF_PATH):
+        if ending in (TrajectoryEnding.BLOCKED, TrajectoryEnding.OFF_PATH):
             self._waiting = None
         self.counters[f"ended_{ending}"] += 1
         self._tell(f"the trajectory has ended: {self._why(ending)}", event="ended", ending=str(ending))
 
-    def _why(self, ending: Ending) -> str:
+    def _why(self, ending: TrajectoryEnding) -> str:
         match ending:
-            case Ending.ARRIVED:
+            case TrajectoryEnding.ARRIVED:
                 return "the robot has arrived"
-            case Ending.STOPPED:
+            case TrajectoryEnding.STOPPED:
                 return "the robot has come to rest on its path"
-            case Ending.OFF_PATH:
+            case TrajectoryEnding.OFF_PATH:
                 return "the robot has left its path"
-            case Ending.BLOCKED:
+            case TrajectoryEnding.BLOCKED:
                 reasons = ", ".join(f"{reason.code} {reason.what}".strip() for reason in self._limited_by)
                 return f"no way was made for {BLOCKED_S:g} s; the gate last said {reasons or 'nothing'}"
 

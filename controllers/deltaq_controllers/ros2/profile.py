@@ -18,7 +18,7 @@ _MOST_PLACES = 20_000
 _CYCLES_BEFORE = 2.0
 
 
-class Profile:
+class RateProfile:
     """The greatest rate at each place of a path: 1 drives it in its own time, less stretches the time.
 
     With the path's own time s and x = (ds/dt)^2 a joint's acceleration is q'' x + q' (dx/ds) / 2. Bends bound x by

@@ -101,7 +101,7 @@ class RosEndpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Attachment:
+class RosAttachment:
     """What goes beside every message.
 
     Attributes:

@@ -11,7 +11,7 @@ from typing import Any, Self
 import zenoh
 
 from deltaq_controllers.ros2.messages import MAX_MESSAGE_BYTES
-from deltaq_controllers.ros2.rmw import Attachment, RosEndpoint, RosNode, RosType
+from deltaq_controllers.ros2.rmw import RosAttachment, RosEndpoint, RosNode, RosType
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.wire import Wire
 
@@ -95,7 +95,7 @@ class RosPublisher:
     def publish(self, message: bytes) -> None:
         """Publish a message in CDR; while the router is gone it is dropped."""
         self.published += 1
-        attachment = Attachment(self.published, time.time_ns(), self._gid)
+        attachment = RosAttachment(self.published, time.time_ns(), self._gid)
         self._publisher.put(message, attachment=attachment.encode())
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deltaq_controllers.ros2.messages import JointTrajectory, JointTrajectoryPoint, Time
+from deltaq_controllers.ros2.messages import JointTrajectory, JointTrajectoryPoint, RosTime
 from deltaq_controllers.ros2.path import Path
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 from deltaq_protocol.arrays import Array
@@ -108,9 +108,9 @@ def path_from(trajectory: Trajectory, q_cmd: Array, robot: RobotSummary) -> Path
     return path
 
 
-def _check_stamp(stamp: Time, now_ns: int) -> None:
+def _check_stamp(stamp: RosTime, now_ns: int) -> None:
     away_s = stamp.total_s - now_ns / 1e9
-    if stamp != Time() and abs(away_s) > STAMP_WITHIN_S:
+    if stamp != RosTime() and abs(away_s) > STAMP_WITHIN_S:
         bound = f"0, or within {STAMP_WITHIN_S:g} s of now: a trajectory begins when it comes"
         raise RefusedMessageError("time", "header.stamp", f"{away_s:+.3f} s from now", bound)
 
