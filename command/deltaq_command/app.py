@@ -24,6 +24,7 @@ from deltaq_command import (
     metrics,
     operate,
     recordings,
+    ros2,
     rsi,
     soak,
     streams,
@@ -75,6 +76,7 @@ app.command(rich_help_panel=WATCH)(streams.hz)
 app.command(rich_help_panel=WATCH)(watch.health)
 app.command(rich_help_panel=WATCH)(recordings.record)
 app.command(rich_help_panel=WATCH)(metrics.metrics)
+app.command(rich_help_panel=WATCH)(ros2.ros2)
 app.command(rich_help_panel=WATCH)(audit.audit)
 app.command(rich_help_panel=COMMAND)(drive.drive)
 app.command(rich_help_panel=COMMAND)(advise.advise)

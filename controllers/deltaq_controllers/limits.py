@@ -13,6 +13,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
+from deltaq_protocol.messages import RobotSummary
 
 _SHY = 1.0 - 1e-6
 """Fraction of each limit that is used, so that rounding never counts as a violation."""
@@ -42,13 +43,23 @@ class IncrementLimits(NamedTuple):
     @classmethod
     def of(cls, robot: RobotModel, cycle_s: float) -> Self:
         """Limits of a robot whose cycle is `cycle_s`."""
-        slack = (1.0 - _SHY) * (robot.upper - robot.lower)
-        return cls(
-            robot.lower + slack,
-            robot.upper - slack,
-            _SHY * cycle_s * robot.max_velocity,
-            _SHY * cycle_s**2 * robot.max_acceleration,
+        return cls._of(robot.lower, robot.upper, robot.max_velocity, robot.max_acceleration, cycle_s)
+
+    @classmethod
+    def told(cls, summary: RobotSummary, cycle_s: float) -> Self:
+        """The same of a robot that is known by what its HLI says of it."""
+        lower, upper = np.array(summary.lower), np.array(summary.upper)
+        return cls._of(
+            lower, upper, np.array(summary.max_velocity), np.array(summary.max_acceleration), cycle_s
         )
+
+    @classmethod
+    def _of(
+        cls, lower: Array, upper: Array, max_velocity: Array, max_acceleration: Array, cycle_s: float
+    ) -> Self:
+        slack = (1.0 - _SHY) * (upper - lower)
+        max_dq, max_ddq = _SHY * cycle_s * max_velocity, _SHY * cycle_s**2 * max_acceleration
+        return cls(lower + slack, upper - slack, max_dq, max_ddq)
 
     def _excess(self, q_cmd: Array, dq: Array) -> Array:
         """(n,) how far the end of the brake after `dq` lies outside; zero or less: inside."""

@@ -148,7 +148,7 @@ def run(
         print(f"error: {error}", file=sys.stderr, flush=True)
         return USAGE
     try:
-        asyncio.run(_until_told(controller))
+        asyncio.run(until_told(controller))
     except DeltaqError as error:
         _log.error("%s", error)
         log.say_result(summary())
@@ -159,7 +159,8 @@ def run(
     return 0
 
 
-async def _until_told(controller: Coroutine[Any, Any, None]) -> None:
+async def until_told(controller: Coroutine[Any, Any, None]) -> None:
+    """Run until it ends, or SIGTERM or SIGINT cancels it."""
     task = asyncio.create_task(controller)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -63,6 +63,11 @@ NOT_RUN = {
         "needs two machines; tests/live/test_sealed_realm.py runs a cell off the loopback",
         "needs two machines; tests/security/test_identified_clients.py connects the same way",
     ],
+    "ros2.md": [
+        "needs ROS",
+        "needs ROS",
+        "the last line of what has just ended; tests/controllers/test_ros2_bridge.py",
+    ],
     "systemd.md": ["needs root, and systemd"],
     "two-sites.md": [
         "a picture",

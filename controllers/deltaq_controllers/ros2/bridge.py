@@ -1,0 +1,196 @@
+"""The bridge's shell: a client of the HLI on one side, a node in the ROS graph on the other."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from deltaq_controllers.answers import Answers, lease
+from deltaq_controllers.ros2.joint_states import JointStates
+from deltaq_controllers.ros2.messages import JointState, JointTrajectory
+from deltaq_controllers.ros2.mover import TrajectoryMover
+from deltaq_controllers.ros2.rmw import checked_domain_id, checked_namespace, ros_name
+from deltaq_controllers.ros2.ros_session import RosPublisher, RosSession
+from deltaq_protocol.client import Cell, connect
+from deltaq_protocol.endpoint import Endpoint
+from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_ROS_ENDPOINT = "tcp/127.0.0.1:7448"
+"""Where a router of ROS is looked for. rmw_zenoh's own default, port 7447, is the HLI's in the shipped cells."""
+
+NODE = "deltaq"
+CLIENT = "deltaq ros2"
+_RETRY_S = 1.0
+
+
+class BridgeUseError(DeltaqError):
+    """The bridge is asked for what cannot be."""
+
+
+@dataclass(frozen=True)
+class RosSide:
+    """Where the bridge is to be found in ROS.
+
+    Attributes:
+        endpoint: of the router.
+        domain_id: of ROS.
+        namespace: of node and topics; None: the cell's name.
+        accepts: robots that trajectories may move.
+
+    Raises:
+        RosNameError: a domain or a namespace that ROS does not allow.
+        InvalidEndpointError: `endpoint` is no address.
+    """
+
+    endpoint: str = DEFAULT_ROS_ENDPOINT
+    domain_id: int = 0
+    namespace: str | None = None
+    accepts: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        Endpoint.parse(self.endpoint)
+        checked_domain_id(self.domain_id)
+        if self.namespace is not None:
+            checked_namespace(self.namespace)
+
+
+class Bridge:
+    """Publishes the joint states of every robot of a cell, and moves those that it may.
+
+    Args:
+        hli: where the cell's HLI listens, e.g. `tcp/127.0.0.1:7447`.
+        ros: the other side.
+
+    Raises:
+        BridgeUseError: both sides have one address.
+    """
+
+    def __init__(self, hli: str, ros: RosSide) -> None:
+        self._hli, self._ros = hli, ros
+        here, there = Endpoint.parse(hli), Endpoint.parse(ros.endpoint)
+        if here.port == there.port and (here.host == there.host or (here.is_loopback and there.is_loopback)):
+            raise BridgeUseError(
+                f"--ros-endpoint {ros.endpoint}: the cell's HLI listens there ({hli}), which is no router of ROS; let "
+                f"the router listen on another port, e.g. that of {DEFAULT_ROS_ENDPOINT}"
+            )
+        self._published: Counter[str] = Counter()
+        self._counters: dict[str, Counter[str]] = {robot: Counter() for robot in ros.accepts}
+
+    def summary(self) -> dict[str, Any]:
+        """What the bridge has done so far, by robot."""
+        robots = {
+            robot: {"joint_states": count, "trajectories": dict(self._counters.get(robot, {}))}
+            for robot, count in self._published.items()
+        }
+        return {"ros_endpoint": self._ros.endpoint, "domain_id": self._ros.domain_id, "robots": robots}
+
+    async def run(self) -> None:
+        """Serve until cancelled; once it has begun, cell and router may come and go.
+
+        Raises:
+            ServiceUnreachableError: one of them is not there at the beginning.
+            BridgeUseError: the cell has no such robot, or two of one name as ROS has it.
+        """
+        has_begun = asyncio.Event()
+        while True:
+            why = await self._until_gone(has_begun)
+            if not has_begun.is_set():
+                raise why
+            _log.warning("%s; trying again", why)
+            await asyncio.sleep(_RETRY_S)
+
+    async def _until_gone(self, has_begun: asyncio.Event) -> ServiceUnreachableError:
+        """Serve until one side has gone; returns which."""
+        gone: list[BaseException] = []
+        try:
+            await self._serve(has_begun)
+        except* ServiceUnreachableError as group:
+            gone += group.exceptions
+        why = gone[0]
+        assert isinstance(why, ServiceUnreachableError)  # `_serve` ends in no other way
+        return why
+
+    async def _serve(self, has_begun: asyncio.Event) -> None:
+        async with connect(self._hli, CLIENT) as cell:
+            namespace = self._namespace(cell)
+            ros = await RosSession.join(self._ros.endpoint, self._ros.domain_id, namespace, NODE)
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    for robot in cell.robots:
+                        topic = f"{namespace.rstrip('/')}/{ros_name(robot)}"
+                        publisher = ros.publisher(f"{topic}/joint_states", JointState.TYPE)
+                        tasks.create_task(self._publish(cell, robot, publisher))
+                        if robot in self._ros.accepts:
+                            move = self._obey(cell, robot, ros, f"{topic}/joint_trajectory")
+                            tasks.create_task(move)
+                    moved = ", ".join(self._ros.accepts) or "none"
+                    _log.info(
+                        "ready: joint states of %s under %s in ROS domain %d at %s; trajectories move %s",
+                        ", ".join(cell.robots), namespace, self._ros.domain_id, self._ros.endpoint, moved,
+                    )  # fmt: skip
+                    has_begun.set()
+            finally:
+                await ros.leave()
+
+    def _namespace(self, cell: Cell) -> str:
+        """Of node and topics, after a check that the robots can be told apart there."""
+        for robot in self._ros.accepts:
+            if robot not in cell.robots:
+                has = ", ".join(cell.robots)
+                raise BridgeUseError(f"no robot {robot!r} in cell {cell.description.cell}; it has {has}")
+        names = [ros_name(robot) for robot in cell.robots]
+        if len(set(names)) < len(names):
+            raise BridgeUseError(f"robots {', '.join(cell.robots)}: two of them have one name in ROS")
+        return self._ros.namespace or f"/{ros_name(cell.description.cell)}"
+
+    async def _publish(self, cell: Cell, robot: str, publisher: RosPublisher) -> None:
+        joint_states = JointStates(cell.robots[robot], cell.description.cycle_s)
+        async for state in cell.states(robot):
+            publisher.publish(joint_states.message(state, time.time_ns()).encode())
+            self._published[robot] += 1
+
+    async def _obey(self, cell: Cell, robot: str, ros: RosSession, topic: str) -> None:
+        """Drive the robot along the trajectories that come; between them its lease is free."""
+        counters = self._counters[robot]
+        mover = TrajectoryMover(robot, cell.robots[robot], cell.description.cycle_s, _say, counters)
+        has_come = asyncio.Event()
+
+        def take(message: bytes, attachment: bytes | None) -> None:
+            mover.hear(message, attachment, time.time_ns())
+            has_come.set()
+
+        ros.subscribe(topic, JointTrajectory.TYPE, take)
+        while True:
+            await has_come.wait()
+            has_come.clear()
+            try:
+                while mover.has_work:
+                    await self._drive(cell, robot, mover)
+            except RefusedError as error:
+                mover.lose(str(error))
+            except ServiceUnreachableError as error:
+                mover.lose(str(error))
+                raise
+
+    async def _drive(self, cell: Cell, robot: str, mover: TrajectoryMover) -> None:
+        async with await lease(cell, robot) as leased:
+            answers = Answers(cell, leased)
+            async for state in leased.states():
+                for cycle in await answers.due(state):
+                    await answers.send(state, cycle, mover.increment(state, answers.view(state)))
+                for verdict in answers.verdicts():
+                    mover.judged(verdict)
+                if not mover.has_work:
+                    return
+
+
+def _say(text: str, fields: Mapping[str, Any]) -> None:
+    refused = fields.get("event") == "refused"
+    _log.log(logging.WARNING if refused else logging.INFO, "%s", text, extra={"fields": dict(fields)})

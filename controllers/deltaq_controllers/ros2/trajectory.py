@@ -1,0 +1,205 @@
+"""A trajectory as a robot can follow it: a message that was checked against the robot's joints and limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltaq_controllers.ros2.messages import JointTrajectory, JointTrajectoryPoint, RosTime
+from deltaq_controllers.ros2.path import Path
+from deltaq_controllers.ros2.refusal import RefusedMessageError
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import RobotSummary
+
+MAX_DURATION_S = 600.0
+"""Of a trajectory, by its own times [s]."""
+
+STAMP_WITHIN_S = 5.0
+"""A header's stamp, unless it is 0, is at most so far from now [s]: trajectories begin when they come, not later."""
+
+START_WITHIN = {"rad": 0.02, "m": 0.005}
+"""How far from the robot's setpoint a first point with `time_from_start` 0 may be, by the joint's unit [rad, m]."""
+
+_ROUNDING = 1e-6
+"""Relative to a limit: a trajectory at its limit is none beyond it."""
+
+_AT_REST = 1e-3
+"""Share of a joint's greatest speed that counts as rest at the end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Points in the robot's joint order, at least one; an empty message asks for a stop and is none.
+
+    Attributes:
+        times_s: (m,) from the start, increasing from 0 or more [s].
+        q: (m, n) positions [rad or m].
+        velocities: (m, n), rows that were not given are not numbers [rad/s or m/s].
+    """
+
+    times_s: Array
+    q: Array
+    velocities: Array
+
+    @property
+    def duration_s(self) -> float:
+        """By its own times [s]."""
+        return float(self.times_s[-1])
+
+
+def read_trajectory(message: JointTrajectory, robot: RobotSummary, now_ns: int) -> Trajectory | None:
+    """What a message asks of a robot; None: to stop.
+
+    Args:
+        message: as it came.
+        robot: its joints and limits.
+        now_ns: time since the epoch [ns].
+
+    Raises:
+        RefusedMessageError: for the first thing that is wrong, with field, value and bound.
+    """
+    _check_stamp(message.header.stamp, now_ns)
+    if not message.points:
+        return None
+    order = _joint_order(message.joint_names, robot.joints)
+    n = len(order)
+    rows = [_rows(point, f"points[{k}]", n) for k, point in enumerate(message.points)]
+    q = np.array([positions for positions, _ in rows])[:, order]
+    velocities = np.array([given or (math.nan,) * n for _, given in rows])[:, order]
+    trajectory = Trajectory(_times_s(message.points), q, velocities)
+    _check_limits(trajectory, robot)
+    return trajectory
+
+
+def path_from(trajectory: Trajectory, q_cmd: Array, robot: RobotSummary) -> Path:
+    """The path of a robot that rests at a setpoint.
+
+    A first point later than 0 is reached from there in its time. One at 0 has to be near: it is approached on a
+    straight line at half speed at most, and the times of all points are counted from there.
+
+    Args:
+        trajectory: to be followed.
+        q_cmd: (n,) the robot's setpoint [rad or m].
+        robot: its joints and limits.
+
+    Raises:
+        RefusedMessageError: it begins too far away, or leads there too fast or beyond a limit.
+    """
+    times_s, q, velocities = trajectory.times_s, trajectory.q, trajectory.velocities
+    rest = np.zeros((1, len(q_cmd)))
+    if times_s[0] == 0.0:
+        away = np.abs(q[0] - q_cmd)
+        _check_start(away, robot)
+        lead_in_s = float((2.0 * away / np.array(robot.max_velocity)).max())
+        if len(q) > 1 and not away.any():
+            path = Path(times_s, q, velocities)
+            _check_path(path, robot, 1)
+            return path
+        times_s = times_s + max(lead_in_s, _ROUNDING)
+        rest = np.full_like(rest, math.nan)  # without a velocity the way there is straight
+    path = Path(
+        np.concatenate([[0.0], times_s]),
+        np.concatenate([[q_cmd], q]),
+        np.concatenate([rest, velocities]),
+    )
+    _check_path(path, robot, 0)
+    return path
+
+
+def _check_stamp(stamp: RosTime, now_ns: int) -> None:
+    away_s = stamp.total_s - now_ns / 1e9
+    if stamp != RosTime() and abs(away_s) > STAMP_WITHIN_S:
+        bound = f"0, or within {STAMP_WITHIN_S:g} s of now: a trajectory begins when it comes"
+        raise RefusedMessageError("time", "header.stamp", f"{away_s:+.3f} s from now", bound)
+
+
+def _joint_order(given: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
+    """Where each joint of the robot is among those that were given."""
+    seen: set[str] = set()
+    for k, name in enumerate(given):
+        if name in seen:
+            raise RefusedMessageError(
+                "joint_names", f"joint_names[{k}]", f"{name!r} again", "each joint once"
+            )
+        if name not in joints:
+            raise RefusedMessageError("joint_names", f"joint_names[{k}]", repr(name), ", ".join(joints))
+        seen.add(name)
+    if missing := [name for name in joints if name not in seen]:
+        raise RefusedMessageError(
+            "joint_names", "joint_names", f"without {', '.join(missing)}", f"all of {', '.join(joints)}"
+        )
+    return [given.index(name) for name in joints]
+
+
+def _rows(point: JointTrajectoryPoint, name: str, n: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Positions and velocities of a point; velocities are empty where there are none."""
+    fields = {"positions": point.positions, "velocities": point.velocities}
+    for field, values in (fields | {"accelerations": point.accelerations, "effort": point.effort}).items():
+        if len(values) != n and (values or field == "positions"):
+            bound = f"{n}, one for each joint" + ("" if field == "positions" else ", or 0")
+            raise RefusedMessageError("length", f"{name}.{field}", f"of length {len(values)}", bound)
+        for k, value in enumerate(values):
+            if not math.isfinite(value):
+                raise RefusedMessageError("not_finite", f"{name}.{field}[{k}]", value, "a finite number")
+    return point.positions, point.velocities
+
+
+def _times_s(points: tuple[JointTrajectoryPoint, ...]) -> Array:
+    before_s, times_s = -math.inf, []
+    for k, point in enumerate(points):
+        name, time_s = f"points[{k}].time_from_start", point.time_from_start.total_s
+        if not 0.0 <= time_s <= MAX_DURATION_S:
+            raise RefusedMessageError("time", name, f"{time_s:g} s", f"0 to {MAX_DURATION_S:g} s")
+        if time_s <= before_s:
+            bound = f"more than the {before_s:.9g} s of the point before"
+            raise RefusedMessageError("time", name, f"{time_s:.9g} s", bound)
+        before_s = time_s
+        times_s.append(time_s)
+    return np.array(times_s)
+
+
+def _check_limits(trajectory: Trajectory, robot: RobotSummary) -> None:
+    """Check the points themselves; what lies between them is checked when it is known where the robot is."""
+    last = f"points[{len(trajectory.q) - 1}]"
+    for joint, unit in enumerate(robot.units):
+        lower, upper = robot.lower[joint], robot.upper[joint]
+        for k, q in enumerate(trajectory.q[:, joint].tolist()):
+            if not lower <= q <= upper:
+                what = f"points[{k}].positions, {robot.joints[joint]},"
+                raise RefusedMessageError("limit", what, f"{q:g} {unit}", f"{lower:g} to {upper:g} {unit}")
+        speed, slow = abs(trajectory.velocities[-1, joint]), _AT_REST * robot.max_velocity[joint]
+        if speed > slow:
+            what = f"{last}.velocities, {robot.joints[joint]},"
+            bound = f"rest at the end, {slow:g} {unit}/s or less"
+            raise RefusedMessageError("limit", what, f"{speed:g} {unit}/s", bound)
+
+
+def _check_start(away: Array, robot: RobotSummary) -> None:
+    for joint, unit in enumerate(robot.units):
+        if away[joint] > START_WITHIN[unit]:
+            what = f"points[0].positions, {robot.joints[joint]},"
+            given = f"{away[joint]:.4g} {unit} from the robot's setpoint"
+            bound = f"{START_WITHIN[unit]:g} {unit} or less at time_from_start 0"
+            raise RefusedMessageError("start", what, given, bound)
+
+
+def _check_path(path: Path, robot: RobotSummary, first: int) -> None:
+    """Check a path between its points; `first` is the point of the message that its first piece leads to."""
+    least, greatest, fastest = path.extremes()
+    for joint, unit in enumerate(robot.units):
+        name, fastest_allowed = robot.joints[joint], robot.max_velocity[joint]
+        most = int(fastest[:, joint].argmax())
+        if fastest[most, joint] > fastest_allowed * (1.0 + _ROUNDING):
+            given, bound = f"{fastest[most, joint]:.4g} {unit}/s", f"{fastest_allowed:g} {unit}/s or less"
+            raise RefusedMessageError(
+                "limit", f"the speed towards points[{most + first}], {name},", given, bound
+            )
+        slack = _ROUNDING * (robot.upper[joint] - robot.lower[joint])
+        for places, k in ((least, least[:, joint].argmin()), (greatest, greatest[:, joint].argmax())):
+            q = places[k, joint]
+            if not robot.lower[joint] - slack <= q <= robot.upper[joint] + slack:
+                bound = f"{robot.lower[joint]:g} to {robot.upper[joint]:g} {unit}"
+                what = f"the way to points[{int(k) + first}], {name},"
+                raise RefusedMessageError("limit", what, f"at {q:.4g} {unit}", bound)

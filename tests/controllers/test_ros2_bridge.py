@@ -1,0 +1,266 @@
+"""The bridge between a real HLI and a peer that speaks as rmw_zenoh's design document says, over zenoh on loopback.
+
+The cell behind the HLI admits whatever it is asked; the real gate is in `test_ros2_mover.py`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_peer import STATE_TYPE, RosPeer
+from served import Server
+from small_cell import endpoint
+
+from deltaq_controllers.ros2.bridge import Bridge, BridgeUseError, RosSide
+from deltaq_controllers.ros2.rmw import RosNameError
+from deltaq_protocol.blocking import connect
+from deltaq_protocol.endpoint import InvalidEndpointError
+from deltaq_protocol.errors import ServiceUnreachableError
+
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
+JOINTS = ("a1", "a2", "a3", "a4", "a5", "a6")
+STATES, COMMANDS = "/small/fr/joint_states", "/small/fr/joint_trajectory"
+WAITS_S = 60.0
+DOMAIN = 7
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with Server(gate={"lookahead_cycles": 3}) as running:
+        yield running
+
+
+@pytest.fixture
+def peer() -> Iterator[RosPeer]:
+    one = RosPeer(endpoint(), DOMAIN)
+    yield one
+    one.close()
+
+
+class Running:
+    """A bridge in a thread of its own, and what it logs."""
+
+    def __init__(self, bridge: Bridge, said: queue.SimpleQueue[str]) -> None:
+        self.bridge, self._said = bridge, said
+
+    def until(self, text: str) -> str:
+        """The next line with a text in it."""
+        while text not in (line := self._said.get(timeout=WAITS_S)):
+            pass
+        return line
+
+
+class _Lines(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.put(record.getMessage())
+
+
+@contextmanager
+def bridged(hli: str, ros: RosSide) -> Iterator[Running]:
+    log, handler = logging.getLogger("deltaq_controllers.ros2.bridge"), _Lines()
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    bridge, loop = Bridge(hli, ros), asyncio.new_event_loop()
+    task = loop.create_task(bridge.run())
+    thread = threading.Thread(target=_run, args=(loop, task))
+    thread.start()
+    try:
+        running = Running(bridge, handler.lines)
+        running.until("ready: ")
+        yield running
+    finally:
+        loop.call_soon_threadsafe(task.cancel)
+        thread.join()
+        loop.close()
+        log.removeHandler(handler)
+        log.setLevel(level)
+
+
+def _run(loop: asyncio.AbstractEventLoop, task: asyncio.Task[None]) -> None:
+    asyncio.set_event_loop(loop)
+    loop.run_until_complete(asyncio.wait([task]))
+
+
+def test_joint_states_come_as_a_ros_program_hears_them_and_the_bridge_is_in_the_graph(
+    server: Server, peer: RosPeer
+) -> None:
+    heard = peer.subscribe(STATES)
+    with bridged(server.description.hli, RosSide(peer.endpoint, DOMAIN)) as running:
+        first, (sequence, sent_ns, gid) = heard.get(timeout=WAITS_S)
+        second, (next_sequence, _, next_gid) = heard.get(timeout=WAITS_S)
+        assert next_sequence == sequence + 1
+        assert len(gid) == 16
+        assert gid == next_gid
+        assert abs(sent_ns - time.time_ns()) < WAITS_S * 1e9
+        assert abs(first.header.stamp.sec - time.time()) < WAITS_S
+        assert tuple(second.name) == JOINTS
+        np.testing.assert_allclose(second.position, [0.1] * 6)
+        np.testing.assert_allclose(second.velocity, [0.0] * 6)
+        assert len(second.effort) == 0
+        tokens = sorted(peer.token() for _ in range(3))
+        zid = tokens[0][0].split("/")[2]
+        begin = f"@ros2_lv/7/{zid}/0"
+        kept = f"{STATE_TYPE}/::,10:,:,:,,"
+        assert tokens == [
+            (f"{begin}/0/NN/%/%small/deltaq", True),
+            (f"{begin}/1/MP/%/%small/deltaq/%small%fr%joint_states/{kept}", True),
+            (f"{begin}/2/MP/%/%small/deltaq/%small%gr%joint_states/{kept}", True),
+        ]  # fmt: skip
+        assert running.bridge.summary()["robots"]["fr"]["trajectories"] == {}
+    assert sorted(peer.token() for _ in range(3)) == [(token, False) for token, _ in tokens]
+
+
+def test_a_trajectory_moves_the_robot_only_where_it_was_asked_for(server: Server, peer: RosPeer) -> None:
+    heard = peer.subscribe(STATES)
+    command = (COMMANDS, JOINTS, (0.3, [0.15] * 6))
+    with bridged(server.description.hli, RosSide(peer.endpoint, DOMAIN, accepts=("gr",))):
+        peer.command(*command)
+        for _ in range(20):
+            state, _ = heard.get(timeout=WAITS_S)
+        np.testing.assert_allclose(state.position, [0.1] * 6)
+    with (
+        bridged(server.description.hli, RosSide(peer.endpoint, DOMAIN, accepts=("fr",))) as running,
+        connect(server.description.hli, "watcher") as cell,
+    ):
+        while "MS" not in peer.token()[0]:
+            pass
+        peer.command(*command)
+        running.until("fr: a trajectory of 1 points and 0.3 s came")
+        while cell.status().robots["fr"].lease.holder != "deltaq ros2":
+            pass
+        running.until("fr: the trajectory has ended: the robot has arrived")
+        np.testing.assert_allclose(server.peer.q_cmd["fr"], [0.15] * 6, atol=1e-7)
+        while cell.status().robots["fr"].lease.holder is not None:
+            pass
+        counters = running.bridge.summary()["robots"]["fr"]["trajectories"]
+        assert counters == {"trajectories": 1, "ended_arrived": 1}
+
+
+def test_what_is_refused_is_told_in_a_line_and_a_lease_that_is_taken_ends_a_trajectory(
+    server: Server, peer: RosPeer
+) -> None:
+    hli = server.description.hli
+    with bridged(hli, RosSide(peer.endpoint, DOMAIN, accepts=("fr",))) as running:
+        while "MS" not in peer.token()[0]:
+            pass
+        peer.say(COMMANDS, b"\x00\x01\x00\x00\xff")
+        assert running.until("refused").endswith(
+            "header.stamp.sec is cut off after 5 bytes, allowed is a whole field"
+        )
+        peer.command(COMMANDS, JOINTS[:5], (1.0, [0.1] * 5))
+        assert "joint_names is without a6" in running.until("refused")
+        with connect(hli, "other") as cell, cell.lease("fr"):
+            peer.command(COMMANDS, JOINTS, (1.0, [0.2] * 6))
+            assert "lease_taken: the lease of fr was not granted" in running.until("ended")
+        peer.command(COMMANDS, JOINTS, (60.0, [0.2] * 6))
+        running.until("a trajectory of 1 points and 60 s came")
+        with connect(hli, "other") as cell:
+            while cell.status().robots["fr"].lease.holder != "deltaq ros2":
+                pass
+            with cell.lease("fr", take=True):
+                assert "lease_not_held: the lease of fr was lost: other holds it now" in running.until(
+                    "ended"
+                )
+        counters = running.bridge.summary()["robots"]["fr"]["trajectories"]
+        assert counters["refused"] == 2
+        assert counters["ended_lost"] == 2
+
+
+def test_a_router_that_ends_is_found_again(server: Server) -> None:
+    listening = endpoint()
+    first = RosPeer(listening, DOMAIN)
+    try:
+        with bridged(server.description.hli, RosSide(listening, DOMAIN)):
+            first.subscribe(STATES).get(timeout=WAITS_S)
+            first.close()
+            first = RosPeer(listening, DOMAIN)
+            first.subscribe(STATES).get(timeout=WAITS_S)
+            assert sum("/MP/" in first.token()[0] for _ in range(3)) == 2
+    finally:
+        first.close()
+
+
+def test_whoever_is_not_there_at_the_beginning_is_named(server: Server) -> None:
+    nowhere, hli = endpoint(), server.description.hli
+    with pytest.raises(ServiceUnreachableError, match=f"no zenoh router answers at {nowhere}"):
+        asyncio.run(Bridge(hli, RosSide(nowhere)).run())
+    with pytest.raises(ServiceUnreachableError, match=f"nobody answers at {nowhere}"):
+        asyncio.run(Bridge(nowhere, RosSide(hli)).run())
+
+
+def test_what_cannot_be_is_told_before_anything_is_opened(server: Server, peer: RosPeer) -> None:
+    hli = server.description.hli
+    with pytest.raises(BridgeUseError, match=f"--ros-endpoint {hli}: the cell's HLI listens there"):
+        Bridge(hli, RosSide(hli))
+    with pytest.raises(BridgeUseError, match="the cell's HLI listens there"):
+        Bridge("tcp/127.0.0.1:7447", RosSide("tcp/localhost:7447"))
+    with pytest.raises(InvalidEndpointError):
+        RosSide("localhost")
+    with pytest.raises(RosNameError):
+        RosSide(namespace="lab")
+    with pytest.raises(BridgeUseError, match="no robot 'rf' in cell small; it has fr, gr"):
+        asyncio.run(Bridge(hli, RosSide(peer.endpoint, accepts=("rf",))).run())
+
+
+def test_the_command_ends_with_its_counts_in_json(server: Server, peer: RosPeer) -> None:
+    heard = peer.subscribe("/plant/fr/joint_states")
+    arguments = (
+        "--url",
+        server.description.hli,
+        "--ros-endpoint",
+        peer.endpoint,
+        "--namespace",
+        "/plant",
+        "--json",
+    )
+    process = subprocess.Popen(
+        [DELTAQ, "ros2", *arguments],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
+    )
+    heard.get(timeout=WAITS_S)
+    process.send_signal(signal.SIGTERM)
+    lines = process.communicate(timeout=WAITS_S)[0].splitlines()
+    told: list[dict[str, Any]] = [json.loads(line) for line in lines]
+    assert process.returncode == 0
+    assert told[0]["message"].startswith("ready: joint states of fr, gr under /plant in ROS domain 7")
+    assert told[-1]["fields"]["robots"]["fr"]["joint_states"] > 0
+
+
+def test_the_command_says_in_one_line_what_is_wrong(server: Server) -> None:
+    wrong = {
+        ("--domain-id", "233"): "less than or equal to 232",
+        ("--namespace", "a b"): "no ROS namespace: 'a b'",
+        ("--ros-endpoint", "x"): "'x' is no endpoint",
+    }
+    for arguments, text in wrong.items():
+        done = subprocess.run(
+            [DELTAQ, "ros2", "--url", server.description.hli, *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert text in " ".join(done.stderr.replace("│", " ").split())
+        assert "Traceback" not in done.stderr
