@@ -105,6 +105,16 @@ def test_straight_pieces_are_slowed_down_at_their_corners_and_kept_to(lab: Any) 
     assert driven.off_path() < 1e-4
 
 
+def test_a_path_that_ends_where_it_began_is_driven_all_the_same(lab: Any) -> None:
+    driven = Driven(lab)
+    driven.hear(point(0.5, driven.home + 0.3 * MOVED), point(1.0, driven.home))
+    driven.cell.run(0.5)
+    assert np.abs(driven.cell.q - driven.home).max() > 0.05
+    driven.cell.run(0.8)
+    assert driven.endings == ["arrived"]
+    np.testing.assert_allclose(driven.cell.q, driven.home, atol=1e-6)
+
+
 def test_cycles_that_were_missed_stretch_the_time_and_the_robot_comes_back_to_its_path(lab: Any) -> None:
     driven = Driven(lab)
     cut = fault("controller_hli_cut", at_s=0.4, for_s=0.12)
