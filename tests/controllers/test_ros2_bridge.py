@@ -186,6 +186,15 @@ def test_what_is_refused_is_told_in_a_line_and_a_lease_that_is_taken_ends_a_traj
         assert counters["ended_lost"] == 2
 
 
+def test_a_trajectory_does_not_wait_for_a_robot_that_has_no_states(server: Server, peer: RosPeer) -> None:
+    joints = tuple(server.description.robots["gr"].joints)
+    with bridged(server.description.hli, RosSide(peer.endpoint, DOMAIN, accepts=("gr",))) as running:
+        while "MS" not in peer.token()[0]:
+            pass
+        peer.command("/small/gr/joint_trajectory", joints, (1.0, [0.2] * 9))
+        assert running.until("ended").endswith("gr: the trajectory has ended: no state of gr for 1 s")
+
+
 def test_a_router_that_ends_is_found_again(server: Server) -> None:
     listening = endpoint()
     first = RosPeer(listening, DOMAIN)
@@ -222,6 +231,7 @@ def test_what_cannot_be_is_told_before_anything_is_opened(server: Server, peer: 
         asyncio.run(Bridge(hli, RosSide(peer.endpoint, accepts=("rf",))).run())
 
 
+@pytest.mark.live
 def test_the_command_ends_with_its_counts_in_json(server: Server, peer: RosPeer) -> None:
     heard = peer.subscribe("/plant/fr/joint_states")
     arguments = (

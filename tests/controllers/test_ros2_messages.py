@@ -117,11 +117,11 @@ def hostile(offset, number):
         (BY_HAND[:16] + b"\xff" + BY_HAND[17:], "header.frame_id is not ended by its only zero"),
         (hostile(20, 2**31), "joint_names is of length 2147483648, allowed is 32 or less"),
         (hostile(24, MAX_POINTS + 1), f"points is of length {MAX_POINTS + 1}, allowed is {MAX_POINTS} or less"),
-        (hostile(24, MAX_POINTS), "points is of length 5000, allowed is no more than the 36 bytes that follow hold"),
+        (hostile(24, MAX_POINTS), "points is of length 1000, allowed is no more than the 36 bytes that follow hold"),
         (hostile(28, 33), "points[0].positions is of length 33, allowed is 32 or less"),
         (hostile(28, 30), "points[0].positions is of length 30, allowed is no more than the 32 bytes"),
         (BY_HAND + bytes(4), "message is 4 bytes too long"),
-        (bytes(4 * 1024 * 1024 + 1), "message is 4194305 bytes long, allowed is 4194304 or less"),
+        (bytes(1024 * 1024 + 1), "message is 1048577 bytes long, allowed is 1048576 or less"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ros_points import ATTACHMENT, point, trajectory
+from small_cell import small_cell, tool_pose
 
 from deltaq_cell.summary import robot_summary
 from deltaq_controllers.interface import RobotView, View
@@ -82,7 +83,7 @@ def test_a_smooth_trajectory_is_driven_in_its_own_time_and_every_increment_is_ad
     driven = Driven(lab)
     middle, v = driven.home + MOVED, 0.5 * MOVED
     driven.hear(point(1.5, middle, v), point(3.0, middle + 0.5 * MOVED, 0.0 * v))
-    driven.cell.run(3.1)
+    driven.cell.run(3.2)
     assert driven.endings == ["arrived"]
     assert not driven.mover.has_work
     assert set(driven.cell.verdicts) == {"admitted"}
@@ -103,6 +104,16 @@ def test_straight_pieces_are_slowed_down_at_their_corners_and_kept_to(lab: Any) 
     assert driven.endings == ["arrived"]
     assert set(driven.cell.verdicts) == {"admitted"}
     assert driven.off_path() < 1e-4
+
+
+def test_a_path_that_ends_where_it_began_is_driven_all_the_same(lab: Any) -> None:
+    driven = Driven(lab)
+    driven.hear(point(0.5, driven.home + 0.3 * MOVED), point(1.0, driven.home))
+    driven.cell.run(0.5)
+    assert np.abs(driven.cell.q - driven.home).max() > 0.05
+    driven.cell.run(0.8)
+    assert driven.endings == ["arrived"]
+    np.testing.assert_allclose(driven.cell.q, driven.home, atol=1e-6)
 
 
 def test_cycles_that_were_missed_stretch_the_time_and_the_robot_comes_back_to_its_path(lab: Any) -> None:
@@ -223,23 +234,32 @@ def test_any_trajectory_within_the_limits_is_driven_on_its_path_without_a_word_o
 
 
 def test_a_robot_that_left_its_path_is_not_brought_back() -> None:
-    from small_cell import small_cell
-
     cell = small_cell()
     arm = robot_summary(cell.robots["fr"], cell.cycle_s)
     said: list[str] = []
     mover = TrajectoryMover("fr", arm, cell.cycle_s, lambda text, _: said.append(text))
     mover.hear(trajectory(arm.joints, point(2, [0.5] * 6)).encode(), ATTACHMENT, 0)
     here, away = np.full(6, 0.1), np.array([0.1, 0.2, 0.1, 0.1, 0.1, 0.1])
-    for cycle, q in enumerate((here, away, away)):
+    for cycle, q in enumerate((here, here, away, away)):
         dq = mover.increment(_state(cycle, q), View(RobotView(cycle, 0.0, q, q)))
     assert said[-1] == "fr: the trajectory has ended: the robot has left its path"
     assert not dq.any()
 
 
-def _state(cycle: int, q: Array) -> RobotState:
-    from small_cell import tool_pose
+def test_a_trajectory_begins_when_the_robot_rests_and_not_before() -> None:
+    cell = small_cell()
+    arm = robot_summary(cell.robots["fr"], cell.cycle_s)
+    said: list[str] = []
+    mover = TrajectoryMover("fr", arm, cell.cycle_s, lambda text, _: said.append(text))
+    mover.hear(trajectory(arm.joints, point(0, [0.1] * 6), point(1, [0.3] * 6)).encode(), ATTACHMENT, 0)
+    for cycle, q in enumerate((0.3, 0.2, 0.1)):  # the brake of another client
+        joints = np.full(6, q)
+        assert not mover.increment(_state(cycle, joints), View(RobotView(cycle, 0.0, joints, joints))).any()
+    assert mover.increment(_state(3, joints), View(RobotView(3, 0.0, joints, joints))).all()
+    assert len(said) == 1
 
+
+def _state(cycle: int, q: Array) -> RobotState:
     joints = tuple(q.tolist())
     return RobotState(
         robot="fr", cycle=cycle, ipoc=0, time_s=0.0, q=joints, q_cmd=joints, tool=tool_pose("fr", joints),

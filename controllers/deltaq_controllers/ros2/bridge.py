@@ -28,6 +28,8 @@ DEFAULT_ROS_ENDPOINT = "tcp/127.0.0.1:7448"
 NODE = "deltaq"
 CLIENT = "deltaq ros2"
 _RETRY_S = 1.0
+_SILENCE_S = 1.0
+"""A robot without states is not waited for any longer: a trajectory must not begin when nobody expects it."""
 
 
 class BridgeUseError(DeltaqError):
@@ -180,15 +182,20 @@ class Bridge:
                 raise
 
     async def _drive(self, cell: Cell, robot: str, mover: TrajectoryMover) -> None:
-        async with await lease(cell, robot) as leased:
-            answers = Answers(cell, leased)
-            async for state in leased.states():
-                for cycle in await answers.due(state):
-                    await answers.send(state, cycle, mover.increment(state, answers.view(state)))
-                for verdict in answers.verdicts():
-                    mover.judged(verdict)
-                if not mover.has_work:
-                    return
+        loop = asyncio.get_running_loop()
+        try:
+            async with await lease(cell, robot) as leased, asyncio.timeout(_SILENCE_S) as patience:
+                answers = Answers(cell, leased)
+                async for state in leased.states():
+                    patience.reschedule(loop.time() + _SILENCE_S)
+                    for cycle in await answers.due(state):
+                        await answers.send(state, cycle, mover.increment(state, answers.view(state)))
+                    for verdict in answers.verdicts():
+                        mover.judged(verdict)
+                    if not mover.has_work:
+                        return
+        except TimeoutError:
+            mover.lose(f"no state of {robot} for {_SILENCE_S:g} s")
 
 
 def _say(text: str, fields: Mapping[str, Any]) -> None:

@@ -13,8 +13,9 @@ from deltaq_controllers.ros2.cdr import CdrReader, CdrWriter
 from deltaq_controllers.ros2.refusal import RefusedMessageError
 from deltaq_controllers.ros2.rmw import RosType
 
-MAX_MESSAGE_BYTES = 4 * 1024 * 1024
-MAX_POINTS = 5_000
+MAX_MESSAGE_BYTES = 1024 * 1024
+MAX_POINTS = 1_000
+"""So many are read within three cycles of 12 ms, in which no other robot is answered."""
 MAX_JOINTS = 32
 MAX_NAME_BYTES = 256
 

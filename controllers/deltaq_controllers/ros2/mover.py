@@ -59,6 +59,7 @@ class TrajectoryMover:
         self._driven: TrajectoryFollower | None = None
         self._limited_by: tuple[Reason, ...] = ()
         self._resting_cycles = 0
+        self._q_cmd: Array | None = None
 
     @property
     def has_work(self) -> bool:
@@ -102,7 +103,11 @@ class TrajectoryMover:
         """
         if state.phase in _MAY_NOT_MOVE:
             self.lose(f"the robot is {state.phase}" + (f": {state.reason}" if state.reason else ""))
-        if self._driven is None and self._waiting is not None:
+        stands = self._q_cmd is not None and np.abs(view.own.q_cmd - self._q_cmd).max() <= _NOTHING
+        self._q_cmd = view.own.q_cmd
+        if (
+            self._driven is None and self._waiting is not None and stands
+        ):  # another client's brake may still go on
             self._begin(self._waiting, view.own.q_cmd)
         if self._driven is None:
             return np.zeros(len(self._robot.joints))
