@@ -24,7 +24,7 @@ from deltaq_services.guarded_key import KEY_FILE
 
 MOVER = Path(__file__).with_name("mover.py")
 MOVING_RAD_S = np.deg2rad(25)
-TIMEOUT_S = 20.0
+TIMEOUT_S = 200.0
 
 
 class Stack:
@@ -56,7 +56,7 @@ class Stack:
                     return
                 before = after
             self._pause()
-        pytest.fail("the robot never got there")
+        pytest.fail(f"the robot never got there: {self.phase()}")
 
     def wait_cycles(self, count):
         """Until the controller has gone through so many cycles."""
