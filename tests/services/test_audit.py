@@ -16,7 +16,6 @@ from small_cell import small_cell
 
 from deltaq_protocol import connect, topics
 from deltaq_protocol.audit import LONGEST_TEXT, AuditEntry, AuditKind, AuditOutcome
-from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Increment, LeaseAction, LeaseRequest
 from deltaq_protocol.proof import Prover
@@ -209,17 +208,12 @@ async def test_no_secret_is_in_the_file(running: Audited) -> None:
 
 
 async def test_recorders_get_every_entry_sealed_through_the_gates_process(running: Audited) -> None:
-    heard: asyncio.Queue[bytes] = asyncio.Queue()
-    subscribed = running.peer._subscribe(topics.AUDIT_ENTRY.key("small"), heard.put_nowait)
     async with json_client(running.port, "driver", token=CONTROLLER) as client:
+        await client.ask("lease", type="lease", robot="fr", action="acquire")
         async with asyncio.timeout(300):
-            while heard.empty():  # until it is known who listens
-                await client.ask("lease", type="lease", robot="fr", action="acquire")
-                await client.ask("lease", type="lease", robot="fr", action="release")
-                await asyncio.sleep(0.3)
-            entry = unpack(AuditEntry, await heard.get())
+            while (entry := await running.peer.entries.get()).what is not AuditKind.LEASE_GRANTED:
+                pass
     assert (entry.client, entry.role) == ("driver", "controller")
-    subscribed.undeclare()
 
 
 # --- a disk that fails ------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from small_cell import server_state
 
 from deltaq_cell.description import CellDescription
 from deltaq_protocol import topics
+from deltaq_protocol.audit import AuditEntry
 from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.guarded import Command, CommandReply, Health, Plan, Request
 from deltaq_protocol.messages import Message, Outcome, Phase, Verdict
@@ -27,6 +28,7 @@ class GuardedPeer:
         increments: requests with an increment, as they came.
         commands: as they came.
         health: the HLI's heartbeats, as they came.
+        entries: of the audit log, as they came.
         judges: answers requests with verdicts.
         refuses: reason for which commands are refused.
     """
@@ -36,6 +38,7 @@ class GuardedPeer:
         self.increments: asyncio.Queue[Request] = asyncio.Queue()
         self.commands: asyncio.Queue[Command] = asyncio.Queue()
         self.health: asyncio.Queue[Health] = asyncio.Queue()
+        self.entries: asyncio.Queue[AuditEntry] = asyncio.Queue()
         self.judges = True
         self.obeys = True
         self.refuses: ReasonCode | None = None
@@ -52,6 +55,8 @@ class GuardedPeer:
         self.seal = guarded_seal(cell)
         self._publishers: dict[str, Any] = {}
         self._subscribers = [
+            # before requests, so that who has had one answered is known to be heard here too
+            self._subscribe(topics.AUDIT_ENTRY.key(cell.cell), self._on_entry),
             self._subscribe(topics.REQUEST.key(cell.cell), self._on_request),
             self._subscribe(topics.COMMAND.key(cell.cell), self._on_command),
             self._subscribe(topics.HEALTH.key(cell.cell, service="hli"), self._on_health),
@@ -171,6 +176,9 @@ class GuardedPeer:
 
     def _on_health(self, payload: bytes) -> None:
         self.health.put_nowait(unpack(Health, payload))
+
+    def _on_entry(self, payload: bytes) -> None:
+        self.entries.put_nowait(unpack(AuditEntry, payload))
 
     def _on_command(self, payload: bytes) -> None:
         command = unpack(Command, payload)
