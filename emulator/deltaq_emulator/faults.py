@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 import random
 from typing import Annotated
 
@@ -35,6 +36,8 @@ class LinkFaults(BaseModel):
     """Delay of each datagram."""
     jitter_s: Seconds = 0.0
     """Largest additional delay, uniformly distributed."""
+    keeps_order: bool = False
+    """Whether the jitter is that of a queue, in which none overtakes another; otherwise each has its own."""
 
 
 class Forgery(BaseModel):
@@ -75,6 +78,7 @@ class FaultyLink:
         self._queue: list[tuple[float, int, bytes]] = []
         self._number = 0
         self._overtaken: list[tuple[float, bytes]] = []
+        self._latest_due_s = -math.inf
 
     def put(self, now_s: float, datagram: bytes) -> None:
         """A datagram enters the link."""
@@ -93,6 +97,8 @@ class FaultyLink:
             datagram = datagram[: self._random.randrange(len(datagram) or 1)]
             self.counts["truncated"] += 1
         due_s = now_s + faults.delay_s + draw() * faults.jitter_s
+        if faults.keeps_order:
+            due_s = self._latest_due_s = max(due_s, self._latest_due_s)
         if draw() < faults.reorder:
             self._overtaken.append((due_s, datagram))
             self.counts["reordered"] += 1

@@ -1,18 +1,22 @@
-"""Controllers far away in virtual time: what TCP makes of a link that delays and loses packets, and who answers.
+"""Controllers far away in virtual time: what a link makes of messages that delays and loses packets, and who answers.
 
 `deltaq_experiments.two_sites` does the same over real processes and the kernel's own TCP.
 """
 
 from __future__ import annotations
 
+import heapq
 import random
 from collections import deque
+from itertools import count
 
 from deltaq_controllers.answers import view_ahead
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_emulator.faults import FaultyLink, LinkFaults
 from deltaq_protocol.in_flight import InFlight
+from deltaq_protocol.leased_robot import REPEATED
 from deltaq_protocol.messages import (
+    EarlierIncrement,
     Increment,
     LeaseAction,
     LeaseReply,
@@ -24,14 +28,18 @@ from deltaq_protocol.messages import (
 from deltaq_verification.virtual_cell.clients import Say
 from deltaq_verification.virtual_cell.wires import MessageWire
 
+_STREAMS = (Increment, RobotState, Verdict)
 
-class OrderedWire(MessageWire):
-    """One direction of a TCP connection: none is lost, and none overtakes another.
 
-    A message whose packet is lost comes a round trip later, once three packets behind it have shown that it is missing,
-    and those behind it wait for it.
+class FarWire(MessageWire):
+    """One direction of a connection over a link in which no packet overtakes another.
+
+    Over TCP a message whose packet is lost comes a round trip later, once three packets behind it have shown that it is
+    missing, and those behind it wait for it. With datagrams that is so for leases alone: what is lost of the streams is
+    lost, and nothing waits.
 
     Args:
+        datagrams: whether streams go as such.
         delay_s, jitter_s: of a packet: as much, more or less as much.
         loss_share: of packets.
         spacing_s: between two packets.
@@ -39,36 +47,48 @@ class OrderedWire(MessageWire):
     """
 
     def __init__(
-        self, delay_s: float, jitter_s: float, loss_share: float, spacing_s: float, seed: int
+        self,
+        datagrams: bool,
+        delay_s: float,
+        jitter_s: float,
+        loss_share: float,
+        spacing_s: float,
+        seed: int,
     ) -> None:
+        self._datagrams = datagrams
         self._random = random.Random(seed)
         self._delay_s, self._jitter_s, self._loss_share = delay_s, jitter_s, loss_share
         self._again_s = 2 * delay_s + 3 * spacing_s
-        self._under_way: deque[tuple[float, Message]] = deque()
+        self._under_way: list[tuple[float, int, Message]] = []
+        self._latest_s = {True: 0.0, False: 0.0}
+        self._number = count()
         self.lost = 0
         self.link = _Due(self._under_way)
 
     def send(self, now_s: float, message: Message) -> None:
         """Put a message in."""
         due_s = now_s + self._delay_s + self._random.uniform(-self._jitter_s, self._jitter_s)
+        is_datagram = self._datagrams and isinstance(message, _STREAMS)
         while self._random.random() < self._loss_share:
             self.lost += 1
+            if is_datagram:
+                return
             due_s += self._again_s
-        behind_s = self._under_way[-1][0] if self._under_way else 0.0
-        self._under_way.append((max(behind_s, due_s), message))
+        due_s = self._latest_s[is_datagram] = max(due_s, self._latest_s[is_datagram])
+        heapq.heappush(self._under_way, (due_s, next(self._number), message))
 
     def take(self, now_s: float) -> list[Message]:
         """Take out what has arrived by now, in order."""
         messages = []
         while self._under_way and self._under_way[0][0] <= now_s:
-            messages.append(self._under_way.popleft()[1])
+            messages.append(heapq.heappop(self._under_way)[2])
         return messages
 
 
 class _Due(FaultyLink):
     """Tells the cell when the next message arrives."""
 
-    def __init__(self, under_way: deque[tuple[float, Message]]) -> None:
+    def __init__(self, under_way: list[tuple[float, int, Message]]) -> None:
         super().__init__()
         self.faults = LinkFaults(delay_s=1e-9)  # it is no perfect wire
         self._under_way = under_way
@@ -118,6 +138,7 @@ class FarController:
         self._say, self._controller, self._other = say, controller, other
         self._in_flight = InFlight()
         self._seq = 0
+        self._earlier: deque[EarlierIncrement] = deque(maxlen=REPEATED)
         say(LeaseRequest(robot=robot, action=LeaseAction.ACQUIRE, client=f"far-{robot}", playout=True))
 
     def take(self, message: Message) -> None:
@@ -139,5 +160,15 @@ class FarController:
             self._seq += 1
             self._in_flight.sent(self._seq, dq, cycle)
             asked = tuple(dq.tolist())
-            self._say(Increment(robot=self.robot, seq=self._seq, cycle=cycle, dq=asked, lease=self.token))
+            self._say(
+                Increment(
+                    robot=self.robot,
+                    seq=self._seq,
+                    cycle=cycle,
+                    dq=asked,
+                    lease=self.token,
+                    earlier=tuple(self._earlier),
+                )
+            )
+            self._earlier.append(EarlierIncrement(seq=self._seq, cycle=cycle, dq=asked))
         self._in_flight.take_given_up()

@@ -13,7 +13,7 @@ import numpy as np
 
 from deltaq_controllers.interface import Controller
 from deltaq_controllers.leader.scripted import ScriptedLeader
-from deltaq_experiments.far_controller import FarController, OrderedWire, Watcher
+from deltaq_experiments.far_controller import FarController, FarWire, Watcher
 from deltaq_experiments.report import Figures
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller
 from deltaq_experiments.trace import Trace
@@ -26,7 +26,7 @@ from deltaq_verification.virtual_cell.cell import VirtualCell
 def follow_in_virtual_time(given: argparse.Namespace) -> dict[str, Any]:
     """Run the cell of two sites with both controllers behind wires that are late and lossy; the figures."""
     with tempfile.TemporaryDirectory() as folder:
-        stack = VirtualCell(write_cell(Path(folder)))
+        stack = VirtualCell(write_cell(Path(folder), given.transport))
     cycle_s = stack.cell.description.cycle_s
     camera = camera_controller(stack.cell, given.controller)
     leader = ScriptedLeader(stack.cell.robots[LEADER], cycle_s, given.leader_speed_m_s, given.seed)
@@ -69,13 +69,14 @@ def figures_of(trace: Trace, cell: Any, given: argparse.Namespace) -> dict[str, 
 
 def _connect(
     stack: VirtualCell, given: argparse.Namespace, controllers: dict[str, Controller]
-) -> list[OrderedWire]:
+) -> list[FarWire]:
     # two robots' states share a connection
     spacing_s, seeds = stack.cell.description.cycle_s / len(controllers), count(100 * given.seed)
-    wires: list[OrderedWire] = []
+    wires: list[FarWire] = []
 
-    def wire() -> OrderedWire:
-        wires.append(OrderedWire(given.delay_s, given.jitter_s, given.loss_share, spacing_s, next(seeds)))
+    def wire() -> FarWire:
+        link = given.delay_s, given.jitter_s, given.loss_share, spacing_s, next(seeds)
+        wires.append(FarWire(given.transport == "tcp+udp", *link))
         return wires[-1]
 
     watchers: dict[str, Watcher] = {}

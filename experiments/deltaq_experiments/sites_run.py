@@ -18,11 +18,12 @@ from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.load import load_cell
 from deltaq_launch.child_process import Child
 from deltaq_protocol.client import TOKEN_VARIABLE
+from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
 from deltaq_services.guarded_key import KEY_FILE, write_new_key
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
 from deltaq_verification.impairment.packets import within as thread_within
-from deltaq_verification.two_sites import HLI, Sites, within, write_cell
+from deltaq_verification.two_sites import Sites, within, write_cell
 
 DELTAQ = (sys.executable, "-c", "from deltaq_command import main; main()")
 _STARTS_WITHIN_S = 120.0
@@ -100,9 +101,9 @@ class TwoSites:
         cell: its description.
     """
 
-    def __init__(self, sites: Sites, folder: Path, stack: ExitStack) -> None:
+    def __init__(self, sites: Sites, folder: Path, transport: Transport, stack: ExitStack) -> None:
         self.sites, self._folder, self._stack = sites, folder, stack
-        self.file = write_cell(folder)
+        self.file = write_cell(folder, transport)
         self.cell: CellDescription = load_cell(str(self.file))
         key, self._controller_token = folder / "guarded.key", secrets.token_hex(16)
         write_new_key(key)
@@ -124,7 +125,7 @@ class TwoSites:
 
     def controller(self, name: str, module: str, *arguments: str) -> Running:
         """Start a controller far away."""
-        command = (sys.executable, "-m", module, "--url", HLI, *arguments)
+        command = (sys.executable, "-m", module, "--url", self.cell.hli, *arguments)
         return self.run(name, self.sites.controller, command, **{TOKEN_VARIABLE: self._controller_token})
 
     def run(self, name: str, namespace: str, command: Sequence[str], **environment: str) -> Running:
@@ -139,7 +140,7 @@ class TwoSites:
         Raises:
             SiteError: if it could not be done.
         """
-        command = within(self.sites.office, [*DELTAQ, *arguments, "--url", HLI, "--json"])
+        command = within(self.sites.office, [*DELTAQ, *arguments, "--url", self.cell.hli, "--json"])
         environment = os.environ | self._environment | {OPERATOR_TOKEN: self._operator}
         done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
         if not done.stdout.startswith("{"):
@@ -181,14 +182,14 @@ class TwoSites:
 
 
 @contextmanager
-def two_sites(sites: Sites, folder: Path) -> Iterator[TwoSites]:
+def two_sites(sites: Sites, folder: Path, transport: Transport = "tcp+udp") -> Iterator[TwoSites]:
     """Bring both halves up, the robots' first; they are ended in the reverse order.
 
     Raises:
         SiteError: if one does not come up.
     """
     with ExitStack() as stack:
-        running = TwoSites(sites, folder, stack)
+        running = TwoSites(sites, folder, transport, stack)
         running.up(sites.robots, "robot-server,emulator,sim")
         running.up(sites.office, "hli")
         yield running

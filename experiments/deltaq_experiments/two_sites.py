@@ -38,7 +38,10 @@ async def measure(given: argparse.Namespace) -> dict[str, Any]:
         DeltaqError: if networks of their own are not allowed here, or something did not come up.
     """
     faults = LinkFaults(
-        delay_s=given.delay_s - given.jitter_s, jitter_s=2 * given.jitter_s, drop=given.loss_share
+        delay_s=given.delay_s - given.jitter_s,
+        jitter_s=2 * given.jitter_s,
+        drop=given.loss_share,
+        keeps_order=True,
     )
     with tempfile.TemporaryDirectory() as folder, sites() as made:
         async with PacketLink(made.controller, made.office, given.seed) as link:
@@ -51,7 +54,7 @@ async def measure(given: argparse.Namespace) -> dict[str, Any]:
 
 def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, Any]:
     record = folder / "run.mcap"
-    with two_sites(made, folder) as running:
+    with two_sites(made, folder, given.transport) as running:
         recorder = running.run(
             "recorder", made.office, (*DELTAQ, "record", str(record), "--cell", str(running.file))
         )
@@ -108,6 +111,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--loss-share", type=float, default=0.01, help="of packets, each way (default: %(default)s)"
     )
+    parser.add_argument(
+        "--transport",
+        choices=("tcp", "tcp+udp"),
+        default="tcp+udp",
+        help="of the way from the controllers to the HLI (default: %(default)s)",
+    )
     parser.add_argument("--controller", default="predictive", help="that follows (default: %(default)s)")
     parser.add_argument(
         "--leader-speed-m-s", type=float, default=0.1, help="of its tool (default: %(default)s)"
@@ -131,6 +140,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         "delay_s",
         "jitter_s",
         "loss_share",
+        "transport",
         "controller",
         "leader_speed_m_s",
         "seed",

@@ -117,7 +117,7 @@ def cell_services(
     services: list[Service] = []
     for name, robot in cell.robots.items():
         server = f"robot-server-{name}"
-        listens = [_tcp(robot.server, f"robots.{name}.server")]
+        listens = [*_sockets(robot.server, f"robots.{name}.server")]
         if isinstance(robot.driver, RsiDescription):
             driver = robot.driver
             listens.append(ListeningSocket("udp", driver.address, driver.port, f"robots.{name}.driver.port"))
@@ -141,7 +141,7 @@ def cell_services(
             role=Role.SIM,
             arguments=("-m", "deltaq_services.sim", *arguments),
             needs=tuple(service.name for service in services if service.role is Role.ROBOT_SERVER),
-            listens=(_tcp(cell.sim, "sim"),),
+            listens=_sockets(cell.sim, "sim"),
             probe=Probe.HEALTH_TOPIC,
             endpoint=cell.sim,
             realm=realm,
@@ -154,7 +154,7 @@ def cell_services(
             arguments=("-m", "deltaq_services.hli", *arguments, *(("--audit", audit) if audit else ())),
             needs=("sim",),
             listens=(
-                _tcp(cell.hli, "hli"),
+                *_sockets(cell.hli, "hli"),
                 ListeningSocket("tcp", cell.tcp_address, cell.tcp_port, "tcp_port"),
             ),
             probe=Probe.STATUS_QUERY,
@@ -260,8 +260,9 @@ def _reached_at(address: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _tcp(endpoint: str, field: str) -> ListeningSocket:
-    return ListeningSocket("tcp", *Endpoint.parse(endpoint).address, field)
+def _sockets(endpoint: str, field: str) -> tuple[ListeningSocket, ...]:
+    at = Endpoint.parse(endpoint)
+    return tuple(ListeningSocket(kind, *at.address, field) for kind in at.sockets)
 
 
 def _emulator(robot: str, driver: RsiDescription, arguments: tuple[str, ...], needs: str) -> Service:

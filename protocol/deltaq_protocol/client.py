@@ -276,6 +276,7 @@ class Cell:
             reply,
             self._newest[robot],
             lambda: self.states(robot),
+            playout,
         )
         listeners.add(leased.take_verdict)
         self._leases.add(leased)

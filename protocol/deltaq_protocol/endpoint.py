@@ -1,4 +1,8 @@
-"""The address of a listener, as cells and commands write it: `tcp/HOST:PORT`, `tls/HOST:PORT` or `udp/HOST:PORT`."""
+"""The address of a listener, as cells and commands write it: `tcp/HOST:PORT`, `tls/HOST:PORT` or `udp/HOST:PORT`.
+
+`tcp+udp/HOST:PORT` is both at one port, for a session over a network that loses packets: what has to arrive goes over
+TCP, and streams over UDP, where nothing waits behind a packet that was lost.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,11 @@ from typing import Literal, cast
 
 from deltaq_protocol.errors import DeltaqError
 
-Transport = Literal["tcp", "tls", "udp"]
+Transport = Literal["tcp", "tls", "udp", "tcp+udp"]
 Address = tuple[str, int]
 """Host and port, as a socket has them."""
 
-_FORM = re.compile(r"(tcp|tls|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
+_FORM = re.compile(r"(tcp\+udp|tcp|tls|udp)/(?:\[([^\]\s]+)\]|([^\s/:\[\]]+)):(\d{1,5})")
 
 
 class InvalidEndpointError(DeltaqError):
@@ -50,6 +54,13 @@ class Endpoint:
     def address(self) -> Address:
         """Host and port."""
         return self.host, self.port
+
+    @property
+    def sockets(self) -> tuple[Literal["tcp", "udp"], ...]:
+        """Kinds of sockets that a listener here has."""
+        if self.transport == "tcp+udp":
+            return "tcp", "udp"
+        return ("udp",) if self.transport == "udp" else ("tcp",)
 
     @property
     def is_loopback(self) -> bool:

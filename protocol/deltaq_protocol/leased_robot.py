@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import queue
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 
 import zenoh
@@ -16,6 +17,7 @@ from deltaq_protocol.codec import pack, unpack
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.held_lease import HeldLease
 from deltaq_protocol.messages import (
+    EarlierIncrement,
     Increment,
     IoReply,
     IoRequest,
@@ -36,6 +38,9 @@ from deltaq_protocol.wire import Wire
 VERDICT_DEADLINE_S = 0.25
 """Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""
 _FIRST_STATE_DEADLINE_S = 0.5
+REPEATED = 2
+"""Increments that each one repeats where the lease has a playout buffer: of links that lose a packet in a hundred,
+three in a row are lost once in three hours."""
 
 
 class LeasedRobot:
@@ -57,6 +62,7 @@ class LeasedRobot:
         granted: LeaseReply,
         newest: Newest[zenoh.Sample, RobotState],
         states: Callable[[], AsyncIterator[RobotState]],
+        playout: bool = False,
     ) -> None:
         self.name = name
         self.summary = summary
@@ -73,6 +79,7 @@ class LeasedRobot:
         self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
         self._verdicts = SentVerdicts()
         self._releasing: asyncio.Future[None] | None = None
+        self._earlier: deque[EarlierIncrement] = deque(maxlen=REPEATED if playout else 0)
 
     @property
     def state(self) -> RobotState | None:
@@ -279,7 +286,9 @@ class LeasedRobot:
             cycle=cycle,
             dq=tuple(float(element) for element in dq),
             sight=self.sight,
+            earlier=tuple(self._earlier),
         )
+        self._earlier.append(EarlierIncrement.model_construct(seq=seq, cycle=cycle, dq=increment.dq))
         if self._stamps is not None:
             self._stamps.add(StampStation.INCREMENT_OUT, self.name, cycle, seq)
         payload = pack(increment)

@@ -26,6 +26,8 @@ PoseRows = tuple[Row, Row, Row, Row]
 """A homogeneous matrix, row by row."""
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+MOST_EARLIER = 4
+"""Increments that one may repeat."""
 Secret = Annotated[str | None, Field(repr=False)]
 """A token: neither shown nor quoted, see `deltaq_protocol.quoting`."""
 
@@ -138,12 +140,22 @@ class RobotState(Message):
     sight: Sight | None = None
 
 
+class EarlierIncrement(Message):
+    """An increment that was sent before, again: it may have been lost."""
+
+    seq: Count
+    cycle: Count
+    dq: Joints
+
+
 class Increment(Message):
     """A controller's request: move by `dq` in one cycle, in answer to the state of `cycle`.
 
     `lease` is never sent, and not read if it is: the server fills in whose increment it is. Over zenoh a proof shows it
     (`deltaq_protocol.proof`, with the token of the lease reply as the secret), over TCP the connection is the holder.
     `sight` is for people: states tell it, and nothing depends on it.
+    `earlier` has those sent just before, the oldest first, for a link that loses messages. They are taken where the
+    lease has a playout buffer and they have not come themselves; elsewhere nobody looks at them.
     """
 
     type: Literal["increment"] = "increment"
@@ -153,6 +165,7 @@ class Increment(Message):
     dq: Joints
     lease: Secret = None
     sight: Sight | None = None
+    earlier: Annotated[tuple[EarlierIncrement, ...], Field(max_length=MOST_EARLIER)] = ()
 
 
 class Verdict(Message):

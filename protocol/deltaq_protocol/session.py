@@ -2,7 +2,7 @@
 
 Multicast scouting and gossip are off, a lost peer is found again within a fraction of a second, and a
 message is small. What is urgent travels express, at real-time priority, and what is published is dropped rather
-than queued.
+than queued. Where there is a link of datagrams beside the other (`tcp+udp/`), streams that are urgent go over that one.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import zenoh
 
 from deltaq_protocol.codec import MAX_ZENOH_MESSAGE_BYTES
+from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_protocol.seal import Seal
 from deltaq_protocol.topic import Priority
@@ -26,6 +27,8 @@ _WAITING_TO_BE_SENT = 16
 millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""
 _ACCEPT_MS = 1000
 """Silent connections are closed after this: until then they keep others waiting."""
+_OPEN_MS = 3000
+"""A firewall may swallow datagrams: their link is given up after this, and tried again. No session closes meanwhile."""
 
 
 def open_session(
@@ -49,8 +52,8 @@ def open_session(
     """
     settings: dict[str, object] = {
         "mode": "peer",
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
+        "listen/endpoints": [link for text in listen for link in _links(text)],
+        "connect/endpoints": [link for text in connect for link in _links(text)],
         "connect/timeout_ms": 2000 if must_connect else -1,
         "connect/exit_on_failure": must_connect,
         "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
@@ -63,6 +66,10 @@ def open_session(
         "transport/unicast/max_sessions": MAX_SESSIONS,
         "transport/unicast/accept_timeout": _ACCEPT_MS,
     }
+    if any(_has_datagrams(text) for text in (*listen, *connect)):
+        settings["transport/unicast/max_links"] = 2
+        settings["transport/unicast/open_timeout"] = _OPEN_MS
+        settings["timestamping/enabled"] = True  # a datagram may overtake another
     if tls is not None:
         settings["transport/link/tls"] = tls
     if access is not None:
@@ -81,6 +88,19 @@ def open_session(
         # zenoh appends a line of its own source
         why = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))
         raise ServiceUnreachableError(f"cannot listen on {', '.join(listen)}: {why}") from error
+
+
+def _has_datagrams(text: str) -> bool:
+    return Endpoint.parse(text).transport == "tcp+udp"
+
+
+def _links(text: str) -> tuple[str, ...]:
+    """The links of an endpoint, as zenoh names them: with `rel`, which says what goes over which of two."""
+    if not _has_datagrams(text):
+        return (text,)
+    place = text.partition("/")[2]
+    # without its link of datagrams a session has all over the other one
+    return f"tcp/{place}?rel=1", f"udp/{place}?rel=0#exit_on_failure=false"
 
 
 class SealedPublisher:
@@ -120,9 +140,12 @@ def declare_publisher(
         to_itself: whether subscribers of the same session count.
     """
     is_local = to_itself and seal is None
+    urgent = priority is Priority.URGENT
     publisher = session.declare_publisher(
         key,
         congestion_control=zenoh.CongestionControl.DROP,
+        # where there are two links it says which: over that of datagrams none waits behind one that was lost
+        reliability=zenoh.Reliability.BEST_EFFORT if urgent else zenoh.Reliability.RELIABLE,
         allowed_destination=zenoh.Locality.ANY if is_local else zenoh.Locality.REMOTE,
         **sending(priority),
     )

@@ -13,6 +13,7 @@ from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Error, Message
 from deltaq_protocol.newest import Newest
+from deltaq_protocol.overtaken import in_order
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic
@@ -108,7 +109,7 @@ class Wire:
 
     def subscribe_newest(self, key: str, newest: Newest[zenoh.Sample, Any]) -> None:
         """Put the samples of a key where the newest is kept, without waking the loop for those that nobody awaits."""
-        self.subscribe_unqueued(key, newest.put)
+        self.subscribe_unqueued(key, in_order(newest.put))
 
     def subscribe_unqueued(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:
         """Call `put` with the samples of a key, in a thread of zenoh's."""

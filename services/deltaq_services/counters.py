@@ -39,6 +39,12 @@ COUNTERS: tuple[Counted, ...] = (
         "increments_too_many",
         "increments of a holder beyond those that are judged in a cycle; they were not read",
     ),
+    Counted(
+        HLI,
+        "increments_repeated",
+        "increments that were lost or overtaken, and came to a playout buffer with one behind them",
+    ),
+    Counted(HLI, "increments_overtaken", "increments that came after one that had brought them"),
     Counted(HLI, "requests", "increments handed on to the gate: at most one a robot and cycle"),
     Counted(HLI, "refused", "increments that never reached the gate"),
     Counted(HLI, "refused_{code}", "those refused for this reason"),

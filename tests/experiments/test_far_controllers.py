@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from deltaq_experiments import two_sites
-from deltaq_experiments.far_controller import OrderedWire
-from deltaq_protocol.messages import StopRequest
+from deltaq_experiments.far_controller import FarWire
+from deltaq_protocol.messages import Increment, StopRequest
 
 FAST = ["--virtual", "--duration-s", "4", "--settle-s", "2"]
 NO_VIOLATION = {"position_violations": 0, "velocity_violations": 0, "acceleration_violations": 0}
@@ -37,7 +37,9 @@ def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_pa
 def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
     capsys: pytest.CaptureFixture[str], seed: str
 ) -> None:
+    transport = {"3": "tcp+udp", "4": "tcp"}[seed]
     link = ("--delay-s", "0.04", "--jitter-s", "0.01", "--loss-share", "0.01", "--seed", seed)
+    link += ("--transport", transport)
     told = figures(capsys, *link)
     assert told["messages_lost"] > 0
     assert told["limits"] == NO_VIOLATION
@@ -49,7 +51,7 @@ def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
 
 
 def test_a_wire_keeps_the_order_and_a_loss_holds_up_what_is_behind_it() -> None:
-    wire = OrderedWire(delay_s=0.04, jitter_s=0.01, loss_share=0.1, spacing_s=0.006, seed=1)
+    wire = FarWire(datagrams=True, delay_s=0.04, jitter_s=0.01, loss_share=0.1, spacing_s=0.006, seed=1)
     sent = [StopRequest(client=f"c{number}") for number in range(200)]
     arrived: list[tuple[float, str | None]] = []
     for number, message in enumerate(sent):
@@ -63,6 +65,20 @@ def test_a_wire_keeps_the_order_and_a_loss_holds_up_what_is_behind_it() -> None:
     assert wire.lost > 5
     assert 0.03 <= min(late_s) < 0.05
     assert max(late_s) > 0.04 + 0.08
+
+
+def test_a_lost_datagram_holds_nothing_up_and_does_not_come_again() -> None:
+    wire = FarWire(datagrams=True, delay_s=0.04, jitter_s=0.01, loss_share=0.1, spacing_s=0.006, seed=1)
+    arrived: list[tuple[float, int]] = []
+    for number in range(200):
+        wire.send(0.006 * number, Increment(robot="fr", seq=number, cycle=number, dq=(0.0,)))
+    for step in range(3000):
+        for taken in wire.take(0.001 * step):
+            assert isinstance(taken, Increment)
+            arrived.append((0.001 * step, taken.seq))
+    assert [seq for _, seq in arrived] == sorted(seq for _, seq in arrived)
+    assert 5 < wire.lost == 200 - len(arrived)
+    assert max(time_s - 0.006 * seq for time_s, seq in arrived) < 0.0525
 
 
 def test_a_jitter_beyond_the_delay_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ from deltaq_protocol.endpoint import Endpoint, InvalidEndpointError
     [
         ("tcp/127.0.0.1:7447", True),
         ("udp/127.9.9.9:1", True),
+        ("tcp+udp/127.0.0.1:7447", True),
         ("tcp/localhost:65535", True),
         ("tcp/[::1]:7447", True),
         ("tcp/192.168.1.4:7447", False),
@@ -29,8 +30,31 @@ def test_a_socket_gets_host_and_port():
 
 
 @pytest.mark.parametrize(
+    ("text", "sockets"),
+    [
+        ("tcp/a:1", ("tcp",)),
+        ("tls/a:1", ("tcp",)),
+        ("udp/a:1", ("udp",)),
+        ("tcp+udp/a:1", ("tcp", "udp")),
+    ],
+)
+def test_an_endpoint_says_which_sockets_a_listener_has_there(text, sockets):
+    assert Endpoint.parse(text).sockets == sockets
+
+
+@pytest.mark.parametrize(
     "text",
-    ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/:1", "tcp/a b:1", "tcp/a:0", "tcp/a:65536", "quic/a:1"],
+    [
+        "",
+        "udp+tcp/a:1",
+        "127.0.0.1:7447",
+        "tcp/127.0.0.1",
+        "tcp/:1",
+        "tcp/a b:1",
+        "tcp/a:0",
+        "tcp/a:65536",
+        "quic/a:1",
+    ],
 )
 def test_what_is_no_endpoint_is_told_with_what_is_one(text):
     with pytest.raises(InvalidEndpointError, match=r"is no endpoint; write tcp/HOST:PORT"):

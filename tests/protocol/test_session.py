@@ -9,7 +9,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +20,9 @@ import zenoh
 from small_cell import endpoint
 
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_protocol.overtaken import in_order
 from deltaq_protocol.session import MAX_SESSIONS, declare_publisher, open_session, subscribe_newest
+from deltaq_protocol.topic import Priority
 
 
 class Heard:
@@ -96,6 +101,126 @@ def test_sessions_that_do_not_name_one_another_never_meet() -> None:
     finally:
         one.close()
         other.close()
+
+
+def transports(session: Any) -> set[str]:
+    """Kinds of links that a session has."""
+    return {str(link.dst).partition("/")[0] for link in session.info.links()}
+
+
+def wait_for_datagrams(session: Any) -> None:
+    """Until a session has its second link."""
+    for event in session.info.declare_link_events_listener(history=True):
+        if str(event.link.dst).startswith("udp/"):
+            return
+
+
+@pytest.mark.parametrize(
+    ("listens", "connects", "has"),
+    [
+        ("tcp+udp", "tcp+udp", {"tcp", "udp"}),
+        ("tcp+udp", "tcp", {"tcp"}),
+        ("tcp", "tcp+udp", {"tcp"}),
+    ],
+)
+def test_a_link_of_datagrams_is_there_where_both_have_it_and_messages_arrive_either_way(
+    listens: str, connects: str, has: set[str]
+) -> None:
+    at = endpoint().partition("/")[2]
+    server = open_session(listen=[f"{listens}/{at}"])
+    client = open_session(connect=[f"{connects}/{at}"], must_connect=True)
+    try:
+        if "udp" in has:
+            wait_for_datagrams(server)
+        heard = Heard(client, "deltaq/x")
+        publisher = declare_publisher(server, "deltaq/x")
+        heard.until(lambda: publisher.put(b"x"))
+        assert transports(client) == has
+    finally:
+        client.close()
+        server.close()
+
+
+@contextlib.contextmanager
+def datagrams_between(near: tuple[str, int], far: tuple[str, int]) -> Iterator[list[bytes]]:
+    """Carry datagrams from whoever sends to `near` on to `far`, and its own back; those that it sent are listed."""
+    sent_back: list[bytes] = []
+    with socket.socket(type=socket.SOCK_DGRAM) as here, socket.socket(type=socket.SOCK_DGRAM) as there:
+        here.bind(near)
+        there.connect(far)
+        sender: list[Any] = []
+
+        def onward() -> None:
+            while datagram := here.recvfrom(65536):
+                if datagram[1] == near:
+                    return
+                sender[:] = [datagram[1]]
+                there.send(datagram[0])
+
+        def back() -> None:
+            while datagram := there.recv(65536):
+                sent_back.append(datagram)
+                here.sendto(datagram, sender[0])
+
+        threads = [threading.Thread(target=way) for way in (onward, back)]
+        for thread in threads:
+            thread.start()
+        yield sent_back
+        here.sendto(b"the end", near)
+        threads[0].join()
+        there.shutdown(socket.SHUT_RD)
+        threads[1].join()
+
+
+def test_what_is_urgent_goes_as_a_datagram_and_what_has_to_arrive_does_not() -> None:
+    one, other = (endpoint().partition("/")[2] for _ in range(2))
+    host, _, port = one.rpartition(":")
+    server = open_session(listen=[f"tcp/{one}", f"tcp+udp/{other}"])
+    with datagrams_between((host, int(port)), (host, int(other.rpartition(":")[2]))) as seen:
+        client = open_session(connect=[f"tcp+udp/{one}"], must_connect=True)
+        try:
+            at_x, at_y = Heard(client, "deltaq/x"), Heard(client, "deltaq/y")
+            wait_for_datagrams(server)
+            urgent = declare_publisher(server, "deltaq/x")
+            ordinary = declare_publisher(server, "deltaq/y", priority=Priority.ORDINARY)
+            at_y.until(lambda: ordinary.put(b"ordinary"))
+            at_x.until(lambda: urgent.put(b"urgent"))
+            assert any(b"urgent" in datagram for datagram in seen)
+            assert not any(b"ordinary" in datagram for datagram in seen)
+        finally:
+            client.close()
+            server.close()
+
+
+def test_a_firewall_that_swallows_datagrams_keeps_nobody_out() -> None:
+    at = endpoint().partition("/")[2]
+    host, _, port = at.rpartition(":")
+    server = open_session(listen=[f"tcp/{at}"])
+    with socket.socket(type=socket.SOCK_DGRAM) as wall:
+        wall.bind((host, int(port)))
+        client = open_session(connect=[f"tcp+udp/{at}"], must_connect=True)
+        try:
+            heard = Heard(client, "deltaq/x")
+            heard.until(lambda: server.put("deltaq/x", b"x"))
+            assert transports(client) == {"tcp"}
+        finally:
+            client.close()
+            server.close()
+
+
+def test_what_a_newer_sample_has_overtaken_is_no_news_and_another_publisher_begins_anew() -> None:
+    def sample(second: int, publisher: bytes) -> Any:
+        return SimpleNamespace(
+            timestamp=zenoh.Timestamp(datetime(2026, 1, 1, 0, 0, second, tzinfo=UTC), publisher)
+        )
+
+    one, late, next_one, other = sample(1, b"a"), sample(0, b"a"), sample(2, b"a"), sample(0, b"b")
+    plain = SimpleNamespace(timestamp=None)
+    taken: list[Any] = []
+    put = in_order(taken.append)
+    for each in (plain, one, late, next_one, other, plain):
+        put(each)
+    assert taken == [plain, one, next_one, other, plain]
 
 
 def test_a_server_does_not_pass_on_what_one_client_sends_to_another() -> None:

@@ -14,6 +14,7 @@ from small_cell import server_state, small_cell, told, tool_pose
 
 from deltaq_protocol.guarded import Request
 from deltaq_protocol.messages import (
+    EarlierIncrement,
     Increment,
     LeaseAction,
     LeaseReply,
@@ -289,8 +290,15 @@ class Bench:
         (state,) = (one for one in messages if isinstance(one, RobotState))
         return request, state, verdicts(outputs)
 
-    def answer(self, cycle: int, seq: int) -> list[Output]:
-        sent = Increment(robot="fr", seq=seq, cycle=cycle, dq=DQ, lease=self.lease)
+    def answer(self, cycle: int, seq: int, earlier: tuple[tuple[int, int], ...] = ()) -> list[Output]:
+        sent = Increment(
+            robot="fr",
+            seq=seq,
+            cycle=cycle,
+            dq=DQ,
+            lease=self.lease,
+            earlier=tuple(EarlierIncrement(cycle=c, seq=s, dq=DQ) for c, s in earlier),
+        )
         return self.core.increments.on_increment(sent, self.client, self.time_s)
 
 
@@ -340,6 +348,50 @@ def test_a_duplicate_is_refused_though_numbers_may_overtake_one_another() -> Non
     for seq in (6, 7):
         (refused,) = verdicts(bench.answer(101, seq=seq))
         assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
+
+
+def test_an_increment_that_was_lost_comes_with_the_one_behind_it_and_has_its_turn() -> None:
+    bench = Bench()
+    for cycle in range(101, 105):
+        bench.turn()
+        bench.answer(cycle, cycle, earlier=((cycle - 1, cycle - 1),))
+    bench.turn()  # the answer to 105 is lost
+    bench.turn()
+    assert bench.answer(106, 106, earlier=((104, 104), (105, 105))) == []
+    passed_on = [bench.turn()[0].seq for _ in range(3)]
+    assert passed_on[:2] == [105, 106]
+    assert bench.core.counters["increments_repeated"] == 2, "that of 100, and that of 105"
+    assert bench.core.counters["increments_overtaken"] == 0
+
+
+def test_an_increment_that_another_overtook_and_brought_is_no_duplicate_when_it_comes_and_once_more_it_is() -> (
+    None
+):
+    bench = Bench()
+    for _ in range(2):
+        bench.turn()
+    assert bench.answer(102, 102, earlier=((101, 101),)) == []
+    assert bench.answer(101, 101) == []
+    assert bench.core.counters["increments_overtaken"] == 1
+    (refused,) = verdicts(bench.answer(101, 101))
+    assert refused.reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
+
+
+def test_what_is_repeated_is_judged_as_what_is_sent_and_told_by_its_own_number() -> None:
+    bench = Bench()
+    for _ in range(80):
+        bench.turn()
+    (refused,) = verdicts(bench.answer(bench.cycle, 9, earlier=((bench.cycle - 51, 8),)))
+    assert (refused.seq, refused.reasons[0].code) == (8, ReasonCode.LINK_TOO_SLOW)
+    assert bench.turn()[0].seq == 9
+
+
+def test_without_a_playout_buffer_nobody_looks_at_what_is_repeated() -> None:
+    bench = Bench(playout=False)
+    bench.turn()
+    bench.answer(bench.cycle, 7, earlier=((bench.cycle, 6),))
+    assert bench.core.counters["increments"] == 1
+    assert verdicts(bench.answer(bench.cycle, 6))[0].reasons[0].code is ReasonCode.REPLAYED_SEQUENCE
 
 
 def test_a_link_that_is_too_slow_is_told_so_with_what_it_took_and_the_bound() -> None:

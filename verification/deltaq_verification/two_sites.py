@@ -14,12 +14,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.impairment.packets import DEVICE
 
 ROBOTS_ADDRESS, OFFICE_ADDRESS = "10.77.0.1", "10.77.0.2"
 HLI_ADDRESS, CONTROLLER_ADDRESS = "10.77.1.1", "10.77.1.2"
-HLI = f"tcp/{HLI_ADDRESS}:7447"
 _CABLE = "cable"
 
 
@@ -109,11 +109,12 @@ def sites() -> Iterator[Sites]:
         yield made
 
 
-def write_cell(folder: Path, base: str = "lab") -> Path:
+def write_cell(folder: Path, transport: Transport = "tcp+udp", base: str = "lab") -> Path:
     """Write the cell's file as both sites have it: Robot Servers and SIM with the robots, the HLI in the office.
 
     Args:
         folder: to write it to.
+        transport: of the way from controllers to the HLI.
         base: the cell that it extends.
     """
     file = folder / "two-sites.yaml"
@@ -126,7 +127,7 @@ robots:
   fr: {{server: tcp/{ROBOTS_ADDRESS}:7451}}
   gr: {{server: tcp/{ROBOTS_ADDRESS}:7452}}
 # in the office
-hli: {HLI}
+hli: {transport}/{HLI_ADDRESS}:7447
 clients_need_tokens: true
 """,
         encoding="utf-8",

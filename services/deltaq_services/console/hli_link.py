@@ -16,6 +16,7 @@ from typing import Any
 
 from deltaq_protocol import topics
 from deltaq_protocol.messages import Message
+from deltaq_protocol.overtaken import in_order
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Topic
 from deltaq_protocol.wire import Wire
@@ -92,7 +93,7 @@ class HliLink:
         session = await asyncio.to_thread(open_session, connect=[self._hli])
         self._wire = wire = Wire(session, asyncio.get_running_loop())
         for robot, ear in self._ears.items():
-            wire.subscribe_unqueued(topics.STATE.key(self._cell, robot=robot), ear.state)
+            wire.subscribe_unqueued(topics.STATE.key(self._cell, robot=robot), in_order(ear.state))
             wire.subscribe_unqueued(topics.VERDICT.key(self._cell, robot=robot), ear.verdict)
         wire.subscribe_unqueued(topics.PROXIMITY.key(self._cell), self._put_proximity)
         return self

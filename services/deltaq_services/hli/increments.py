@@ -8,7 +8,7 @@ from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import InvalidMessageError
 from deltaq_protocol.guarded import Request
-from deltaq_protocol.messages import Error, Increment, Outcome, Reason, Verdict
+from deltaq_protocol.messages import EarlierIncrement, Error, Increment, Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.asked import Asked
 from deltaq_services.hli.carried_motion import MOST_CARRIED_CYCLES
@@ -28,29 +28,48 @@ class Increments:
         self._state = state
 
     def on_increment(self, increment: Increment, sender: Sender | None, time_s: float) -> list[Output]:
-        """A controller asks for an increment; it goes to the gate now, with the next state, or is refused."""
+        """A controller asks for an increment; it goes to the gate now, with the next state, or is refused.
+
+        Where there is a playout buffer, those before it come with it that have not come themselves.
+        """
         outputs = self._state.tick(time_s)
+        lease, link = self._lease_and_link(increment)
+        if lease is not None and link is not None and link.playout is not None:
+            for earlier in increment.earlier:
+                if lease.sequence.is_new(earlier.seq):
+                    self._state.counters["increments_repeated"] += 1
+                    lease.brought.add(earlier.seq)
+                    outputs += self._take(_again(earlier, increment), sender, time_s)
+            if lease.take_brought(increment.seq):
+                self._state.counters["increments_overtaken"] += 1
+                return outputs
+        return outputs + self._take(increment, sender, time_s)
+
+    def _take(self, increment: Increment, sender: Sender | None, time_s: float) -> list[Output]:
         self._state.counters["increments"] += 1
         robot, seq, cycle = increment.robot, increment.seq, increment.cycle
-        lease = self._state.leases.held_with(robot, increment.lease)
+        lease, link = self._lease_and_link(increment)
         reason = self._sequence_fault(robot, lease, seq, time_s)
-        link = self._state.links.get(robot)
         if reason is None and link is not None:
             reason = self._state.mismatch() or link.fault(increment, time_s)
         if reason is not None or lease is None or link is None:
             why = reason or unknown_robot(robot)
-            return outputs + self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
+            return self._state.refuse(robot, cycle, seq, why, sender, lease is not None)
         lease.used, link.sight = True, increment.sight
         assert link.state is not None  # without one it would have been refused
         asked = Asked(increment, lease.epoch, sender, came=link.state.cycle)
         if link.playout is not None:
-            return outputs + self._put_into(link.playout, asked)
+            return self._put_into(link.playout, asked)
         send, replaced = link.offer(asked)
-        if replaced is not None:
-            outputs += self._state.refuse_asked(replaced, _superseded())
+        outputs = [] if replaced is None else self._state.refuse_asked(replaced, _superseded())
         if send is not None:
             outputs.append(self._request(robot, link, send))
         return outputs
+
+    def _lease_and_link(self, increment: Increment) -> tuple[Lease | None, RobotLink | None]:
+        """Under which lease it was sent, and its robot."""
+        robot = increment.robot
+        return self._state.leases.held_with(robot, increment.lease), self._state.links.get(robot)
 
     def on_bad_increment(
         self, error: InvalidMessageError, sender: Sender | None, time_s: float
@@ -166,6 +185,18 @@ class Increments:
             )
         self._state.leases.renew(lease, time_s)
         return None
+
+
+def _again(earlier: EarlierIncrement, bringer: Increment) -> Increment:
+    """An increment that was lost, as the one says that brought it."""
+    return Increment(
+        robot=bringer.robot,
+        seq=earlier.seq,
+        cycle=earlier.cycle,
+        dq=earlier.dq,
+        lease=bringer.lease,
+        sight=bringer.sight,
+    )
 
 
 def _superseded() -> Reason:

@@ -19,6 +19,7 @@ class Lease:
 
     Attributes:
         sequence: sequence numbers seen under this lease.
+        brought: those of increments that came with a later one, and have not come themselves.
         used: True once an increment was accepted; then losing the holder is a reason to stop.
         connection: the holder's connection, where it has one.
         origin: of the holder, for the audit log.
@@ -33,6 +34,15 @@ class Lease:
     sequence: Sequence = field(default_factory=Sequence)
     used: bool = False
     origin: ClientOrigin = NOBODY
+    brought: set[int] = field(default_factory=set)
+
+    def take_brought(self, seq: int) -> bool:
+        """An increment has come; whether a later one had brought it, which happens once."""
+        oldest = self.sequence.newest - self.sequence.width
+        self.brought = {one for one in self.brought if one > oldest}
+        was_brought = seq in self.brought
+        self.brought.discard(seq)
+        return was_brought
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,4 +143,6 @@ class Leases:
 def _copied(leases: Iterable[tuple[str, Lease | None]]) -> Iterator[tuple[str, Lease | None]]:
     """With leases that nobody else renews."""
     for robot, lease in leases:
-        yield robot, None if lease is None else replace(lease, sequence=replace(lease.sequence))
+        if lease is not None:
+            lease = replace(lease, sequence=replace(lease.sequence), brought=set(lease.brought))
+        yield robot, lease

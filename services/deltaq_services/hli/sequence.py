@@ -19,14 +19,18 @@ class Sequence:
     newest: int = -1
     seen: int = 0
 
+    def is_new(self, number: int) -> bool:
+        """Whether a number may still come."""
+        behind = self.newest - number
+        return behind < 0 or (behind < self.width and not self.seen >> behind & 1)
+
     def take(self, number: int) -> bool:
         """A number has come; whether it is new."""
+        if not self.is_new(number):
+            return False
         if number > self.newest:
             self.seen = (self.seen << min(number - self.newest, self.width) | 1) & ~(-1 << self.width)
             self.newest = number
-            return True
-        behind = self.newest - number
-        if behind >= self.width or self.seen >> behind & 1:
-            return False
-        self.seen |= 1 << behind
+        else:
+            self.seen |= 1 << self.newest - number
         return True
