@@ -57,6 +57,19 @@ def test_jitter_stays_within_its_bound() -> None:
     assert 0.0045 < max(dues) <= 0.005
 
 
+def test_the_jitter_of_a_queue_lets_none_overtake_another_and_any_other_does() -> None:
+    for keeps_order in (True, False):
+        link, arrived = FaultyLink(seed=2), []
+        link.faults = LinkFaults(jitter_s=0.02, keeps_order=keeps_order)
+        for number in range(200):
+            now_s = 0.002 * number
+            link.put(now_s, b"%d" % number)
+            arrived += link.take(now_s)
+        arrived = [int(datagram) for datagram in arrived + link.take(1.0)]
+        assert len(arrived) == 200
+        assert (arrived == sorted(arrived)) is keeps_order
+
+
 def test_duplicates_arrive_twice() -> None:
     link = FaultyLink()
     link.faults = LinkFaults(duplicate=1.0)

@@ -15,11 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from deltaq_cell.load import load_cell
 from deltaq_command.console import json_log
 from deltaq_launch.child_process import NICENESS, Exited
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.launcher import Interrupted, Launcher
-from deltaq_launch.services import ListeningSocket, Role, Service
+from deltaq_launch.services import ListeningSocket, Role, Service, cell_services
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import json_line
 
@@ -282,3 +283,10 @@ def test_a_signal_that_does_not_wake_the_launcher_is_heeded_all_the_same() -> No
         elsewhere.start()
         assert launcher.wait() == Interrupted(signal.SIGTERM)  # for ever, if it is lost
         elsewhere.join()
+
+
+def test_an_hli_with_datagrams_needs_its_port_over_both() -> None:
+    cell = load_cell("lab").model_copy(update={"hli": "tcp+udp/127.0.0.1:7447"})
+    hli = next(service for service in cell_services(cell, "lab") if service.name == "hli")
+    zenoh = [(at.transport, at.port) for at in hli.listens if at.field == "hli"]
+    assert zenoh == [("tcp", 7447), ("udp", 7447)]
