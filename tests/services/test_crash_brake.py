@@ -23,13 +23,10 @@ def krc():
     return CrashSide().begin().run_up(4)
 
 
-def moves(krc, brake, cycles=100):
+def moves(krc, brake):
     """Corrections of the KRC's cycles until the brake is over."""
     begin = len(krc.setpoints) - 1
-    while not brake.over and cycles:
-        krc.after(brake)
-        cycles -= 1
-    assert brake.over
+    assert list(krc.until_over(brake))
     return np.array(krc.setpoints[begin:])
 
 
@@ -49,9 +46,7 @@ def test_it_sends_the_certified_brake_to_the_bit_of_the_codec(krc):
 
 def test_it_rests_for_the_drives_lag_then_sends_the_stop_and_is_over(krc):
     n, brake = krc.server.state.plan.brake_cycles, krc.dead()
-    stops = []
-    while not brake.over:
-        stops.append(krc.after(brake).outputs["stop"])
+    stops = [told.outputs["stop"] for told in krc.until_over(brake)]
     assert stops == [False] * (n + PLAN.lag_cycles) + [True] * STOP_CYCLES
     assert krc.after(brake) is None
     assert brake.replies == len(stops)
@@ -74,8 +69,7 @@ def test_without_a_stop_a_robot_that_rests_needs_nobody():
 def test_without_a_stop_it_ends_when_the_drives_have_caught_up(krc):
     n = krc.server.state.plan.brake_cycles
     brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
-    while not brake.over:
-        assert not krc.after(brake).outputs["stop"]
+    assert not any(told.outputs["stop"] for told in krc.until_over(brake))
     assert brake.replies == n + PLAN.lag_cycles
 
 
@@ -112,9 +106,10 @@ def test_a_reply_that_the_krc_missed_is_sent_again(krc):
 def test_a_krc_that_misses_every_reply_is_given_up(krc):
     brake = krc.dead()
     sent = brake.correction
-    while not brake.over:
+    krc.late += 1
+    for told in krc.until_over(brake):
+        assert told is not None
         krc.late += 1
-        assert krc.after(brake) is not None
     assert brake.correction == sent
     assert brake.replies == round(PLAN.silence_s / PLAN.cycle_s) + 1
 
