@@ -11,7 +11,7 @@ from krc_side import CELL, FR, MAX_DV, XML
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES, CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_brake.record import SENT
-from deltaq_services.robot_server.krc_file import sensor_codec
+from deltaq_services.robot_server.krc_file import crash_plan, sensor_codec
 
 ROUNDING = 2e-8
 """Of six decimals of a degree, twice [rad]."""
@@ -42,6 +42,19 @@ def test_it_sends_the_certified_brake_to_the_bit_of_the_codec(krc):
         assert reply == codec.encode(krc.ipoc, correction, krc.server.outputs)
     assert brake.at_rest
     assert not brake.over
+
+
+def test_where_a_krc_has_a_place_for_a_text_it_is_told_none(krc, tmp_path):
+    xml = tmp_path / "with_text.xml"
+    text = '<ELEMENTS><ELEMENT TAG="DEF_EStr" TYPE="STRING" INDX="INTERNAL" />'
+    before, receive, after = XML.read_text(encoding="utf-8").partition("<RECEIVE>")
+    xml.write_text(before + receive + after.replace("<ELEMENTS>", text, 1), encoding="utf-8")
+    plan, codec = crash_plan(CELL, "fr", xml), sensor_codec(CELL, "fr", xml)
+    brake = CrashBrake(plan, RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
+    krc.tick()
+    reply = brake.answer([(krc.own(), PEER)], krc.time_s)
+    assert b"<EStr></EStr>" in reply
+    assert reply == codec.encode(krc.ipoc, np.array(brake.correction), krc.server.outputs)
 
 
 def test_it_rests_for_the_drives_lag_then_sends_the_stop_and_is_over(krc):
