@@ -2,11 +2,13 @@
 
 import ast
 import textwrap
+import tomllib
 
 import pytest
-from judge_mutants import PACKAGES, Mutant, explained
+from judge_mutants import PACKAGES, ROOT, Mutant, explained
 
 EXPLAINED = sorted(explained())
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mutmut"]
 
 
 def source_of(mutant: Mutant) -> str:
@@ -31,3 +33,18 @@ def test_the_line_that_a_mutant_changes_is_there(mutant: Mutant) -> None:
     taken_out = [line[1:] for line in mutant.change if line.startswith("-")]
     assert taken_out
     assert set(taken_out) <= lines
+
+
+def test_what_is_explained_is_of_files_that_are_mutated() -> None:
+    """Or nobody would ever compare the explanation with what survives."""
+    assert {mutant.file for mutant in EXPLAINED} <= set(SETTINGS["only_mutate"])
+
+
+def test_files_that_are_mutated_and_tests_that_judge_are_there_and_listed_once() -> None:
+    mutated, judges = SETTINGS["only_mutate"], SETTINGS["pytest_add_cli_args_test_selection"]
+    paths = [
+        *(PACKAGES[file.partition("/")[0]] / file for file in mutated),
+        *(ROOT / test for test in judges),
+    ]
+    assert [path for path in paths if not path.is_file()] == []
+    assert len(set(paths)) == len(paths)

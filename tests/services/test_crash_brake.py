@@ -11,7 +11,7 @@ from krc_side import CELL, FR, MAX_DV, XML
 from deltaq_protocol.brake import brake_cycles, brake_increment
 from deltaq_services.robot_server.crash_brake.core import STOP_CYCLES, CrashBrake, CrashPlan
 from deltaq_services.robot_server.crash_brake.record import SENT
-from deltaq_services.robot_server.krc_file import sensor_codec
+from deltaq_services.robot_server.krc_file import crash_plan, sensor_codec
 
 ROUNDING = 2e-8
 """Of six decimals of a degree, twice [rad]."""
@@ -23,13 +23,10 @@ def krc():
     return CrashSide().begin().run_up(4)
 
 
-def moves(krc, brake, cycles=100):
+def moves(krc, brake):
     """Corrections of the KRC's cycles until the brake is over."""
     begin = len(krc.setpoints) - 1
-    while not brake.over and cycles:
-        krc.after(brake)
-        cycles -= 1
-    assert brake.over
+    assert list(krc.until_over(brake))
     return np.array(krc.setpoints[begin:])
 
 
@@ -47,11 +44,22 @@ def test_it_sends_the_certified_brake_to_the_bit_of_the_codec(krc):
     assert not brake.over
 
 
+def test_where_a_krc_has_a_place_for_a_text_it_is_told_none(krc, tmp_path):
+    xml = tmp_path / "with_text.xml"
+    text = '<ELEMENTS><ELEMENT TAG="DEF_EStr" TYPE="STRING" INDX="INTERNAL" />'
+    before, receive, after = XML.read_text(encoding="utf-8").partition("<RECEIVE>")
+    xml.write_text(before + receive + after.replace("<ELEMENTS>", text, 1), encoding="utf-8")
+    plan, codec = crash_plan(CELL, "fr", xml), sensor_codec(CELL, "fr", xml)
+    brake = CrashBrake(plan, RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
+    krc.tick()
+    reply = brake.answer([(krc.own(), PEER)], krc.time_s)
+    assert b"<EStr></EStr>" in reply
+    assert reply == codec.encode(krc.ipoc, np.array(brake.correction), krc.server.outputs)
+
+
 def test_it_rests_for_the_drives_lag_then_sends_the_stop_and_is_over(krc):
     n, brake = krc.server.state.plan.brake_cycles, krc.dead()
-    stops = []
-    while not brake.over:
-        stops.append(krc.after(brake).outputs["stop"])
+    stops = [told.outputs["stop"] for told in krc.until_over(brake)]
     assert stops == [False] * (n + PLAN.lag_cycles) + [True] * STOP_CYCLES
     assert krc.after(brake) is None
     assert brake.replies == len(stops)
@@ -74,8 +82,7 @@ def test_without_a_stop_a_robot_that_rests_needs_nobody():
 def test_without_a_stop_it_ends_when_the_drives_have_caught_up(krc):
     n = krc.server.state.plan.brake_cycles
     brake = CrashBrake(replace(PLAN, has_stop=False), RECORDS.newest(bytes(krc.memory)), TELEGRAMS)
-    while not brake.over:
-        assert not krc.after(brake).outputs["stop"]
+    assert not any(told.outputs["stop"] for told in krc.until_over(brake))
     assert brake.replies == n + PLAN.lag_cycles
 
 
@@ -112,9 +119,10 @@ def test_a_reply_that_the_krc_missed_is_sent_again(krc):
 def test_a_krc_that_misses_every_reply_is_given_up(krc):
     brake = krc.dead()
     sent = brake.correction
-    while not brake.over:
+    krc.late += 1
+    for told in krc.until_over(brake):
+        assert told is not None
         krc.late += 1
-        assert krc.after(brake) is not None
     assert brake.correction == sent
     assert brake.replies == round(PLAN.silence_s / PLAN.cycle_s) + 1
 

@@ -70,6 +70,7 @@ def test_a_robot_that_begins_a_session_anew_has_its_stops_when_it_is_at_rest_aga
     ask(signal.SIGTERM)
     while not ending.stop:
         cycle(krc, ending)
+        assert krc.time_s < 10
     krc.tick(100)
     krc.ipoc += 12 * 5000  # the KRC begins a session anew
     while krc.server.at_rest:

@@ -33,6 +33,15 @@ def both(a1, a2):
     return np.array([a1, a2], dtype=float)
 
 
+def test_a_robot_s_limits_hold_for_one_cycle_however_long_it_is():
+    for cycle_s in (0.004, 0.012):
+        limits = Limits.of(FR, cycle_s)
+        assert limits.max_dq / cycle_s == pytest.approx(FR.max_velocity)
+        assert limits.max_dv / cycle_s / cycle_s == pytest.approx(FR.max_acceleration)
+        np.testing.assert_array_equal([limits.lower, limits.upper], [FR.lower, FR.upper])
+        assert (limits.joint_names, limits.cycle_s) == (FR.joint_names, cycle_s)
+
+
 def test_a_share_is_the_way_to_the_bound_on_the_side_that_the_joint_goes_to():
     start, end = np.zeros(4), np.array([4.0, -4.0, 0.0, 1.0])
     shares = shares_within(start, end, np.full(4, -1.0), np.full(4, 2.0))

@@ -316,6 +316,31 @@ def test_no_joint_is_displaced_by_more_than_a_tenth_of_its_tracking_tolerance():
     assert (total <= 0.1 * robot.tracking_tolerance).all()
 
 
+def told(probe):
+    """All that a Robot Server hears of a probe in one cycle."""
+    return probe.mode, probe.unseen, probe.idle, probe.detail, probe.added_to(np.zeros(9)).tolist()
+
+
+@pytest.mark.parametrize("at", [2, 3, 6, 11, 18, TRIAL - 1, TRIAL, TRIAL + 20])
+@pytest.mark.parametrize("story", ["absolute", "relative", "stands still", "adrift", "told to end"])
+def test_another_that_takes_its_place_goes_on_as_it_would(story, at):
+    arm = Arm("relative" if story == "relative" else "absolute", moves=story in ("absolute", "relative"))
+    for cycle in range(1, 2 * TRIAL + PAUSE):
+        if story == "adrift" and cycle == at - 1:
+            arm.sag = 1.1 * ADRIFT * SIZE
+            arm.q = arm.start + arm.sag
+        if story == "told to end" and cycle == at:
+            arm.probe.end()
+        if cycle == at:
+            heir = ModeProbe(GR, LAB.cycle_s, round(LAG_S / LAB.cycle_s), GR.home + 1.0)
+            heir.restore(arm.probe.snapshot())
+        if cycle >= at:
+            assert told(heir) == told(arm.probe)
+            heir.cycle(arm.measured(), arm.ipoc, False)
+        arm.cycle()
+    assert told(heir) == told(arm.probe)
+
+
 WINDOW = 12
 FIRST, SECOND = 4, 4 + WINDOW
 """Samples in which the first pulse can be seen at the earliest, and its negative."""

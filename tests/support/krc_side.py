@@ -152,10 +152,7 @@ class KrcSide:
 
     def drive(self):
         """Drive some degrees away from where the session began, and come to rest."""
-        self.run_up(4)
-        while any(self.server.state.dq):
-            self.cycle()
-        return self
+        return self.run_up(4).until(lambda: not any(self.server.state.dq))
 
     def begin(self):
         """Cycle until the session is believed and, where it is, its mode known."""
@@ -165,7 +162,17 @@ class KrcSide:
 
     def probed(self):
         """Cycle until the mode of the session is known."""
-        while self.server.detail:
-            assert self.server.detail == "finds out how the KRC takes corrections"
+
+        def is_known():
+            assert self.server.detail in ("", "finds out how the KRC takes corrections")
+            return not self.server.detail
+
+        return self.until(is_known)
+
+    def until(self, happens):
+        """Cycle until something happens, which it has to within a thousand cycles."""
+        for _ in range(1000):
+            if happens():
+                return self
             self.cycle()
-        return self
+        raise AssertionError("it does not happen")
