@@ -1,0 +1,123 @@
+"""Messages of the open realm: what a controller sends and sees.
+
+All joint quantities are in the joint order of the robot's description, rad for revolute and m for
+prismatic joints. `q` is a configuration, `dq` an increment over one cycle, never a velocity.
+"""
+
+from __future__ import annotations
+
+from deltaq_protocol.messages.base import (
+    LINE_VERSIONS,
+    PROTOCOL_VERSION,
+    Count,
+    Joints,
+    JointValue,
+    Message,
+    Name,
+    PoseRows,
+    Quaternion,
+    Row,
+    Secret,
+    Vector3,
+)
+from deltaq_protocol.messages.description import (
+    CarriedFrame,
+    DescribeRequest,
+    Description,
+    Hello,
+    JointPlacement,
+    RobotKinematics,
+    RobotSummary,
+    Welcome,
+)
+from deltaq_protocol.messages.lease import (
+    LeaseAction,
+    LeaseReply,
+    LeaseRequest,
+)
+from deltaq_protocol.messages.motion import (
+    MOST_EARLIER,
+    EarlierIncrement,
+    Increment,
+    Outcome,
+    Phase,
+    Playout,
+    Reason,
+    RobotState,
+    Sight,
+    ToolPose,
+    Verdict,
+)
+from deltaq_protocol.messages.requests import (
+    Challenge,
+    ChallengeRequest,
+    ContactRequest,
+    Done,
+    DryRunReply,
+    DryRunRequest,
+    Error,
+    IoReply,
+    IoRequest,
+    ResetRequest,
+    StopRequest,
+)
+from deltaq_protocol.messages.status import (
+    LeaseStatus,
+    NearestPair,
+    Proximity,
+    RobotStatus,
+    Status,
+)
+
+__all__ = [
+    "LINE_VERSIONS",
+    "MOST_EARLIER",
+    "PROTOCOL_VERSION",
+    "CarriedFrame",
+    "Challenge",
+    "ChallengeRequest",
+    "ContactRequest",
+    "Count",
+    "DescribeRequest",
+    "Description",
+    "Done",
+    "DryRunReply",
+    "DryRunRequest",
+    "EarlierIncrement",
+    "Error",
+    "Hello",
+    "Increment",
+    "IoReply",
+    "IoRequest",
+    "JointPlacement",
+    "JointValue",
+    "Joints",
+    "LeaseAction",
+    "LeaseReply",
+    "LeaseRequest",
+    "LeaseStatus",
+    "Message",
+    "Name",
+    "NearestPair",
+    "Outcome",
+    "Phase",
+    "Playout",
+    "PoseRows",
+    "Proximity",
+    "Quaternion",
+    "Reason",
+    "ResetRequest",
+    "RobotKinematics",
+    "RobotState",
+    "RobotStatus",
+    "RobotSummary",
+    "Row",
+    "Secret",
+    "Sight",
+    "Status",
+    "StopRequest",
+    "ToolPose",
+    "Vector3",
+    "Verdict",
+    "Welcome",
+]

@@ -1,0 +1,32 @@
+"""What all messages share: their base, and the types of their fields."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+PROTOCOL_VERSION = 3
+LINE_VERSIONS = (1, 2, 3)
+"""Versions that clients over lines of JSON may speak: to them later ones have only more fields to pass over."""
+
+JointValue = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Joints = Annotated[tuple[JointValue, ...], Field(min_length=1, max_length=32)]
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+PoseRows = tuple[Row, Row, Row, Row]
+"""A homogeneous matrix, row by row."""
+Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-z][a-z0-9_-]*$")]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Secret = Annotated[str | None, Field(repr=False)]
+"""A token: neither shown nor quoted, see `deltaq_protocol.quoting`."""
+
+
+class Message(BaseModel):
+    """Base of all messages: immutable, and a field that is not known is an error.
+
+    Neither its errors nor its `repr` show what may be a secret.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)

@@ -1,0 +1,97 @@
+"""What a client is told first: the cell and its robots."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, FiniteFloat
+
+from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, PoseRows, Secret, Vector3
+
+
+class Hello(Message):
+    """First line of a TCP client."""
+
+    type: Literal["hello"] = "hello"
+    protocol: int
+    client: str = Field(min_length=1, max_length=64)
+    token: Secret = None
+
+
+class DescribeRequest(Message):
+    """Ask for the cell's description."""
+
+    type: Literal["describe"] = "describe"
+
+
+class RobotSummary(Message):
+    """Summary of a robot for a controller: names, units and limits in joint order, SI units."""
+
+    joints: tuple[str, ...]
+    units: tuple[Literal["rad", "m"], ...]
+    lower: Joints
+    upper: Joints
+    max_velocity: Joints
+    max_acceleration: Joints
+    max_increment: Joints
+
+
+class Welcome(Message):
+    """Answer to a hello."""
+
+    type: Literal["welcome"] = "welcome"
+    protocol: int = PROTOCOL_VERSION
+    cell: str
+    cycle_s: FiniteFloat
+    robots: dict[str, RobotSummary]
+    identity: str = ""
+
+
+class JointPlacement(Message):
+    """Where a joint is on what carries it: the pose of what it moves is `T_world_parent T_parent_joint motion(q)`.
+
+    The motion is a turn by `q` about `axis`, or a displacement by `q` along it; the robot's summary tells by the unit
+    which. `parent` is another joint's place in the order, from 0; a joint of parent -1 is placed in the world.
+    """
+
+    parent: int = Field(ge=-1)
+    T_parent_joint: PoseRows
+    axis: Vector3
+
+
+class CarriedFrame(Message):
+    """Where a frame is on the joint that carries it, by its place in the order from 0; of joint -1, in the world."""
+
+    joint: int = Field(ge=-1)
+    T_joint_frame: PoseRows
+
+
+class RobotKinematics(Message):
+    """A robot's kinematics in joint order, and what it carries: `tool`, `camera` if it has one, and its hands.
+
+    A camera looks along its z axis, and its x axis points up in the picture.
+    """
+
+    joints: tuple[JointPlacement, ...]
+    frames: dict[str, CarriedFrame]
+
+
+class Description(Message):
+    """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
+
+    `kinematics` holds, by robot, what follows from both, for a client that reads neither. `hulls` holds what the gate
+    takes the collision meshes of a URDF for: by robot and body, the corners of a convex hull in the frame of the body
+    [m]. Visual meshes are not sent. `identity` is the cell's name and hash (`deltaq_protocol.identity`): one who has
+    a file of the cell sees by it whether the same is meant.
+    """
+
+    type: Literal["description"] = "description"
+    protocol: int = PROTOCOL_VERSION
+    cell: str
+    cycle_s: FiniteFloat
+    robots: dict[str, RobotSummary]
+    yaml: str
+    urdf: dict[str, str]
+    hulls: dict[str, dict[str, tuple[Vector3, ...]]] = {}
+    kinematics: dict[str, RobotKinematics] = {}
+    identity: str = ""

@@ -1,0 +1,171 @@
+"""What moves a robot, and what is said about it: increments, verdicts, states."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat
+
+from deltaq_protocol.messages.base import Count, Joints, Message, Name, Quaternion, Secret, Vector3
+from deltaq_protocol.reasons import ReasonCode
+
+
+class Phase(StrEnum):
+    """Phase of a robot; the transitions are a table in `deltaq_services.phases`."""
+
+    OFFLINE = "offline"
+    READY = "ready"
+    ENGAGED = "engaged"
+    BRAKING = "braking"
+    HELD = "held"
+
+
+class Outcome(StrEnum):
+    """Outcome of an increment; `unknown` is never sent: a client uses it where no verdict came.
+
+    `carried` has no cycle of its own: it came to the playout buffer after its turn, and its motion goes out with the
+    increments behind it (`Playout`).
+    """
+
+    ADMITTED = "admitted"
+    SCALED = "scaled"
+    HELD = "held"
+    REFUSED = "refused"
+    UNKNOWN = "unknown"
+    CARRIED = "carried"
+
+
+class Sight(StrEnum):
+    """How well a controller sees the robot that it follows: its view is as old as the link makes it, older, or gone."""
+
+    FRESH = "fresh"
+    STALE = "view_stale"
+    LOST = "view_lost"
+
+
+class Reason(Message):
+    """One thing that limited a request: which limit, on what, the value requested and the bound (SI units)."""
+
+    code: ReasonCode
+    what: str = ""
+    value: FiniteFloat | None = None
+    bound: FiniteFloat | None = None
+
+
+class ToolPose(Message):
+    """Pose of the tool in the world: maps tool coordinates into world coordinates."""
+
+    position: Vector3
+    quaternion_wxyz: Quaternion
+
+
+class Playout(Message):
+    """The increments of a lease that wait for their turn in the HLI, so that each cycle has one though they jitter.
+
+    An increment that answers cycle k is passed on with the state of cycle k + `delay_cycles`, which follows from how
+    long those before it were under way. `waiting` have come before their turn. The setpoint of this state has in it all
+    increments that answer a cycle up to `answered_cycle`, and none behind it; null before the first. `late` increments
+    came when their turn was over; `empty` cycles had none and braked. Both count from the grant.
+
+    `owed` is the motion of late ones that the setpoint does not have yet, less what the robot braked unasked in cycles
+    that were empty; null if there is none. It goes out with the increments to come, over a few cycles, so that the `dq`
+    of a verdict may have a part of it. An increment that is too late for that is refused as `late`.
+    """
+
+    delay_cycles: Count
+    waiting: Count
+    answered_cycle: Count | None = None
+    late: Count = 0
+    empty: Count = 0
+    owed: Joints | None = None
+
+
+class RobotState(Message):
+    """State of one robot, published every cycle of its KRC.
+
+    `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
+    `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
+    brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
+    `playout` is there where the robot's lease asked for it. `sight` is how well the controller sees what it follows, as
+    its newest increment says; null if it says nothing.
+    `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
+    the gate has been heard.
+    """
+
+    type: Literal["state"] = "state"
+    robot: Name
+    cycle: Count
+    ipoc: Count
+    time_s: FiniteFloat
+    q: Joints
+    q_cmd: Joints
+    tool: ToolPose
+    phase: Phase
+    reason: ReasonCode | None = None
+    gate: str = ""
+    q_ahead: Joints | None = None
+    setpoint_cycle: Count | None = None
+    playout: Playout | None = None
+    sight: Sight | None = None
+
+
+MOST_EARLIER = 4
+"""Increments that one may repeat."""
+
+
+class EarlierIncrement(Message):
+    """An increment that was sent before, again: it may have been lost."""
+
+    seq: Count
+    cycle: Count
+    dq: Joints
+
+
+class Increment(Message):
+    """A controller's request: move by `dq` in one cycle, in answer to the state of `cycle`.
+
+    `lease` is never sent, and not read if it is: the server fills in whose increment it is. Over zenoh a proof shows it
+    (`deltaq_protocol.proof`, with the token of the lease reply as the secret), over TCP the connection is the holder.
+    `sight` is for people: states tell it, and nothing depends on it.
+    `earlier` has those sent just before, the oldest first, for a link that loses messages. They are taken where the
+    lease has a playout buffer and they have not come themselves; elsewhere nobody looks at them.
+    """
+
+    type: Literal["increment"] = "increment"
+    robot: Name
+    seq: Count
+    cycle: Count
+    dq: Joints
+    lease: Secret = None
+    sight: Sight | None = None
+    earlier: Annotated[tuple[EarlierIncrement, ...], Field(max_length=MOST_EARLIER)] = ()
+
+
+class Verdict(Message):
+    """The gate's answer to one increment.
+
+    `cycle` is that of the state that it was decided on; of an increment that was refused, the one that it answers.
+    `setpoint_cycle` is the cycle that it goes into, the first whose setpoint has `dq` in it; null if it goes into
+    none. Where its admission came too late for that cycle, the increment may be decided once more for the next one:
+    another verdict on the same `seq` says so, and the last one counts.
+
+    `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of
+    `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.
+    `time_to_stop_s` is the length of the brake behind `dq`.
+    If the gate held or refused, `receipt` is the verdict's entry in the chain of refusals (`deltaq_protocol.receipts`).
+    """
+
+    type: Literal["verdict"] = "verdict"
+    robot: Name
+    cycle: Count
+    seq: Count
+    outcome: Outcome
+    setpoint_cycle: Count | None = None
+    scale: FiniteFloat = 0.0
+    dq: tuple[FiniteFloat, ...] = ()
+    time_to_stop_s: FiniteFloat | None = None
+    reasons: tuple[Reason, ...] = ()
+    clearance_m: FiniteFloat | None = None
+    pair: tuple[str, str] | None = None
+    receipt: str | None = None

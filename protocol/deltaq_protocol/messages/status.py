@@ -1,0 +1,69 @@
+"""The running cell."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import FiniteFloat
+
+from deltaq_protocol.messages.base import PROTOCOL_VERSION, Count, Message, Vector3
+from deltaq_protocol.messages.motion import Phase
+from deltaq_protocol.reasons import ReasonCode
+
+
+class NearestPair(Message):
+    """Two bodies, their distance and the witness points in world coordinates [m]."""
+
+    pair: tuple[str, str]
+    distance_m: FiniteFloat
+    points_m: tuple[Vector3, Vector3]
+
+
+class Proximity(Message):
+    """The nearest pairs of the cell, nearest first; published at a reduced rate."""
+
+    type: Literal["proximity"] = "proximity"
+    time_s: FiniteFloat
+    pairs: tuple[NearestPair, ...]
+
+
+class LeaseStatus(Message):
+    """Who may write to a robot."""
+
+    holder: str | None = None
+    expires_s: FiniteFloat | None = None
+    epoch: Count = 0
+
+
+class RobotStatus(Message):
+    """One robot as `deltaq status` shows it."""
+
+    phase: Phase
+    reason: ReasonCode | None
+    cycle: Count
+    state_age_s: FiniteFloat | None
+    q: tuple[FiniteFloat, ...]
+    lease: LeaseStatus
+    counters: dict[str, int]
+
+
+class Status(Message):
+    """The running cell as `deltaq status` shows it.
+
+    `contacts` are those that are allowed now; `lagging` says which streams are silent, or slower than the table of
+    topics wants them. `identity` is the cell's name and hash, and `mismatches` tells which services have read another.
+    """
+
+    type: Literal["status"] = "status"
+    cell: str
+    protocol: int = PROTOCOL_VERSION
+    robots: dict[str, RobotStatus]
+    gate: dict[str, int]
+    gate_age_s: FiniteFloat | None
+    gate_fingerprint: str = ""
+    contacts: tuple[str, ...] = ()
+    hli: dict[str, int]
+    nearest: NearestPair | None = None
+    lagging: tuple[str, ...] = ()
+    identity: str = ""
+    mismatches: tuple[str, ...] = ()
