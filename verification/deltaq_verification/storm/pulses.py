@@ -61,6 +61,9 @@ class Pulses:
                 return True
         return False
 
+    def __str__(self) -> str:
+        return f"{self._away.tolist()} by a pulse with {len(self._next)} steps to go"
+
     def _end(self) -> None:
         self._next = []
         self._away = np.zeros_like(self._away)

@@ -7,7 +7,7 @@ counted apart.
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
+from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -24,6 +24,8 @@ Origin = tuple[float, ...]
 
 UNHEARD = "by an admission that was not heard"
 _REMEMBERED = 4096
+_TOLD = 24
+"""Replies before the unexplained one that are told with it."""
 
 
 class UnexplainedError(Exception):
@@ -70,6 +72,7 @@ class Witness:
         self._correction = np.zeros(of_krc.joints)
         self._moved = np.zeros(of_krc.joints)
         self._course: list[Array] = []
+        self._last: deque[str] = deque(maxlen=_TOLD)
 
     def judge(self, passed: Sequence[Passed], admitted: Admitted) -> None:
         """Judge a whole run, in the order of its stamps.
@@ -80,11 +83,17 @@ class Witness:
         for one in sorted(passed, key=lambda one: one.stamp_ns):
             match one.kind:
                 case DatagramOrigin.REPLY:
+                    before = self.counts.copy()
                     self._reply(one.datagram, admitted)
+                    self._note(self.counts - before)
                 case DatagramOrigin.TELEGRAM:
                     self._telegram(one.datagram)
                 case DatagramOrigin.FORGERY:
                     self._forgery(one.datagram)
+
+    def _note(self, counted: Counter[str]) -> None:
+        why = ", ".join(name for name in counted if name != "replies")
+        self._last.append(f"{self.counts['replies']}: {self._correction.tolist()} {why}; {self._pulses}")
 
     def _telegram(self, datagram: bytes) -> None:
         try:
@@ -163,7 +172,8 @@ class Witness:
         else:
             raise UnexplainedError(
                 f"reply {self.counts['replies']} moved by {moved} after {self._moved}; the brake's next is "
-                f"{self._course[:1]}"
+                f"{self._course[:1]}; {self._pulses}. The replies before, as number: correction why\n"
+                + "\n".join(self._last)
             )
         self._moved = moved
 
