@@ -17,6 +17,9 @@ MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
+# Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: help install compiled-gate compiled-camera demo test test-live test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list

@@ -53,6 +53,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Where only live tests are asked for, do not import the many files that have none."""
+    if config.option.markexpr != "live" or collection_path.suffix != ".py":
+        return None
+    return True if "mark.live" not in collection_path.read_text(encoding="utf-8") else None
+
+
 def pytest_collection_modifyitems(config, items):
     """Leave out what runs only if asked, and begin with the files that take long."""
     asked = config.option.markexpr
