@@ -6,7 +6,7 @@ import signal
 import pytest
 from hypothesis import settings
 
-pytest_plugins = ["installed", "pytester"]
+pytest_plugins = ["installed", "last_use", "pytester", "shared_cell"]
 
 # a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
 settings.register_profile("repeatable", deadline=None, derandomize=True)
