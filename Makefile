@@ -17,7 +17,10 @@ MODULES ?=
 # the base image of the container; it needs Python 3.11 or newer with venv
 BASE ?= python:3.11-slim-bookworm
 
-.PHONY: help install compiled-gate compiled-camera demo test test-live test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
+# Python compiles a module once and keeps that, also where the environment forbids it: tests start hundreds of processes
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: help install compiled-gate compiled-camera demo test test-live test-services test-rest quick lint nightly mutation container-test wheels image docs site site-version figures constraints clean
 
 help: ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -50,18 +53,21 @@ demo: $(INSTALLED) $(COMPILED) ## start the emulated lab cell and let the camera
 
 test: $(INSTALLED) ## lint, types, rooms, tests
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint $(COMPILED)
-	@echo "two runs of the tests side by side; each is shown as it ends"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-live test-rest
+	@echo "three runs of the tests side by side; each is shown as it ends"
+	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target test-live test-services test-rest
 
 # one cell at a time; most of its life a test waits for one, so that others can compute meanwhile
 test-live: $(INSTALLED) $(COMPILED)
 	$(BIN)/pytest -m live
 
+test-services: $(INSTALLED) $(COMPILED)
+	$(BIN)/pytest -m service
+
 test-rest: $(INSTALLED) $(COMPILED)
-	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live'
+	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take no time
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not long'
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service and not long'
 
 lint: $(INSTALLED) ## lint, format, types, rooms
 	$(BIN)/ruff check

@@ -4,13 +4,15 @@ import os
 import signal
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-pytest_plugins = ["installed", "pytester"]
+pytest_plugins = ["installed", "last_use", "pytester", "shared_cell"]
 
 # a change is judged by the same examples wherever it is tested; `make nightly` looks further with new ones
-settings.register_profile("repeatable", deadline=None, derandomize=True)
-settings.register_profile("exploring", deadline=None, max_examples=2000)
+# and however long the machine takes for it
+untimed = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("repeatable", derandomize=True, **untimed)
+settings.register_profile("exploring", max_examples=2000, **untimed)
 settings.load_profile("repeatable")
 
 
@@ -51,6 +53,14 @@ ONLY_IF_ASKED = ("nightly", "container")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # whoever starts the tests in the background ignores Ctrl-C for them, and for the processes that must obey it here
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Where only tests of one kind are asked for that few files have, do not import the many others."""
+    kind = config.option.markexpr
+    if kind not in ("live", "service") or collection_path.suffix != ".py":
+        return None
+    return True if f"mark.{kind}" not in collection_path.read_text(encoding="utf-8") else None
 
 
 def pytest_collection_modifyitems(config, items):

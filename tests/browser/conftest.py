@@ -2,13 +2,9 @@
 
 import os
 import shutil
+from contextlib import contextmanager
 
 import pytest
-
-from deltaq_cell.cell_model import CellModel
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.private_cell import write_private_cell
-from deltaq_launch.services import cell_services, console_service
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = (
@@ -37,30 +33,29 @@ class ServedCell:
 
 
 @pytest.fixture(scope="module")
-def served_cell(tmp_path_factory):
-    file = write_private_cell(tmp_path_factory.mktemp("cell"))
-    cell = CellModel.load(file)
-    services = cell_services(cell.description, str(file))
-    recordings = tmp_path_factory.mktemp("recordings")
-    console = console_service(cell.description, str(file), services, str(recordings))
-    with Launcher([*services, console], lambda name, line: print(name, line)) as launcher:
-        launcher.start()
-        yield ServedCell(cell, console.endpoint, recordings)
+def served_cell(shared_stack):
+    stack = shared_stack.renewed()
+    return ServedCell(stack.model, stack.serve_console(), stack.recordings)
 
 
-@pytest.fixture(scope="module")
-def chromium():
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed: the page was not looked at")
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not installed: the page was not looked at"
-    )
+@contextmanager
+def started_chromium(playwright):
     with playwright.sync_playwright() as started:
         browser = started.chromium.launch(
             executable_path=os.environ.get("DELTAQ_CHROMIUM", CHROMIUM), args=FLAGS
         )
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="session")
+def chromium(last_use):
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed: the page was not looked at")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: the page was not looked at"
+    )
+    return last_use.enter("chromium", started_chromium(playwright))
 
 
 @pytest.fixture

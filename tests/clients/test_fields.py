@@ -84,7 +84,7 @@ def _pumped(source: socket.socket, sink: socket.socket) -> Iterator[bytes]:
         sink.shutdown(socket.SHUT_WR)
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)
 def test_every_line_that_it_says_is_valid_by_the_exported_schema(language: Language) -> None:
     if why_not := language.why_not():

@@ -22,7 +22,7 @@ from deltaq_verification.impairment.process import RelayProcess
 from deltaq_verification.impairment.relay import TrafficUnit
 from deltaq_verification.impairment.stream import StreamFaults
 
-pytestmark = [pytest.mark.live, pytest.mark.long]
+pytestmark = [pytest.mark.service, pytest.mark.long]
 
 
 @pytest.fixture(params=LANGUAGES, ids=lambda language: language.name)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import octave
 import pytest
-from live_stack import live_stack
 from urdf_kinematics import UrdfKinematics
 
+from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import Role, Service
 
 pytestmark = [
@@ -26,7 +26,7 @@ pytestmark = [
 ]
 
 SETTLES_S = 5.0
-FOLLOWS_S = 20.0
+FOLLOWS_S = 8.0
 LARGEST_DEG = 1.5
 KEPT_S = 0.25
 """On a machine that is too busy a robot brakes for want of an increment; so long after that it is judged again."""
@@ -55,21 +55,17 @@ class Recording(threading.Thread):
         return self.states
 
 
-def test_octave_keeps_the_camera_on_the_moving_leader(tmp_path):
-    def with_leader(services, _file):
-        hli = next(service for service in services if service.role is Role.HLI)
-        leader = Service(
-            "leader", Role.LEADER, ("-m", "deltaq_controllers.leader", "--url", hli.endpoint), needs=("hli",)
-        )
-        return [*services, leader]
-
-    with live_stack(tmp_path, rewired=with_leader) as stack:
+def test_octave_keeps_the_camera_on_the_moving_leader(ready_stack):
+    stack = ready_stack
+    leader = ("-m", "deltaq_controllers.leader", "--url", stack.cell.hli)
+    with Launcher([Service("leader", Role.LEADER, leader)], print) as launcher:
+        launcher.start()
         recording = Recording(stack.cell.tcp_port)
         recording.start()
         program = f"camera_follower('127.0.0.1', {stack.cell.tcp_port}, {SETTLES_S + FOLLOWS_S})"
         done = octave.run(program)
         states = recording.end()
-        robots, urdf = stack.cell.robots, {name: robot.urdf for name, robot in stack.model.robots.items()}
+    robots, urdf = stack.cell.robots, {name: robot.urdf for name, robot in stack.model.robots.items()}
     assert done.returncode == 0, done.stderr
     judged = view_angles_deg(states, robots, urdf)
     angles = np.array([angle for angle, _ in judged])

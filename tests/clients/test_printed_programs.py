@@ -10,7 +10,6 @@ import octave
 import pages
 import pytest
 from languages import LANGUAGES
-from live_stack import live_stack
 
 ROOT = Path(__file__).parents[2]
 HERE = "tests/clients/test_printed_programs.py runs it"
@@ -29,9 +28,8 @@ def printed() -> list[tuple[str, pages.Step]]:
 
 
 @pytest.fixture(scope="module")
-def port(tmp_path_factory):
-    with live_stack(tmp_path_factory.mktemp("cell")) as stack:
-        yield stack.cell.tcp_port
+def port(shared_stack):
+    return shared_stack.renewed().cell.tcp_port
 
 
 @pytest.mark.parametrize(("page", "step"), printed(), ids=lambda given: getattr(given, "line", given))

@@ -8,15 +8,13 @@ import subprocess
 import numpy as np
 import pytest
 from languages import LANGUAGES, Language
-from live_stack import live_stack
 
 pytestmark = [pytest.mark.live, pytest.mark.long]
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory):
-    with live_stack(tmp_path_factory.mktemp("cell")) as running:
-        yield running
+def stack(shared_stack):
+    return shared_stack.renewed()
 
 
 @pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)

@@ -58,7 +58,7 @@ def test_a_cell_comes_up_without_a_log_where_none_can_be_kept(monkeypatch: pytes
     assert audit_file_of("here.jsonl", "lab") == (Path.cwd() / "here.jsonl", "")
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.parametrize("arguments", [(), ("--audit", "named.jsonl"), ("--no-audit",)], ids=str)
 def test_up_says_where_the_log_is_and_audit_shows_who_connected(
     tmp_path: Path, arguments: tuple[str, ...]

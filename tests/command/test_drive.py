@@ -11,16 +11,16 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from commands import PROGRAM, deltaq
+from shared_cell import SharedStack
 
 import deltaq_command
 from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
-from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.messages import RobotState, RobotStatus
 
 pytestmark = pytest.mark.live
@@ -35,28 +35,8 @@ SCRIPT = """\
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    file = write_private_cell(tmp_path_factory.mktemp("cell"))
-    with subprocess.Popen(
-        [PROGRAM, "up", "--no-console", "--cell", str(file)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as launcher:
-        assert launcher.stdout is not None
-        lines = []
-        for line in launcher.stdout:
-            lines.append(line)
-            if "cell lab is up" in line:
-                break
-        else:
-            pytest.fail("".join(lines))
-        try:
-            wait_for_phase(file, "ready")
-            yield file
-        finally:
-            launcher.send_signal(signal.SIGINT)
-            launcher.communicate(timeout=300)
+def cell(shared_stack: SharedStack) -> Path:
+    return shared_stack.renewed().file
 
 
 def status(cell: Path) -> RobotStatus:

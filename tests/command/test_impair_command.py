@@ -37,7 +37,7 @@ def test_what_cannot_be_done_is_told_with_what_can(options: tuple[str, ...], sta
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() -> None:
     listen, to = endpoint(), endpoint()
     port = int(listen.rpartition(":")[2])
@@ -67,7 +67,7 @@ def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() ->
         assert relay.returncode == 0
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_a_relay_ends_with_the_script_that_started_it_even_if_that_is_killed() -> None:
     words = command("--listen", endpoint(), "--to", endpoint())
     script = ["bash", "-c", '"$@" & wait', "bash", *words]

@@ -34,7 +34,7 @@ def rsi(*arguments: str) -> tuple[int, dict[str, Any]]:
     return done.returncode, told
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_a_krc_is_sniffed_and_then_answered_with_zeros(tmp_path: Path) -> None:
     cell = write_private_cell(tmp_path)
     with emulator(cell, "gr"):
@@ -56,7 +56,7 @@ def test_a_krc_is_sniffed_and_then_answered_with_zeros(tmp_path: Path) -> None:
         assert answered["delay_growth"] < answered["telegrams"]
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_file_of_another_robot_is_a_problem_and_exit_status_1(tmp_path: Path) -> None:
     cell = write_private_cell(tmp_path)
     with emulator(cell, "gr"):

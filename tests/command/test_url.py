@@ -52,7 +52,7 @@ def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: 
         assert "no robot 'rf' in cell small; it has fr, gr" in done.stderr
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.parametrize("verb", VERBS.values(), ids=VERBS.keys())
 def test_the_address_is_enough(server: Server, verb: tuple[str, ...]) -> None:
     json_too = () if verb[0] == "echo" else ("--json",)
@@ -66,6 +66,6 @@ def test_the_address_is_enough(server: Server, verb: tuple[str, ...]) -> None:
         assert told[0]["topics"]["deltaq/small/fr/state"]["count"] > 10
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_a_status_for_people_has_the_units_of_a_cell_whose_file_is_not_here(server: Server) -> None:
     assert "5.7°" in deltaq("status", "--url", server.description.hli).stdout  # 0.1 rad

@@ -14,7 +14,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.advisor.process import AdvisorProcess
 from deltaq_controllers.modes.advisor import tracker_of
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.service
 
 LAB = CellModel.load("lab")
 GR = LAB.robots["gr"]

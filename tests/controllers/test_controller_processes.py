@@ -7,16 +7,13 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
+from shared_cell import SharedStack
 
-from deltaq_cell.load import load_cell
 from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.interface import RobotView
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.private_cell import free_ports, write_private_cell
-from deltaq_launch.services import cell_services
+from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.client import Cell
 from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
 
@@ -43,12 +40,8 @@ def finish(process: subprocess.Popen[str]) -> tuple[int, dict[str, object], str]
 
 
 @pytest.fixture(scope="module")
-def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    file = write_private_cell(tmp_path_factory.mktemp("cell"))
-    cell = load_cell(file)
-    with Launcher(cell_services(cell, str(file)), lambda name, line: None) as launcher:
-        launcher.start()
-        yield cell.hli
+def url(shared_stack: SharedStack) -> str:
+    return shared_stack.renewed().cell.hli
 
 
 def test_where_nobody_serves_both_say_so_and_exit_with_3() -> None:

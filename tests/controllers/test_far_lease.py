@@ -15,7 +15,7 @@ from deltaq_verification.impairment.process import RelayProcess
 from deltaq_verification.impairment.relay import TrafficUnit
 from deltaq_verification.impairment.stream import StreamFaults
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.service
 
 
 @pytest.mark.parametrize(("delay_s", "cycle_s"), [(0.0, 0.1), (0.07, 0.1), (0.03, 0.012)])

@@ -231,7 +231,7 @@ def test_what_cannot_be_is_told_before_anything_is_opened(server: Server, peer: 
         asyncio.run(Bridge(hli, RosSide(peer.endpoint, accepts=("rf",))).run())
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_command_ends_with_its_counts_in_json(server: Server, peer: RosPeer) -> None:
     heard = peer.subscribe("/plant/fr/joint_states")
     arguments = (

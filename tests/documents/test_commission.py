@@ -30,7 +30,7 @@ BLOCKS = re.findall(
 BIN = Path(sys.executable).parent
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path) -> None:
     cell = write_private_cell(tmp_path).rename(tmp_path / "my-cell.yaml")
     lines = [line for block in BLOCKS for line in block.splitlines() if line]

@@ -86,7 +86,7 @@ NOT_RUN = {
     "install.md": ["installs from a package index"],
     "train-a-policy.md": ["installs from a package index"],
     "run-a-cell.md": [
-        "tests/launch/test_running_cell.py kills a service and starts it again this way",
+        "tests/launch/test_service_dies.py kills a service and starts it again this way",
         "needs real robots",
         "each line keeps its terminal; tests/services/test_robot_server_start.py starts a service this way",
         "keeps its terminal; tests/services/test_roles.py reads tokens this way",
@@ -147,7 +147,7 @@ def read(page: Path, installed: Installed, folder: Path, *options: str, timeout_
     assert reader.returncode == 0, told
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name in SHORT], ids=lambda page: page.name)
 def test_what_a_reader_does_first_works_word_for_word(
@@ -156,7 +156,7 @@ def test_what_a_reader_does_first_works_word_for_word(
     read(page, complete, tmp_path)
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

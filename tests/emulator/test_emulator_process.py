@@ -21,7 +21,7 @@ from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_launch.private_cell import free_ports, write_private_cell
 from deltaq_protocol.rsi import AxisMap, SensorCodec, load_ethernet_xml
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.service
 
 PATIENCE_S = 30.0
 PEER = Path(__file__).parents[1] / "support" / "rsipi_peer.py"

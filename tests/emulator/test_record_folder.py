@@ -151,7 +151,7 @@ def test_there_is_an_end_to_files_and_to_rows(folder: Path, monkeypatch: pytest.
         assert "2 records were begun" in asked.record("c.csv")["error"]
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_a_stranger_at_a_running_emulators_socket_writes_nowhere_else(tmp_path: Path) -> None:
     folder = tmp_path / "records"
     folder.mkdir()

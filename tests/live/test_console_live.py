@@ -11,11 +11,7 @@ from types import SimpleNamespace
 import pytest
 from websockets.sync.client import connect as open_websocket
 
-from deltaq_cell.load import load_cell
 from deltaq_launch.cell_connection import connect
-from deltaq_launch.launcher import Launcher
-from deltaq_launch.private_cell import write_private_cell
-from deltaq_launch.services import cell_services, console_service
 from deltaq_protocol.messages import Phase
 
 pytestmark = pytest.mark.live
@@ -81,26 +77,21 @@ def browser(cell, name):
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory):
-    file = write_private_cell(tmp_path_factory.mktemp("cell"))
-    description = load_cell(file)
-    services = cell_services(description, str(file))
-    console = console_service(description, str(file), services)
-    with Launcher((*services, console), lambda *line: print(*line)) as launcher:
-        launcher.start()
+def cell(shared_stack):
+    stack = shared_stack.renewed()
 
-        def robot():
-            with connect(description, "test") as running:
-                return running.status().robots["fr"]
+    def robot():
+        with connect(stack.cell, "test") as running:
+            return running.status().robots["fr"]
 
-        def until(reached):
-            deadline = time.monotonic() + TIMEOUT_S
-            while not reached(seen := robot()):
-                assert time.monotonic() < deadline, seen
+    def until(reached):
+        deadline = time.monotonic() + TIMEOUT_S
+        while not reached(seen := robot()):
+            assert time.monotonic() < deadline, seen
 
-        yield SimpleNamespace(
-            launcher=launcher, url=console.endpoint, robot=robot, until=until, q=lambda: robot().q
-        )
+    return SimpleNamespace(
+        launcher=stack.launcher, url=stack.serve_console(), robot=robot, until=until, q=lambda: robot().q
+    )
 
 
 def at_rest_and_free(robot):

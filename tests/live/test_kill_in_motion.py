@@ -5,7 +5,6 @@ What happened is read from the emulated controller's own record.
 
 import numpy as np
 import pytest
-from live_stack import live_stack
 
 from deltaq_services.phases import MAY_MOVE
 from deltaq_verification.oracle import TELEGRAM_STEP
@@ -24,7 +23,7 @@ def assert_came_to_rest_along_the_brake(stack, killed_in_cycle):
     assert np.all(setpoints >= robot.lower)
     assert np.all(setpoints <= robot.upper)
     assert np.all(np.abs(steps) <= robot.max_velocity * cycle_s + 2 * TELEGRAM_STEP)
-    unanswered = stack.emulator()["counters"]["missing"] + stack.emulator()["counters"]["late"]
+    unanswered = stack.unanswered()
     changes = np.abs(np.diff(steps, axis=0))
     beyond = np.any(changes > robot.max_acceleration * cycle_s**2 + 4 * TELEGRAM_STEP, axis=1)
     # a reply that the network or the machine lost shows as a stop and a start, and is counted by the controller
@@ -46,33 +45,33 @@ def assert_work_goes_on(stack, restart_mover=True):
     assert stack.phase()[0] in MAY_MOVE
 
 
-def test_killing_the_controller_brakes_and_holds_until_a_reset(tmp_path):
-    with live_stack(tmp_path, moving=True) as stack:
-        killed = stack.kill("mover")
-        stack.wait_until_at_rest()
-        assert_came_to_rest_along_the_brake(stack, killed)
-        stack.wait_for_reason("controller_lost")
-        stack.reset()
-        assert_work_goes_on(stack)
+def test_killing_the_controller_brakes_and_holds_until_a_reset(moving_stack):
+    stack = moving_stack
+    killed = stack.kill("mover")
+    stack.wait_until_at_rest()
+    assert_came_to_rest_along_the_brake(stack, killed)
+    stack.wait_for_reason("controller_lost")
+    stack.reset()
+    assert_work_goes_on(stack)
 
 
-def test_killing_the_hli_brakes_and_holds_until_a_restart_and_reset(tmp_path):
-    with live_stack(tmp_path, moving=True) as stack:
-        killed = stack.kill("hli")
-        stack.wait_until_at_rest()
-        assert_came_to_rest_along_the_brake(stack, killed)
-        stack.launcher.restart("hli")
-        stack.wait_for_reason("hli_lost")
-        stack.reset()
-        assert_work_goes_on(stack)
+def test_killing_the_hli_brakes_and_holds_until_a_restart_and_reset(moving_stack):
+    stack = moving_stack
+    killed = stack.kill("hli")
+    stack.wait_until_at_rest()
+    assert_came_to_rest_along_the_brake(stack, killed)
+    stack.launcher.restart("hli")
+    stack.wait_for_reason("hli_lost")
+    stack.reset()
+    assert_work_goes_on(stack)
 
 
-def test_killing_the_gate_brakes_and_holds_until_a_restart_and_reset(tmp_path):
-    with live_stack(tmp_path, moving=True) as stack:
-        killed = stack.kill("sim")
-        stack.wait_until_at_rest()
-        assert_came_to_rest_along_the_brake(stack, killed)
-        stack.wait_for_reason("gate_lost")
-        stack.launcher.restart("sim")
-        stack.reset()
-        assert_work_goes_on(stack, restart_mover=False)  # it went on sending, and so kept its lease
+def test_killing_the_gate_brakes_and_holds_until_a_restart_and_reset(moving_stack):
+    stack = moving_stack
+    killed = stack.kill("sim")
+    stack.wait_until_at_rest()
+    assert_came_to_rest_along_the_brake(stack, killed)
+    stack.wait_for_reason("gate_lost")
+    stack.launcher.restart("sim")
+    stack.reset()
+    assert_work_goes_on(stack, restart_mover=False)  # it went on sending, and so kept its lease

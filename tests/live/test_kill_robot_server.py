@@ -8,7 +8,7 @@ import select
 from pathlib import Path
 
 import pytest
-from live_stack import TIMEOUT_S, live_stack
+from live_stack import TIMEOUT_S
 from test_kill_in_motion import assert_came_to_rest_along_the_brake
 
 from deltaq_emulator.states import KrcState
@@ -36,24 +36,24 @@ def assert_goes_on(stack):
     assert stack.phase()[0] in MAY_MOVE
 
 
-def test_killing_a_robot_server_brakes_its_robot_ends_its_motion_and_a_restart_goes_on(tmp_path):
-    with live_stack(tmp_path, moving=True) as stack:
-        name = "robot-server-fr"
-        brake = beside(stack.launcher.children[name].pid)
-        killed = stack.kill(name)
-        assert select.select([brake], [], [], TIMEOUT_S)[0], "it outlived its robot's brake"
-        os.close(brake)
-        assert stack.emulator()["state"] != KrcState.RSI_RUNNING, "the stop did not reach the KRC"
-        assert_came_to_rest_along_the_brake(stack, killed)
-        assert any("its robot was braked" in line for line in stack.launcher.children[name].lines)
-        stack.launcher.restart(name)
-        assert_goes_on(stack)
+def test_killing_a_robot_server_brakes_its_robot_ends_its_motion_and_a_restart_goes_on(moving_stack):
+    stack = moving_stack
+    name = "robot-server-fr"
+    brake = beside(stack.launcher.children[name].pid)
+    killed = stack.kill(name)
+    assert select.select([brake], [], [], TIMEOUT_S)[0], "it outlived its robot's brake"
+    os.close(brake)
+    assert stack.emulator()["state"] != KrcState.RSI_RUNNING, "the stop did not reach the KRC"
+    assert_came_to_rest_along_the_brake(stack, killed)
+    assert any("its robot was braked" in line for line in stack.launcher.children[name].lines)
+    stack.launcher.restart(name)
+    assert_goes_on(stack)
 
 
-def test_a_restart_waits_for_the_port_while_the_robot_is_braked(tmp_path):
-    with live_stack(tmp_path, moving=True) as stack:
-        name = "robot-server-fr"
-        killed = stack.kill(name)
-        stack.launcher.restart(name)
-        assert_came_to_rest_along_the_brake(stack, killed)
-        assert_goes_on(stack)
+def test_a_restart_waits_for_the_port_while_the_robot_is_braked(moving_stack):
+    stack = moving_stack
+    name = "robot-server-fr"
+    killed = stack.kill(name)
+    stack.launcher.restart(name)
+    assert_came_to_rest_along_the_brake(stack, killed)
+    assert_goes_on(stack)

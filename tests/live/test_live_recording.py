@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 from commands import PROGRAM
-from live_stack import Stack, live_stack
+from live_stack import Stack
+from shared_cell import SharedStack
 
 from deltaq_launch.cell_connection import connect
 from deltaq_launch.services import recorder
@@ -25,36 +26,35 @@ pytestmark = pytest.mark.live
 
 
 def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose_disk_is_full(
-    tmp_path: Path,
+    moving_stack: SharedStack, tmp_path: Path
 ) -> None:
-    with live_stack(tmp_path, moving=True) as stack:
-        cell = str(tmp_path / "private.yaml")
-        file, filling = tmp_path / "run.mcap", tmp_path / "filling.mcap"
-        commands = (
-            [PROGRAM, "record", str(file), "--cell", cell, "--json"],
-            [sys.executable, *recorder(cell, str(filling)).arguments],
-        )
-        recorders = [
-            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-            for command in commands
-        ]
-        try:
-            wait_until_longer(stack, filling, 300_000)
-            # as if the disk had room for so much more, which ends in the middle of a chunk
-            full = filling.stat().st_size + 10_000
-            resource.prlimit(recorders[1].pid, resource.RLIMIT_FSIZE, (full, full))
-            _, said = recorders[1].communicate(timeout=40)
-            stack.wait_until_moving()  # nobody misses the recorder
-            with connect(stack.cell, "test") as running:
-                fingerprint = running.status().gate_fingerprint
-                running.stop()
-            stack.wait_until_at_rest()
-            recorders[0].send_signal(signal.SIGINT)
-            output, _ = recorders[0].communicate(timeout=300)
-        finally:
-            for process in recorders:
-                process.kill()
-                process.communicate()
+    stack, cell = moving_stack, str(moving_stack.file)
+    file, filling = tmp_path / "run.mcap", tmp_path / "filling.mcap"
+    commands = (
+        [PROGRAM, "record", str(file), "--cell", cell, "--json"],
+        [sys.executable, *recorder(cell, str(filling)).arguments],
+    )
+    recorders = [
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for command in commands
+    ]
+    try:
+        wait_until_longer(stack, filling, 300_000)
+        # as if the disk had room for so much more, which ends in the middle of a chunk
+        full = filling.stat().st_size + 10_000
+        resource.prlimit(recorders[1].pid, resource.RLIMIT_FSIZE, (full, full))
+        _, said = recorders[1].communicate(timeout=40)
+        stack.wait_until_moving()  # nobody misses the recorder
+        with connect(stack.cell, "test") as running:
+            fingerprint = running.status().gate_fingerprint
+            running.stop()
+        stack.wait_until_at_rest()
+        recorders[0].send_signal(signal.SIGINT)
+        output, _ = recorders[0].communicate(timeout=300)
+    finally:
+        for process in recorders:
+            process.kill()
+            process.communicate()
     summary = json.loads(output)
     assert recorders[0].returncode == 0
     assert (summary["lost"], summary["invalid"]) == (0, 0)

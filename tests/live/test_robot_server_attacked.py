@@ -19,7 +19,7 @@ from deltaq_protocol.session import open_session, subscribe_newest
 from deltaq_services.guarded_key import guarded_seal
 from deltaq_services.robot_server.probe_trial import PROBE_RAD
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.service
 
 OFF = np.array([np.deg2rad(1.4), 0, 0, 0, 0, 0])
 PATIENCE_S = 30.0

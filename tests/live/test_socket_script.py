@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_stack import live_stack
 
 pytestmark = pytest.mark.live
 
@@ -63,9 +62,8 @@ def connected(stack, client):
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory):
-    with live_stack(tmp_path_factory.mktemp("cell")) as running:
-        yield running
+def stack(shared_stack):
+    return shared_stack.renewed()
 
 
 def test_the_script_of_thirty_lines_turns_a1_by_ten_degrees(stack):

@@ -185,7 +185,7 @@ SCRIPTS = {
 }
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.parametrize("script", SCRIPTS.values(), ids=SCRIPTS.keys())
 def test_whoever_forgets_to_close_gives_the_lease_back_at_the_end_without_a_noise(
     cell: BlockingCell, server: Server, script: str

@@ -47,13 +47,13 @@ def assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, ser
     assert largest <= math.radians(30) * server.description.cycle_s + 1e-12
 
 
-@pytest.mark.live
+@pytest.mark.service
 @pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
 def test_the_example_turns_a1_by_ten_degrees_and_gives_the_lease_back(example: str, server: Server) -> None:
     assert_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(example, server)
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_example_that_does_not_wait_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> None:
     """Left out of account, what is in flight would be asked for again, and the robot would go too far."""
     with Server(gate={"lookahead_cycles": 3}) as server:
@@ -65,7 +65,7 @@ def drained(server: Server) -> Iterator[Request]:
         yield server.peer.increments.get_nowait()
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_socket_example_is_refused_while_another_holds_the_lease(server: Server) -> None:
     with connect(server.description.hli, client="first") as cell, cell.lease("fr"):
         done = run("over_a_socket.py", *arguments("over_a_socket.py", server))

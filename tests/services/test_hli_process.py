@@ -21,7 +21,7 @@ from small_cell import endpoint, free_port
 from deltaq_protocol import connect
 from deltaq_protocol.audit import AuditEntry
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.service
 
 
 def cell_file(folder: Path, tcp_port: int) -> tuple[Path, str]:

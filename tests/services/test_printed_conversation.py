@@ -77,7 +77,7 @@ class Conversation:
         return message | ours
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_printed_conversation_is_what_a_running_hli_says() -> None:
     with Server() as server, socket.create_connection(("127.0.0.1", server.description.tcp_port), 20) as sock:
         conversation = Conversation(server, sock)

@@ -85,7 +85,7 @@ def run_slowly(script: Path, *arguments: str) -> list[dict[str, Any]]:
     return taken
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_socket_example_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
     server: Server,
 ) -> None:
@@ -93,7 +93,7 @@ def test_the_socket_example_takes_up_every_line_though_it_computes_for_longer_th
     assert_nothing_is_missing(run_slowly(ROOT / "examples" / "over_a_socket.py", "127.0.0.1", port))
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_tutorial_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
     server: Server, tmp_path: Path
 ) -> None:
@@ -102,7 +102,7 @@ def test_the_tutorial_takes_up_every_line_though_it_computes_for_longer_than_a_c
     assert_nothing_is_missing(run_slowly(script))
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_the_controller_of_the_faults_takes_up_every_line_though_it_computes_for_longer_than_a_cycle(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -37,12 +37,18 @@ class Stack:
         self.robot = cell.robots["fr"]
         self.record = record
         self._panel = panel
+        self._unanswered_before = 0
 
     def emulator(self):
         """The emulated controller's panel."""
         driver = self.cell.robots["fr"].driver
         self._panel.sendto(b'{"op":"status"}', (driver.address, driver.control_port))
         return json.loads(self._panel.recv(65536))
+
+    def unanswered(self):
+        """How many telegrams of the record got no answer, or a late one."""
+        counters = self.emulator()["counters"]
+        return counters["missing"] + counters["late"] - self._unanswered_before
 
     def wait_for(self, reached):
         """Ask the panel until two following answers satisfy `reached(before, after, cycles)`."""
@@ -126,6 +132,11 @@ class Stack:
         return rows[:, 0].astype(int), rows[:, 1:]
 
 
+def mover(cell):
+    """The controller that swings A1 of the floor robot for ever."""
+    return Service("mover", Role.LEADER, (str(MOVER), str(cell.tcp_port)), needs=("hli",))
+
+
 @contextmanager
 def live_stack(
     folder,
@@ -145,13 +156,12 @@ def live_stack(
     cell = CellModel.load(file)
     record = folder / "fr.csv"
     services = [
-        replace(service, arguments=(*service.arguments, "--record", str(record)))
+        replace(service, arguments=(*service.arguments, "--record", str(record), "--records", str(folder)))
         if service.role is Role.EMULATOR and service.robot == "fr"
         else service
         for service in cell_services(cell.description, str(file))
     ]
-    mover = Service("mover", Role.LEADER, (str(MOVER), str(cell.description.tcp_port)), needs=("hli",))
-    services = [*rewired(services, file), *([mover] if moving else [])]
+    services = [*rewired(services, file), *([mover(cell.description)] if moving else [])]
     with (
         pytest.MonkeyPatch.context() as environment,
         Launcher(services, lambda name, line: print(name, line, file=sys.stderr)) as launcher,

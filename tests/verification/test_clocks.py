@@ -12,7 +12,7 @@ import pytest
 
 from deltaq_verification.faults.clocks import Clocks, NoCompilerError, SettableClocks
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.service
 
 TELLS_THE_TIME = """
 import sys, threading, time

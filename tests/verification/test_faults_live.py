@@ -7,9 +7,7 @@ import pytest
 from commands import PROGRAM
 
 from deltaq_cell.load import load_cell
-from deltaq_launch.launcher import Launcher
 from deltaq_launch.private_cell import write_private_cell
-from deltaq_launch.services import cell_services
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_verification.faults.catalogue import CATALOGUE, UnknownFaultError, fault_named
 from deltaq_verification.faults.clocks import NoCompilerError
@@ -62,18 +60,24 @@ def test_no_fault_of_a_real_process_passes_a_limit_or_touches(tmp_path):
     assert [row.fault for row in table.rows if not row.good] == []
 
 
-def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(tmp_path):
-    file = write_private_cell(tmp_path)
-    description = load_cell(file)
-    with Launcher(cell_services(description, str(file)), lambda *_: None) as launcher:
-        launcher.start()
-        command = [PROGRAM, "fault", "inject", "krc-cut", "--robot", "fr", "--cell", str(file), "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-        assert done.returncode == 0, done.stderr
-        found = json.loads(done.stdout)
-        assert (found["phase"], found["reason"]) == ("held", "krc_lost")
-        again = inject(fault_named("krc-hiccup"), description, "fr", 0.0)
-        assert again.krc_state == "RSI running"  # nothing is cut any more
+def test_a_fault_is_injected_into_a_cell_that_is_up_and_lifted_again(ready_stack):
+    command = [
+        PROGRAM,
+        "fault",
+        "inject",
+        "krc-cut",
+        "--robot",
+        "fr",
+        "--cell",
+        str(ready_stack.file),
+        "--json",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["phase"], found["reason"]) == ("held", "krc_lost")
+    again = inject(fault_named("krc-hiccup"), ready_stack.cell, "fr", 0.0)
+    assert again.krc_state == "RSI running"  # nothing is cut any more
 
 
 def test_a_fault_that_no_panel_can_inject_is_refused_before_anything_is_asked():

@@ -173,7 +173,7 @@ async def test_messages_of_zenoh_sessions_are_carried_both_ways_and_doubled_one_
             server.close()
 
 
-@pytest.mark.live
+@pytest.mark.service
 def test_a_relay_in_a_process_of_its_own_obeys_and_a_port_that_is_taken_is_told():
     listen, to = tcp(), tcp()
     with (
