@@ -201,6 +201,7 @@ def ghosts(rig: Rig) -> dict[str, ServerState]:
 @pytest.mark.parametrize("name", ["sequence", "plan", "leap", "elsewhere", "reset"])
 def test_all_robots_are_held_and_the_way_out_is_a_reset(name: str) -> None:
     rig = Rig()
+    assert rig.sim.disbelieved == ""
     known = {robot: gated.tracker.state for robot, gated in rig.sim.robots.items()}
     (answer,) = rig.sim.on_state(ghosts(rig)[name])
     assert answer.message.stop is ReasonCode.IMPOSSIBLE_STATE

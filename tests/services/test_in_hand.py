@@ -43,6 +43,15 @@ def test_an_admission_that_came_too_late_is_decided_once_more_for_the_next_cycle
     assert rig.sim.counters["in_hand_fr"] == 1
 
 
+def test_each_increment_that_is_kept_in_hand_is_counted(rig):
+    for count in (1, 2, 3):
+        rig.request()
+        missed(rig)
+        assert rig.alive().outcome is Outcome.ADMITTED
+        rig.cycle()
+        assert rig.sim.counters["in_hand_fr"] == count
+
+
 def test_an_admission_that_was_taken_is_not_decided_again(rig):
     rig.request()
     rig.cycle()
