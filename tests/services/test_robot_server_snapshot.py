@@ -96,7 +96,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
     remembered = {
         "process", "motion_stop", "outputs", "_cycle", "_phase", "_reason", "_motion", "_q_reset",
         "_epoch", "_resets", "_cycles_without_gate", "_cycles_missed", "_settling", "_told",
-        "_state", "_mode", "_admissions", "_supervision",
+        "_state", "_mode", "_pulses", "_admissions", "_supervision",
     }  # fmt: skip
     fixed = {
         "robot",

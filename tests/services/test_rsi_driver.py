@@ -369,3 +369,56 @@ def test_a_krc_that_comes_back_after_another_one_was_believed_still_has_its_corr
         np.testing.assert_allclose(answer.correction, kept, atol=2e-8)
     for answer in told:
         np.testing.assert_allclose(answer.correction, kept, atol=PROBED)
+
+
+@pytest.mark.parametrize("cycles_of_pulse", [1, 2, 3])
+def test_sessions_that_cut_a_probe_short_again_and_again_walk_the_robot_nowhere(krc, cycles_of_pulse):
+    krc.drive()
+    before, reached = krc.q.copy(), []
+    for session in range(1, 13):
+        krc.ipoc += 1_000_000  # another session of the same program
+        krc.time_s += 1.0
+        krc.until(lambda: krc.counters["session_restarted"] == session)  # noqa: B023 - called in this turn
+        krc.until(lambda: (krc.q - before > 1e-5).all())
+        for _ in range(cycles_of_pulse - 1):
+            krc.cycle()
+        reached.append(krc.q - before)
+    assert krc.counters["session_restarted"] == 12
+    assert np.abs(reached).max() <= PROBED
+    np.testing.assert_allclose(krc.probed().q, before, atol=1e-8)
+    krc.resets += 1
+    krc.cycle()
+    assert krc.server.state.phase == "ready"
+    np.testing.assert_allclose(krc.server.state.q_cmd, before, atol=1e-8)
+
+
+def test_a_pulse_that_was_cut_short_is_undone_when_its_session_comes_back_after_another(krc):
+    krc.drive()
+    before, programmed, correction = krc.q.copy(), krc.q_programmed.copy(), krc.correction.copy()
+    krc.ipoc += 1_000_000
+    krc.time_s += 1.0
+    krc.until(lambda: (krc.correction - correction > 1e-5).all())
+    cut = krc.correction.copy()
+    # another program, somewhere else
+    krc.q_programmed, krc.correction = FR.home + 0.1, np.zeros(6)
+    krc.ipoc += 1_000_000
+    krc.time_s += 1.0
+    krc.until(lambda: krc.counters["session_restarted"] == 2)
+    krc.q_programmed, krc.correction = programmed, cut
+    krc.ipoc += 1_000_000
+    krc.time_s += 1.0
+    krc.until(lambda: krc.counters["session_restarted"] == 3)
+    np.testing.assert_allclose(krc.q, before, atol=1e-8)
+
+
+def test_a_reply_that_is_refused_within_a_pulse_does_not_make_the_pulse_part_of_where_the_robot_is_held(krc):
+    krc.drive()
+    before = krc.q.copy()
+    krc.ipoc += 1_000_000
+    krc.time_s += 1.0
+    krc.until(lambda: (krc.q - before > 1e-5).all())
+    krc.server.reply_refused(krc.q)
+    np.testing.assert_allclose(krc.probed().q, before, atol=1e-8)
+    krc.resets += 1
+    krc.cycle()
+    np.testing.assert_allclose(krc.server.state.q_cmd, before, atol=1e-8)

@@ -29,6 +29,7 @@ from deltaq_services.robot_server.guards import Bounds, refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.probe_trial import Mode
+from deltaq_services.robot_server.pulses_cut_short import PulsesCutShort
 from deltaq_services.robot_server.settling import Settling
 from deltaq_services.robot_server.snapshot import ServerMemory
 
@@ -59,6 +60,7 @@ class RobotServer:
         self._settling = Settling(cell.robots[robot].tracking_tolerance, lag_cycles)
         self._new_mode = partial(mode_of_session, cell.robots[robot], cell.cycle_s, lag_cycles)
         self._mode: ModeProbe | KinematicMode = KinematicMode()
+        self._pulses = PulsesCutShort()
         self._gate_timeout_cycles = math.ceil(cell.gate.gate_timeout_s / cell.cycle_s)
         self._krc_timeout_cycles = math.ceil(cell.gate.krc_timeout_s / cell.cycle_s)
         self._cycles_without_gate = 0
@@ -116,7 +118,7 @@ class RobotServer:
             (n,) setpoint to send now [rad or m].
         """
         if measured.q_start is not None:
-            self._begin_session(measured.q, measured.q_start)
+            self._begin_session(measured.q, measured.q_start, measured.resumes)
         if admission is not None:
             self._keep(admission)
         follows = self.state
@@ -135,7 +137,9 @@ class RobotServer:
             self._advance(follows)
         self._settling = self._settling.sent(bool(self._motion.dq.any()))
         self._told, self._state = (measured, time_s), None
-        return self._mode.added_to(self._held_at)
+        q_cmd = self._mode.added_to(self._held_at)
+        self._pulses.sent(q_cmd, self._held_at)
+        return q_cmd
 
     def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:
         """Take what has come: an admission waits for its cycle, the newest heartbeat counts, a measurement is a cycle.
@@ -185,6 +189,7 @@ class RobotServer:
             told=self._told,
             state=self.state,
             mode=self._mode.snapshot(),
+            pulses=self._pulses.snapshot(),
             admissions=self._admissions.snapshot(),
             supervision=self._supervision,
         )
@@ -205,6 +210,7 @@ class RobotServer:
         if memory.mode is not None:
             self._mode = self._new_mode(np.array(memory.mode.q_start))
             self._mode.restore(memory.mode)
+        self._pulses.restore(memory.pulses)
         self._admissions.restore(memory.admissions, memory.cycle)
         self._supervision = memory.supervision
 
@@ -228,7 +234,10 @@ class RobotServer:
         """
         self.counters["replies_refused"] += 1
         self._stop(ReasonCode.REPLY_REFUSED)
-        self._q_reset = q_sent.copy()
+        if self._mode.known:
+            self._q_reset = q_sent.copy()
+        else:  # what differs is the probe's, which goes on and is undone
+            self._pulses.sent(q_sent, self._held_at)
         self._rest()
         self._state = None
 
@@ -242,7 +251,10 @@ class RobotServer:
         """(n,) setpoint that the KRC has: its own in a new session, until a reset adopts it."""
         return self._motion.q_cmd if self._q_reset is None else self._q_reset
 
-    def _begin_session(self, q: Array, q_start: Array) -> None:
+    def _begin_session(self, q: Array, q_start: Array, resumes: bool) -> None:
+        self._pulses.cut_short()
+        if resumes:
+            q_start = self._pulses.undone(q_start)
         if self._cycle > 0:
             self.counters["session_restarted"] += 1
             self._stop(ReasonCode.KRC_LOST)

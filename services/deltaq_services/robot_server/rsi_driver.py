@@ -21,12 +21,9 @@ from deltaq_protocol.rsi import KrcTelegram, SensorCodec
 from deltaq_protocol.rsi.axes import DEG_PER_RAD, MM_PER_M
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.plausibility import Plausibility
+from deltaq_services.robot_server.pulses_cut_short import SESSIONS
 from deltaq_services.robot_server.reply_guard import ReplyBounds, ReplyFault, reply_fault
 from deltaq_services.robot_server.session import STILL, Answer, Belief, Session, SessionMemory, TelegramKind
-
-_EARLIER = 64
-"""Sessions that are remembered with the correction that was sent last in them: a KRC that comes back after another was
-believed has its own correction still."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +87,7 @@ class RsiDriver:
         self._zero = np.zeros(codec.joints)
         self._sent: Array | None = None
         self._bounds: tuple[Array, ReplyBounds] | None = None
-        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=_EARLIER)
+        self._earlier: deque[tuple[Array, Array]] = deque(maxlen=SESSIONS)
         self._opened = False
         self._outputs: Mapping[str, bool] = {}
 
@@ -204,7 +201,7 @@ class RsiDriver:
         """Go on from where another driver of this robot was."""
         self.session.restore(memory.session)
         self._sent, self._opened, self._outputs = memory.sent, memory.opened, memory.outputs
-        self._earlier = deque(memory.earlier, maxlen=_EARLIER)
+        self._earlier = deque(memory.earlier, maxlen=SESSIONS)
         self._origin = None
         if memory.origin is not None:
             self._begin_at(memory.origin)
@@ -239,7 +236,13 @@ class RsiDriver:
         self._sent = kept
         origin = telegram.q - kept if telegram.q_programmed is None else telegram.q_programmed
         self._begin_at(origin)
-        return Measurement(telegram.ipoc, telegram.q, q_start=origin + kept, inputs=telegram.inputs)
+        return Measurement(
+            telegram.ipoc,
+            telegram.q,
+            q_start=origin + kept,
+            resumes=kept is not self._zero,
+            inputs=telegram.inputs,
+        )
 
     def _begin_at(self, origin: Array) -> None:
         self._origin = origin

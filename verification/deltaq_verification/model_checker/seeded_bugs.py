@@ -176,8 +176,8 @@ class HandOutlivesLease(System):
 
 
 class _TakesSessions(RobotServer):
-    def _begin_session(self, q: Array, q_start: Array) -> None:
-        super()._begin_session(q, q_start)
+    def _begin_session(self, q: Array, q_start: Array, resumes: bool) -> None:
+        super()._begin_session(q, q_start, resumes)
         if self._q_reset is not None:
             self._motion, self._q_reset = replace(self._motion, q_cmd=self._q_reset), None
 
