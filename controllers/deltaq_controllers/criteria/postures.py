@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.batch import BatchKinematics, FrameBatch
-from deltaq_controllers.criteria.clearance import ClearanceField, NearestBodies
+from deltaq_controllers.criteria.near_bodies import NearBodies, NearPairs
 from deltaq_protocol.arrays import Array
 
 STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
@@ -27,6 +28,7 @@ class RobotData:
         robot: name of the robot.
         stiffness: (n,) of the joints [N m/rad or N/m]; stand-ins if not given.
         kinematics: of the robot, where there is one already.
+        others: (n,) configuration of each other robot that counts as a body about; none if not given.
     """
 
     def __init__(
@@ -35,10 +37,11 @@ class RobotData:
         robot: str,
         stiffness: Array | None = None,
         kinematics: BatchKinematics | None = None,
+        others: Mapping[str, Array] | None = None,
     ) -> None:
         self.robot = cell.robots[robot]
         self.kinematics = kinematics or BatchKinematics(self.robot)
-        self.field = ClearanceField(cell, robot)
+        self.bodies = NearBodies(cell, robot, others)
         given = np.where(self.robot.revolute, STIFFNESS_RAD, STIFFNESS_M)
         self.stiffness: Array = given if stiffness is None else np.asarray(stiffness, dtype=np.float64)
         self.rotors = np.where(self.robot.revolute, ROTOR_RAD, ROTOR_M)
@@ -71,9 +74,9 @@ class Postures:
         return self._frames or self.data.kinematics.frames(self.q)
 
     @cached_property
-    def nearest(self) -> NearestBodies:
-        """The tightest pair of bodies of each."""
-        return self.data.field.nearest(self.frames, len(self))
+    def near(self) -> NearPairs:
+        """The nearest pairs of bodies of each."""
+        return self.data.bodies.near(self.q)
 
     @cached_property
     def jacobians(self) -> Array:

@@ -1,7 +1,8 @@
 """The performance criteria of Hooper and Noakes, Table 2, as one table; each category has at least two.
 
 The paper names the categories; the formulas are from the sources named in each row. Where a robot has several hands, a
-criterion of a hand is the mean over its hands. Speeds are the joints' limits, `D = diag(max_velocity)`; lengths are
+criterion of a hand is that of its worst hand: a mean would hide one that is singular. Room is distance beyond the stop
+distance, by the gate's shapes; pairs whose distance the hands' poses fix are left out. Speeds are the joints' limits, `D = diag(max_velocity)`; lengths are
 weighed against angles at 1 m to 1 rad.
 """
 
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-from deltaq_controllers.criteria import formulas
+from deltaq_controllers.criteria import clearances, formulas
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array
 
@@ -75,9 +76,27 @@ TABLE: tuple[Criterion, ...] = (
     ),
     Criterion(
         "clearance", Category.CONSTRAINT,
-        "least distance of two bodies beyond their stop distance, bodies taken for capsules",
+        "smooth minimum of the room of the nearest pairs of all pairs",
         "approach to collisions of Hooper and Noakes, III-C", "m", "more",
-        formulas.clearance, formulas.clearance_gradient, reference=0.1,
+        clearances.clearance, clearances.clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "obstacle_clearance", Category.CONSTRAINT,
+        "smooth minimum of the room of the nearest pairs of the robot and the structure",
+        "Hooper and Noakes, I: obstacle avoidance, environment", "m", "more",
+        clearances.obstacle_clearance, clearances.obstacle_clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "robot_clearance", Category.CONSTRAINT,
+        "smooth minimum of the room of the nearest pairs of the robot and other robots, where they are when it is asked",
+        "Hooper and Noakes, I: obstacle avoidance, environment", "m", "more",
+        clearances.robot_clearance, clearances.robot_clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "self_clearance", Category.CONSTRAINT,
+        "smooth minimum of the room of the nearest pairs of two bodies of the robot",
+        "Hooper and Noakes, I: obstacle avoidance, system", "m", "more",
+        clearances.self_clearance, clearances.self_clearance_gradient, reference=0.1,
     ),
     Criterion(
         "manipulability", Category.GEOMETRIC,
