@@ -13,6 +13,8 @@ STEP = 0.05
 """Distance in the free joints between two configurations that are checked while searching [rad or m]."""
 FINE = 0.01
 """Distance in the free joints between two configurations of a returned path [rad or m]."""
+FINER = (1, 4, 16)
+"""Into so many times the pieces a straight path is divided until no joint jumps: an arm is quick near a singularity."""
 LEAP = 4.0
 """Any joint may change by this many times the step; more is another branch, or too near to a singularity."""
 SEARCHED_LEAP = 3.0
@@ -102,7 +104,11 @@ class MotionValidator:
         legs = [corners[:1]]
         for start, corner in zip(corners[:-1], corners[1:, self.space.free], strict=True):
             change = np.abs(corner - start[self.space.free]).max()
-            (leg,) = self.space.walk(start[None], corner[None], max(1, int(np.ceil(change / FINE))))
+            pieces = max(1, int(np.ceil(change / FINE)))
+            for finer in FINER:
+                (leg,) = self.space.walk(start[None], corner[None], finer * pieces)
+                if self.is_steady(leg):
+                    break
             legs.append(leg[1:])
         path = np.concatenate(legs)
         return path if self.is_steady(path) and np.abs(path[-1] - corners[-1]).max() < 1e-6 else None
