@@ -195,6 +195,10 @@ class _Answer:
             self._best = min(self._best, energy)
             return self._ask(doing, done)
 
+        if not self._problem.free:
+            every = self._problem.try_all(np.empty((1, 0)))
+            best_first = np.argsort(every.energy, kind="stable")
+            return Pool(every.q[best_first], every.energy[best_first])
         return search(self._problem, self._generator, method, effort, go_on)
 
     def _clear(self, pool: Pool, count: int) -> tuple[Array, Array]:
@@ -216,7 +220,8 @@ class _Answer:
         for number, option in enumerate(found):
             ways = moved if option.hands_move else kept
             try:
-                path = ways.to(option.q, lambda: not self._ended)
+                is_here = (option.q == self._present).all()
+                path = self._present[None] if is_here else ways.to(option.q, lambda: not self._ended)
                 found[number] = replace(option, path=path, no_path="")
             except NoPathError as error:
                 found[number] = replace(option, no_path=str(error))

@@ -22,7 +22,7 @@ ROUNDS = 16
 DESCENTS = 8
 """Nodes from which the energy descends, and the steps of that."""
 STEPS = 12
-TOGETHER = 4
+TOGETHER = 8
 """So many descents are made side by side."""
 BARRIER = 0.01
 """Two minima are one if the energy between them, straight in the free joints, rises by less than this."""

@@ -24,6 +24,9 @@ from deltaq_protocol.errors import DeltaqError
 WEIGHTS = {"travel": 1.0, "obstacle_clearance": 1.0, "robot_clearance": 1.0, "self_clearance": 1.0}
 """The two criteria of the paper's own application, joint limits and collisions, these by what may be hit."""
 
+ROBOTS = "robot_clearance"
+"""Left out of `WEIGHTS` where there is no other robot."""
+
 
 class AdvisorError(DeltaqError):
     """A task that the advisor cannot work on."""
@@ -59,6 +62,7 @@ class AdvisorProblem:
     Attributes:
         tracker, hands_may_leave: as given.
         data: of the robot, for the criteria.
+        weights: of the criteria, as given or `WEIGHTS`.
         energy: the weighted sum.
         lower: (m,) lower limits of the free joints.
         upper: (m,) their upper limits.
@@ -93,7 +97,10 @@ class AdvisorProblem:
                 "unless the hand may leave and come back"
             )
         self.poses = _checked(T_world_hands, len(self.robot.hands))
-        self.energy = Normalised(self.data, WEIGHTS if weights is None else weights)
+        if weights is None:
+            weights = {name: weight for name, weight in WEIGHTS.items() if name != ROBOTS or len(cell.robots) > 1}
+        self.weights = dict(weights)
+        self.energy = Normalised(self.data, self.weights)
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
         self.count = 0
 

@@ -13,7 +13,7 @@ SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Weights of the first criterion, the second having the rest, by which the energy descends."""
 STARTS = 3
 """Nodes from which it does, for each."""
-APART = 0.02
+APART = 0.01
 """Points of a front differ by more than this in the cost of one criterion at least."""
 
 

@@ -71,16 +71,8 @@ def _room(postures: Postures, counts: Flags) -> Array:
 
 
 def _gradient(postures: Postures, counts: Flags) -> Array:
-    near, kinematics = postures.near, postures.data.kinematics
+    near = postures.near
     _, weight, total = _weights(postures, counts)
     gradient = np.zeros_like(postures.q)
-    axes, origins = kinematics.columns(postures.frames)
-    for carriers, points, sign in ((near.first, near.on_first, 1.0), (near.second, near.on_second, -1.0)):
-        counted = np.flatnonzero(counts & (carriers >= 0))
-        row, away = near.row[counted], near.away[counted]
-        turning = np.cross(axes[row], points[counted, None] - origins[row])
-        columns = np.where(kinematics.revolute[:, None], turning, axes[row])
-        along = np.einsum("eni,ei->en", columns, away) * kinematics.moves[carriers[counted]]
-        share = sign * weight[counted] / total[row]
-        np.add.at(gradient, row, share[:, None] * along)
+    np.add.at(gradient, near.row, (weight / total[near.row])[:, None] * postures.near_rates)
     return gradient

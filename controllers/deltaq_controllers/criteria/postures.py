@@ -79,6 +79,24 @@ class Postures:
         return self.data.bodies.near(self.q)
 
     @cached_property
+    def near_rates(self) -> Array:
+        """(e, n) change of the distance of each near pair by the joints, its nearest points carried along."""
+        near, kinematics = self.near, self.data.kinematics
+        rates = np.zeros((len(near.row), self.q.shape[1]))
+        if not len(near.row):
+            return rates
+        axes, origins = kinematics.columns(self.frames)
+        axes, origins, away = axes[near.row], origins[near.row], near.away[:, None]
+        # away . (axis x r) = (away x axis) . r
+        turned = np.cross(away, axes)
+        slid = (away * axes).sum(axis=2)
+        for carriers, points, sign in ((near.first, near.on_first, 1.0), (near.second, near.on_second, -1.0)):
+            along = np.einsum("eni,eni->en", turned, points[:, None] - origins)
+            columns = np.where(kinematics.revolute, along, slid)
+            rates += sign * columns * (kinematics.moves[carriers] & (carriers >= 0)[:, None])
+        return rates
+
+    @cached_property
     def jacobians(self) -> Array:
         """(N, h, 6, n) Jacobian of each hand, linear over angular, world axes."""
         return np.stack([J for J, _ in self._hands], axis=1)
