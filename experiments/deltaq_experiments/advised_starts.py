@@ -87,7 +87,11 @@ def starts(cell: CellModel, robot: str, count: int, seed: int) -> list[Array]:
 def run(robot: str, count: int, seed: int, drive: int = 0, hands_may_leave: bool = False) -> AdvisedStarts:
     """Ask from every start."""
     cell = CellModel.load(CELLS[robot])
-    model, tracker, exact = cell.robots[robot], ConstraintTracker(cell.robots[robot]), ExactClearance(cell, robot)
+    model, tracker, exact = (
+        cell.robots[robot],
+        ConstraintTracker(cell.robots[robot]),
+        ExactClearance(cell, robot),
+    )
     task = AdvisorProblem(cell, robot, tracker.hands(model.home), None, tracker, None, hands_may_leave)
     advise(task, model.home, generator=np.random.default_rng(0), effort=0.1, exact=exact)  # compiles
     wall_s, cpu_s, answers, here = [], [], list[list[Option]](), []
@@ -103,7 +107,11 @@ def run(robot: str, count: int, seed: int, drive: int = 0, hands_may_leave: bool
         [one for one in answer if one.path is not None and one.energy < (1.0 - BETTER) * energy]
         for answer, energy in zip(answers, here, strict=True)
     ]
-    gains = [1.0 - min(one.energy for one in found) / energy for found, energy in zip(better, here, strict=True) if found]
+    gains = [
+        1.0 - min(one.energy for one in found) / energy
+        for found, energy in zip(better, here, strict=True)
+        if found
+    ]
     drives = [driven_to(CELLS[robot], robot, found[0]) for found in better if found][:drive] if drive else []
     offered = [one for answer in answers for one in answer if one.path is not None]
     shares = [np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower) for q in placed]
@@ -123,13 +131,17 @@ def run(robot: str, count: int, seed: int, drive: int = 0, hands_may_leave: bool
         longest_s=max(wall_s),
         cpu_p50_s=float(np.median(cpu_s)),
         cpu_p99_s=float(np.quantile(cpu_s, 0.99)),
-        tightest=_counts(min(one.nearest, key=lambda kind: one.nearest[kind].room_m).name for one in offered if one.nearest),
+        tightest=_counts(
+            min(one.nearest, key=lambda kind: one.nearest[kind].room_m).name for one in offered if one.nearest
+        ),
         bound_by=_counts(max(_CLEARANCES, key=lambda name: one.costs[name]) for one in offered),
         least_limit_share=min((one.limit_share for one in offered), default=None),
         least_limit_share_of_starts=float(np.min(shares)),
         driven=len(drives),
         reached=sum(drive.reached for drive in drives),
-        hands_off_m=max((drive.hands_off_m for drive in drives if drive.hands_off_m is not None), default=None),
+        hands_off_m=max(
+            (drive.hands_off_m for drive in drives if drive.hands_off_m is not None), default=None
+        ),
     )
 
 

@@ -102,7 +102,8 @@ def advise(
 
     With the hands in place they are the minima of what can be driven to from here, the best of them always among
     them; or, if asked for, points of the front of two criteria there. Where hands may leave and come back, minima
-    elsewhere are options too, and marked. With hands that are to go elsewhere the search is over all that hold them there.
+    elsewhere are options too, and marked. If hands are to go elsewhere, all configurations with the hands there are
+    searched.
 
     Args:
         problem: the task.
@@ -157,7 +158,7 @@ class _Answer:
         kept = PathPlanner(problem.robot, space, self._exact, self._generator, present)
         found = self._reached(kept.tree, effort, trade_off)
         if problem.hands_may_leave and trade_off is None:
-            found += self._left(self._searched(method, effort), space, found)
+            found += self._left(self._searched(method, effort), found)
             found = sorted(found, key=lambda option: option.energy)[: self._count]
         return self._with_paths(found, kept, moved)
 
@@ -180,7 +181,7 @@ class _Answer:
         nodes = nodes[np.isfinite(component.energy[nodes])]
         return self._described(tree.q[nodes], component.energy[nodes], hands_move=False, hands_leave=False)
 
-    def _left(self, pool: Pool, space: HandsKept, known: list[Option]) -> list[Option]:
+    def _left(self, pool: Pool, known: list[Option]) -> list[Option]:
         """Options to which the hands leave: on other branches, or turned by a whole turn, or behind something."""
         q, energy = self._clear(pool, self._count + len(known))
         other = [

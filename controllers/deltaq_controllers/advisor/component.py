@@ -1,8 +1,8 @@
 """What a robot can reach with its hands in place: the component of its self-motions that it stands in.
 
 With the hands fixed, most configurations lie on other branches of an arm, or behind limits and bodies. So the search
-begins where the robot stands and never leaves what can be driven from there: a tree spreads over the free joints, and from
-its best nodes the energy descends along edges that are checked in the same way. Every configuration of it has a path.
+begins where the robot stands and never leaves what can be driven from there: a tree spreads over the free joints, and
+from its best nodes the energy descends along edges that are checked in the same way. Each configuration has a path.
 """
 
 from __future__ import annotations

@@ -98,7 +98,9 @@ class AdvisorProblem:
             )
         self.poses = _checked(T_world_hands, len(self.robot.hands))
         if weights is None:
-            weights = {name: weight for name, weight in WEIGHTS.items() if name != ROBOTS or len(cell.robots) > 1}
+            weights = {
+                name: weight for name, weight in WEIGHTS.items() if name != ROBOTS or len(cell.robots) > 1
+            }
         self.weights = dict(weights)
         self.energy = Normalised(self.data, self.weights)
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]

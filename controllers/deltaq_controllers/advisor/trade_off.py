@@ -14,7 +14,7 @@ SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 STARTS = 3
 """Nodes from which it does, for each."""
 APART = 0.01
-"""Points of a front differ by more than this in the cost of one criterion at least."""
+"""Points of a front differ by more than this in the cost of either criterion."""
 
 
 def front(component: Component, problem: AdvisorProblem, names: tuple[str, str], count: int) -> Indices:
@@ -56,10 +56,10 @@ def _spread(nodes: Indices, costs: Array, count: int) -> Indices:
         return nodes
     at = costs[nodes]
     chosen = [0]
-    distance = np.abs(at - at[0]).max(axis=1)
+    distance = np.abs(at - at[0]).min(axis=1)
     while len(chosen) < count and distance.max() > APART:
         farthest = len(nodes) - 1 if len(chosen) == 1 and distance[-1] > APART else int(distance.argmax())
         chosen.append(farthest)
-        distance = np.minimum(distance, np.abs(at - at[farthest]).max(axis=1))
+        distance = np.minimum(distance, np.abs(at - at[farthest]).min(axis=1))
     spread: Indices = nodes[sorted(chosen)]
     return spread

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deltaq_controllers.criteria.hands import of_worst, singular
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array
 
@@ -54,19 +55,6 @@ def limits_gradient(postures: Postures) -> Array:
     return gradient
 
 
-def _of_worst(values: Array, best_is: str, each: Array) -> Array:
-    """(N, n) of `each` hand (N, h, n) that of the hand whose value (N, h) is the worst."""
-    worst = values.argmin(axis=1) if best_is == "more" else values.argmax(axis=1)
-    chosen: Array = each[np.arange(len(each)), worst]
-    return chosen
-
-
-def _singular(J: Array, H: Array) -> tuple[Array, Array]:
-    """(N, h, k) singular values of J (N, h, r, n), and their (N, h, k, n) derivatives from H (N, h, r, n, n)."""
-    U, values, Vt = np.linalg.svd(J, full_matrices=False)
-    return values, np.einsum("nhak,nhaji,nhkj->nhki", U, H, Vt, optimize=True)
-
-
 def speed(postures: Postures) -> Array:
     """Least singular value of J_v D [m/s]."""
     values = np.linalg.svd(_fast(postures), compute_uv=False)
@@ -77,8 +65,8 @@ def speed(postures: Postures) -> Array:
 def speed_gradient(postures: Postures) -> Array:
     """Of `speed`."""
     D = postures.data.robot.max_velocity
-    values, derivatives = _singular(_fast(postures), postures.hessians[:, :, :3] * D[:, None])
-    return _of_worst(values[..., -1], "more", derivatives[:, :, -1])
+    values, derivatives = singular(_fast(postures), postures.hessians[:, :, :3] * D[:, None])
+    return of_worst(values[..., -1], "more", derivatives[:, :, -1])
 
 
 def _fast(postures: Postures) -> Array:
@@ -95,12 +83,12 @@ def manipulability(postures: Postures) -> Array:
 
 def manipulability_gradient(postures: Postures) -> Array:
     """Of `manipulability`."""
-    values, derivatives = _singular(postures.jacobians, postures.hessians)
+    values, derivatives = singular(postures.jacobians, postures.hessians)
     count = values.shape[2]
     # the product of all others, without dividing: a singular value may be zero
     others = np.stack([np.delete(values, k, axis=2).prod(axis=2) for k in range(count)], axis=2)
     each = np.einsum("nhk,nhki->nhi", others, derivatives)
-    return _of_worst(values.prod(axis=2), "more", each)
+    return of_worst(values.prod(axis=2), "more", each)
 
 
 def condition(postures: Postures) -> Array:
@@ -112,10 +100,10 @@ def condition(postures: Postures) -> Array:
 
 def condition_gradient(postures: Postures) -> Array:
     """Of `condition`."""
-    values, derivatives = _singular(postures.jacobians, postures.hessians)
+    values, derivatives = singular(postures.jacobians, postures.hessians)
     least, greatest = values[..., -1, None], values[..., 0, None]
     each = (derivatives[:, :, -1] - least / greatest * derivatives[:, :, 0]) / greatest
-    return _of_worst(values[..., -1] / values[..., 0], "more", each)
+    return of_worst(values[..., -1] / values[..., 0], "more", each)
 
 
 def smallest(postures: Postures) -> Array:
@@ -127,8 +115,8 @@ def smallest(postures: Postures) -> Array:
 
 def smallest_gradient(postures: Postures) -> Array:
     """Of `smallest`."""
-    values, derivatives = _singular(postures.jacobians, postures.hessians)
-    return _of_worst(values[..., -1], "more", derivatives[:, :, -1])
+    values, derivatives = singular(postures.jacobians, postures.hessians)
+    return of_worst(values[..., -1], "more", derivatives[:, :, -1])
 
 
 def _mobility(postures: Postures) -> tuple[Array, Array]:
@@ -150,7 +138,7 @@ def effective_mass_gradient(postures: Postures) -> Array:
     X, trace = _mobility(postures)
     change = 2.0 * np.einsum("nhaji,nhja->nhi", postures.hessians[:, :, :3], X, optimize=True)
     change -= np.einsum("nhja,njki,nhka->nhi", X, postures.mass_derivatives, X, optimize=True)
-    return _of_worst(3.0 / trace, "less", -3.0 / np.square(trace)[..., None] * change)
+    return of_worst(3.0 / trace, "less", -3.0 / np.square(trace)[..., None] * change)
 
 
 def effective_mass_rate(postures: Postures) -> Array:
@@ -186,7 +174,7 @@ def compliance(postures: Postures) -> Array:
 def compliance_gradient(postures: Postures) -> Array:
     """Of `compliance`."""
     shares, derivatives = _shares(postures)
-    return _of_worst(shares.sum(axis=2), "less", derivatives.sum(axis=2)) / 3.0
+    return of_worst(shares.sum(axis=2), "less", derivatives.sum(axis=2)) / 3.0
 
 
 def potential_partition(postures: Postures) -> Array:
@@ -199,7 +187,7 @@ def potential_partition(postures: Postures) -> Array:
 def potential_partition_gradient(postures: Postures) -> Array:
     """Of `potential_partition`."""
     shares, derivatives = _shares(postures)
-    return _of_worst(_unevenness(shares), "less", _unevenness_gradient(shares, derivatives))
+    return of_worst(_unevenness(shares), "less", _unevenness_gradient(shares, derivatives))
 
 
 def _energies(postures: Postures) -> Array:

@@ -99,7 +99,10 @@ class NearBodies:
         }
         self._robot, self._first = robot, places[robot].first_q
         self._geometry = pin.GeometryModel()
-        own = [self._geometry.addGeometryObject(places[robot].moved(body)) for body in model.geometry.geometryObjects]
+        own = [
+            self._geometry.addGeometryObject(places[robot].moved(body))
+            for body in model.geometry.geometryObjects
+        ]
         standing = [self._geometry.addGeometryObject(body) for body in cell.structure]
         foreign = [
             self._geometry.addGeometryObject(places[name].moved(body))
@@ -108,7 +111,9 @@ class NearBodies:
             for body in cell.robots[name].geometry.geometryObjects
         ]
         bodies = list(self._geometry.geometryObjects)
-        self._joints = [int(body.parentJoint) - 1 - self._first if i in set(own) else -1 for i, body in enumerate(bodies)]
+        self._joints = [
+            int(body.parentJoint) - 1 - self._first if i in set(own) else -1 for i, body in enumerate(bodies)
+        ]
         last = {int(model.model.frames[model.frame_of(hand)].parentJoint) - 1 for hand in model.hands}
         # a hand stays where it is, and what its last joint carries with it
         still = {i for i in range(len(bodies)) if self._joints[i] < 0 or self._joints[i] in last}

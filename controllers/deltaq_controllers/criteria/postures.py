@@ -16,6 +16,9 @@ from deltaq_protocol.arrays import Array
 STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
 """Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""
 
+GRAVITY_M_S2 = 9.80665
+_SAMPLES = 50
+
 ROTOR_RAD, ROTOR_M = 0.05, 1.0
 """What a joint's drive adds to the mass matrix, seen through its gear: stand-ins [kg m^2 and kg]."""
 
@@ -49,6 +52,14 @@ class RobotData:
         self.masses = np.array([float(inertia.mass) for inertia in inertias])
         self.centres = np.array([inertia.lever for inertia in inertias])
         self.inertias = np.array([inertia.inertia for inertia in inertias])
+
+    @cached_property
+    def torques(self) -> Array:
+        """(n,) torque that gives each joint its acceleration, median over the workspace [N m or N]: a stand-in."""
+        q = np.random.default_rng(0).uniform(self.robot.lower, self.robot.upper, (_SAMPLES, self.robot.n))
+        diagonal = np.einsum("njj->nj", Postures(self, q).masses)
+        torques: Array = np.median(diagonal, axis=0) * self.robot.max_acceleration
+        return torques
 
 
 class Postures:
@@ -135,6 +146,22 @@ class Postures:
             by_joint = turning[:, None] @ turned.transpose(0, 1, 3, 2) @ angular[:, None]
             half += by_joint.transpose(0, 2, 3, 1)
             total += half + half.transpose(0, 2, 1, 3)
+        return total
+
+    @cached_property
+    def gravity(self) -> Array:
+        """(N, n) torque or force of gravity against each joint [N m or N]."""
+        total = np.zeros_like(self.q)
+        for mass, J, _, _ in self._links:
+            total += GRAVITY_M_S2 * mass * J[:, 2]
+        return total
+
+    @cached_property
+    def gravity_derivatives(self) -> Array:
+        """(N, n, n) its derivative by joint i at `[..., i]`."""
+        total = np.zeros((*self.q.shape, self.data.robot.n))
+        for mass, J, _, joint in self._links:
+            total += GRAVITY_M_S2 * mass * _hessian(J, self.data.kinematics.moves[joint])[:, 2]
         return total
 
     @cached_property

@@ -50,7 +50,9 @@ class Screen(NamedTuple):
     def of(cls, bodies: list[Any], pairs: list[tuple[int, int]]) -> Self:
         """Enclose pinocchio's geometry objects; `pairs` are of their indices."""
         enclosed = [_enclosed(body) for body in bodies]
-        is_box = np.array([body.parentJoint == WORLD and isinstance(body.geometry, coal.Box) for body in bodies])
+        is_box = np.array(
+            [body.parentJoint == WORLD and isinstance(body.geometry, coal.Box) for body in bodies]
+        )
         ordered = [(j, i) if is_box[i] else (i, j) for i, j in pairs]
         boxes = [local_box(body) for body in bodies]
         return cls(
