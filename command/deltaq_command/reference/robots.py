@@ -126,7 +126,7 @@ def criteria() -> str:
         "hands the worst counts. Room is distance beyond the stop distance, by the gate's shapes, without pairs "
         "whose distance the hands' poses fix; more than 0.25 m counts as that. D are the joints' greatest speeds and "
         "A their accelerations.\n\nA cell's description has no joint stiffness, inertia of drives or torque limits: "
-        "the first two are stand-ins, and `t_j` is the torque that gives joint j its acceleration, the median over "
-        "the workspace of M_jj a_j. So `torque`, `relative_load` and `force` compare configurations, and say nothing "
+        "the first two are stand-ins, and `t_j` is the torque that gives joint j its acceleration with the robot "
+        "at home, M_jj a_j. So `torque`, `relative_load` and `force` compare configurations, and say nothing "
         "of what a robot can carry.\n\n" + table(columns, rows)
     )

@@ -1,7 +1,7 @@
 """Criteria of loads: joint torques and accelerations, how two arms share them, and what a task asks of a hand.
 
-A cell's description has no torque limits. The torque that gives a joint its described acceleration stands in, the
-median over the robot's workspace of `M_jj a_j`: a drive has at least that. Forces and loads are in this measure.
+A cell's description has no torque limits. The torque that gives a joint its described acceleration with the robot at
+home, `M_jj a_j`, stands in: a drive has at least that. Forces and loads are in this measure.
 """
 
 from __future__ import annotations

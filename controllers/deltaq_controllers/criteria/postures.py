@@ -17,7 +17,6 @@ STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
 """Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""
 
 GRAVITY_M_S2 = 9.80665
-_SAMPLES = 50
 
 ROTOR_RAD, ROTOR_M = 0.05, 1.0
 """What a joint's drive adds to the mass matrix, seen through its gear: stand-ins [kg m^2 and kg]."""
@@ -55,10 +54,9 @@ class RobotData:
 
     @cached_property
     def torques(self) -> Array:
-        """(n,) torque that gives each joint its acceleration, median over the workspace [N m or N]: a stand-in."""
-        q = np.random.default_rng(0).uniform(self.robot.lower, self.robot.upper, (_SAMPLES, self.robot.n))
-        diagonal = np.einsum("njj->nj", Postures(self, q).masses)
-        torques: Array = np.median(diagonal, axis=0) * self.robot.max_acceleration
+        """(n,) torque that gives each joint its acceleration with the robot at home [N m or N]: a stand-in."""
+        (masses,) = Postures(self, self.robot.home).masses
+        torques: Array = np.diagonal(masses) * self.robot.max_acceleration
         return torques
 
 
