@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_protocol.arrays import Array
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
 LONGEST_S = 120.0
@@ -36,13 +38,25 @@ class AdvisedDrive:
     hands_off_m: float | None
 
 
-def driven_to(cell: str, robot: str, option: Option) -> AdvisedDrive:
-    """Start a cell with the robot where the option's path begins, and go to its end."""
-    stack = VirtualCell(cell, {robot: option.start})
+def driven_to(
+    cell: str, robot: str, start: Array, advised: Callable[[Array], Option | None]
+) -> AdvisedDrive | None:
+    """Start a cell with the robot at a configuration, ask where it stands then, and go to the option.
+
+    Args:
+        cell: name of the cell.
+        robot: name of the robot.
+        start: (n,) where it begins; where it stands differs by the rounding of its telegrams.
+        advised: the option for the setpoint (n,) at which it stands, or none.
+    """
+    stack = VirtualCell(cell, {robot: start})
     model, cycle_s = stack.cell.robots[robot], stack.cell.description.cycle_s
     stack.run_until_ready()
     stack.acquire(robot, "advised")
     tracker = ConstraintTracker(model)
+    option = advised(np.array(stack.states[robot].q_cmd))
+    if option is None:
+        return None
     answered = Answered(tracker, Progress("finding paths", 1.0, option.energy, 0, (option,)))
     modes = {ModeName.ADVISOR: lambda robot: AdvisorMode(robot, cycle_s, answered)}
     teleoperator = Teleoperator(model, cycle_s, ModeName.ADVISOR, modes=modes)

@@ -112,7 +112,13 @@ def run(robot: str, count: int, seed: int, drive: int = 0, hands_may_leave: bool
         for found, energy in zip(better, here, strict=True)
         if found
     ]
-    drives = [driven_to(CELLS[robot], robot, found[0]) for found in better if found][:drive] if drive else []
+
+    def best(q: Array) -> Option | None:
+        found = advise(task.at(tracker.hands(q)), q, generator=np.random.default_rng(0), exact=exact)
+        return next((one for one in found if one.path is not None), None)
+
+    goes = [q for q, found in zip(placed, better, strict=True) if found][:drive]
+    drives = [one for q in goes if (one := driven_to(CELLS[robot], robot, q, best)) is not None]
     offered = [one for answer in answers for one in answer if one.path is not None]
     shares = [np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower) for q in placed]
     return AdvisedStarts(

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from deltaq_experiments.advised_drive import driven_to
+from deltaq_experiments import advised_drive
 from deltaq_experiments.advised_starts import AdvisedStarts, main, run
 
 
@@ -28,14 +28,7 @@ def test_the_best_option_of_a_start_is_reached_through_the_gate_with_the_hands_i
     assert found.hands_off_m < (1e-4 if robot == "dawm" else 1e-3)
 
 
-def test_a_drive_that_cannot_begin_is_not_told_as_one_that_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
-    from deltaq_experiments import advised_drive, advised_starts
-
-    cell = advised_starts.CellModel.load("dawm")
-    (q,) = advised_starts.starts(cell, "dawm", 1, seed=6)
-    tracker = advised_starts.ConstraintTracker(cell.robots["dawm"])
-    task = advised_starts.AdvisorProblem(cell, "dawm", tracker.hands(q), None, tracker)
-    generator = advised_starts.np.random.default_rng(0)
-    (option, *_) = advised_starts.advise(task, q, generator=generator, options=1, effort=0.1)
+def test_a_drive_that_is_not_over_is_not_told_as_one_that_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(advised_drive, "LONGEST_S", 0.1)
-    assert not driven_to("dawm", "dawm", option).reached
+    found = run("dawm", 1, seed=6, drive=1)
+    assert (found.driven, found.reached) == (1, 0)
