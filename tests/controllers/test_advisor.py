@@ -163,7 +163,7 @@ def test_every_option_has_a_path_that_keeps_the_hands_still_and_everything_clear
             assert EXACT.measure(q).room_m > 0
 
 
-STARTS = {robot: starts(CellModel.load(CELLS[robot]), robot, 4, seed=4711) for robot in ("gr", "dawm")}
+STARTS = {robot: starts(CellModel.load(CELLS[robot]), robot, 3, seed=4711) for robot in ("gr", "dawm")}
 """Configurations at random, some of which are near limits, bodies and singularities."""
 
 

@@ -111,7 +111,7 @@ def test_two_arms_that_mirror_each_other_share_the_load_and_one_that_reaches_out
     for name in ("relative_load", "relative_energy"):
         even, uneven = BY_NAME[name].value(postures)
         assert even == pytest.approx(0.5, abs=1e-3)
-        assert uneven > 0.55
+        assert uneven > 0.51
 
 
 def test_joints_in_their_middle_are_best_and_joints_at_a_limit_worst() -> None:

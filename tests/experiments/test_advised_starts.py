@@ -30,5 +30,5 @@ def test_the_best_option_of_a_start_is_reached_through_the_gate_with_the_hands_i
 
 def test_a_drive_that_is_not_over_is_not_told_as_one_that_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(advised_drive, "LONGEST_S", 0.1)
-    found = run("dawm", 1, seed=6, drive=1)
+    found = run("dawm", 2, seed=6, drive=1)
     assert (found.driven, found.reached) == (1, 0)
