@@ -15,6 +15,7 @@ from deltaq_controllers.advisor.descent import descend
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT
 from deltaq_controllers.advisor.trees import Tree
+from deltaq_controllers.criteria import Postures
 from deltaq_protocol.arrays import Array, Flags, Indices
 
 ROUNDS = 16
@@ -24,6 +25,9 @@ DESCENTS = 8
 STEPS = 12
 TOGETHER = 8
 """So many descents are made side by side."""
+LEAST_SINGULAR = 0.02
+"""Least singular value of an arm's Jacobian at an option, unless the start has less. Closer to a singularity the speed
+at which a brake leaves the hands in place goes to zero, and the robot does not arrive."""
 BARRIER = 0.01
 """Two minima are one if the energy between them, straight in the free joints, rises by less than this."""
 LOOKED_AT = 17
@@ -47,6 +51,7 @@ class Component:
 
     def __init__(self, problem: AdvisorProblem, tree: Tree, generator: np.random.Generator) -> None:
         self._problem, self.tree, self._generator = problem, tree, generator
+        self._least = min(LEAST_SINGULAR, float(self._singular(tree.q).min()))
         self.energy = problem.energies(tree.q)
 
     def explore(self, effort: float, go_on: Callable[[float], bool]) -> Indices:
@@ -102,7 +107,8 @@ class Component:
         problem, at = problem or self._problem, nodes.copy()
 
         def accept(rows: Indices, to: Array) -> Flags:
-            passes = self.tree.ground.straight(self.tree.q[at[rows]], to)
+            passes = self._singular(to) >= self._least
+            passes[passes] = self.tree.ground.straight(self.tree.q[at[rows[passes]]], to[passes])
             at[rows[passes]] = self.tree.add(to[passes], at[rows[passes]], is_sure=True)
             return passes
 
@@ -138,4 +144,16 @@ class Component:
     def _measure(self) -> None:
         new = self.tree.q[len(self.energy) :]
         if len(new):
-            self.energy = np.append(self.energy, self._problem.energies(new))
+            energy = self._problem.energies(new)
+            energy[self._singular(new) < self._least] = np.inf
+            self.energy = np.append(self.energy, energy)
+
+    def _singular(self, q: Array) -> Array:
+        """(N,) least singular value of the Jacobian of any arm at configurations (N, n)."""
+        J = Postures(self._problem.data, q).jacobians
+        arms = self._problem.tracker.arms
+        least = [
+            np.linalg.svd(J[:, k][:, :, arm.joints], compute_uv=False)[:, -1] for k, arm in enumerate(arms)
+        ]
+        singular: Array = np.min(least, axis=0)
+        return singular
