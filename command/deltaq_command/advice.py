@@ -19,7 +19,7 @@ from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.advisor import advise as advise_on
 from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
-from deltaq_controllers.advisor.problem import WEIGHTS, AdvisorError, AdvisorProblem
+from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName
@@ -49,6 +49,8 @@ class AdviceRequest:
     seed: int = 0
     offline: bool = False
     execute: int = 0
+    trade_off: tuple[str, str] | None = None
+    hands_may_leave: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ class Advice:
         trials: configurations tried.
         elapsed_s: from the question to the options, paths included.
         executed: how the requested option was driven to; None if none was.
+        trade_off: the two criteria whose front the options are of; None for minima.
     """
 
     cell: str
@@ -97,6 +100,7 @@ class Advice:
     trials: int
     elapsed_s: float
     executed: Driven | None = None
+    trade_off: tuple[str, str] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The answer as a JSON object, in SI units."""
@@ -107,6 +111,7 @@ class Advice:
             "method": self.method,
             "seed": self.seed,
             "weights": self.weights,
+            "trade_off": None if self.trade_off is None else list(self.trade_off),
             "hands": {name: pose.tolist() for name, pose in self.hands.items()},
             "trials": self.trials,
             "elapsed_s": self.elapsed_s,
@@ -133,7 +138,9 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             running = stack.enter_context(connect(cell.description, "deltaq advise"))
             present |= _present(running)
         poses = _poses(tracker, present[robot], request.hands or {})
-        problem = AdvisorProblem(cell, robot, poses, request.weights, tracker)
+        problem = AdvisorProblem(
+            cell, robot, poses, request.weights, tracker, present, request.hands_may_leave
+        )
         began_s = time.perf_counter()
         options = advise_on(
             problem,
@@ -142,6 +149,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             options=request.options,
             method=request.method,
             effort=request.effort,
+            trade_off=request.trade_off,
             exact=ExactClearance(cell, robot, present),
             go_on=go_on,
         )
@@ -156,12 +164,13 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             joints=tracker.robot.joint_names,
             method=request.method,
             seed=request.seed,
-            weights=dict(WEIGHTS if request.weights is None else request.weights),
+            weights=problem.weights,
             hands=dict(zip(tracker.robot.hands, poses, strict=True)),
             options=options,
             trials=problem.count,
             elapsed_s=elapsed_s,
             executed=executed,
+            trade_off=request.trade_off,
         )
 
 
@@ -251,6 +260,7 @@ def _as_dict(rank: int, option: Option) -> dict[str, Any]:
     return {
         "rank": rank,
         "energy": option.energy,
+        "energy_here": option.energy_here,
         "q": option.q.tolist(),
         "values": option.values,
         "costs": option.costs,
@@ -259,7 +269,12 @@ def _as_dict(rank: int, option: Option) -> dict[str, Any]:
         "pair": list(option.clearance.pair),
         "nearest_limit": option.nearest_limit,
         "limit_share": option.limit_share,
+        "near": {
+            kind.name.lower(): {"distance_m": one.distance_m, "room_m": one.room_m, "pair": list(one.pair)}
+            for kind, one in option.nearest.items()
+        },
         "hands_move": option.hands_move,
+        "hands_leave": option.hands_leave,
         "path": None if option.path is None else option.path.tolist(),
         "no_path": option.no_path or None,
     }

@@ -31,6 +31,18 @@ def advise(
         str, typer.Option(help="annealing, shotgun, genetic, monte-carlo or brute-force.")
     ] = "annealing",
     criterion: CriterionOption = None,
+    trade_off: Annotated[
+        str,
+        typer.Option(
+            help="Two criteria, A,B: options of which none is better in one without being worse in the other."
+        ),
+    ] = "",
+    hands_may_leave: Annotated[
+        bool,
+        typer.Option(
+            "--hands-may-leave", help="Offer options too to which the hands leave their place and come back."
+        ),
+    ] = False,
     effort: Annotated[
         float, typer.Option(min=0.1, max=100, help="Length of the search; 1 suits an operator who waits.")
     ] = 1.0,
@@ -71,6 +83,8 @@ def advise(
         seed=seed,
         offline=offline,
         execute=execute,
+        trade_off=_two(trade_off),
+        hands_may_leave=hands_may_leave,
     )
     with _Watched() as watched:
         found = advice(request, watched.go_on)
@@ -183,17 +197,28 @@ def _pose(text: str) -> tuple[str, tuple[float, ...]]:
     return name, values
 
 
+def _two(text: str) -> tuple[str, str] | None:
+    if not text:
+        return None
+    first, _, second = text.partition(",")
+    if not first or not second or "," in second or first == second:
+        raise typer.BadParameter(f"--trade-off takes the names of two criteria, A,B, got {text!r}")
+    return first, second
+
+
 def _show(found: Advice) -> None:
     from deltaq_command.console import counts, print_table
 
-    names = list(found.weights)
-    columns = ("rank", "energy", *names, "clearance mm", "tightest pair", "nearest limit", "path")
+    names = list(found.weights) if found.trade_off is None else list(found.trade_off)
+    columns = ("rank", "energy", *names, "nearest", "nearest limit", "path")
     print_table(
         f"{found.robot}: options by {found.method}, {found.trials} trials in {found.elapsed_s:.2f} s",
         columns,
         (_row(rank, option, names) for rank, option in enumerate(found.options, start=1)),
     )
-    if not found.options:
+    if found.options:
+        typer.echo(f"energy here: {found.options[0].energy_here:.4f}")
+    else:
         typer.echo(
             "no configuration holds the hands there clear of limits and obstacles; move them, or raise --effort"
         )
@@ -206,17 +231,16 @@ def _show(found: Advice) -> None:
 
 def _row(rank: int, option: Option, names: list[str]) -> tuple[str, ...]:
     path = option.no_path if option.path is None else f"{len(option.path)} points"
-    if option.path is not None and option.hands_move:
-        path += ", hands move"
+    if option.hands_move:
+        path += ", hands leave and come back" if option.hands_leave else ", hands move"
     costs = (f"{option.costs[name]:.3f}" for name in names)
-    pair = " and ".join(option.clearance.pair)
+    near = [f"{1000 * one.distance_m:.0f} mm {' and '.join(one.pair)}" for one in option.nearest.values()]
     limit = f"{option.nearest_limit} {100 * option.limit_share:.0f} %"
     return (
         str(rank),
         f"{option.energy:.4f}",
         *costs,
-        f"{1000 * option.clearance.distance_m:.0f}",
-        pair,
+        "\n".join(near) or "-",
         limit,
         path,
     )

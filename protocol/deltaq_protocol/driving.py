@@ -173,12 +173,21 @@ class DriverReport(Message):
     search: Search | None = None
 
 
+class NearPair(Message):
+    """Two bodies that are near, and their distance [m]."""
+
+    distance_m: FiniteFloat
+    pair: tuple[str, str]
+
+
 class Way(Message):
     """One way that is offered: an option of the advisor, or the way to a pose.
 
     `rank` is by which it is chosen, `q` where it leads to, (n,) [rad or m], `points` configurations on it from its
-    beginning, none if no way is known; `why_not` says why. `energy` is what the advisor ranks by, `costs` are those of
-    its criteria, 0 good to 1 bad. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an
+    beginning, none if no way is known; `why_not` says why. `energy` is what the advisor ranks by, `energy_here` that of
+    where it was asked, `costs` are those of its criteria, 0 good to 1 bad. `near` has the nearest bodies of each kind,
+    `self`, `environment` and `robots`, that the hands' poses do not fix; `hands_leave` says that the hands leave their
+    place on the way and come back. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an
     option, and on a way to a pose the least. `clear` is the fraction of the way that keeps all distances and limits as
     a copy of the cell forecasts it, the other robots standing still; `text` says so in words. `first` is the increment
     that begins it, for the gate's dry run.
@@ -189,7 +198,10 @@ class Way(Message):
     points: Annotated[tuple[Joints, ...], Field(max_length=MOST_WAY_POINTS)] = ()
     why_not: str = ""
     energy: FiniteFloat | None = None
+    energy_here: FiniteFloat | None = None
     costs: dict[str, FiniteFloat] = {}
+    near: dict[str, NearPair] = {}
+    hands_leave: bool = False
     clearance_m: FiniteFloat | None = None
     pair: tuple[str, str] | None = None
     nearest_limit: str = ""

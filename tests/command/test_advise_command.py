@@ -34,7 +34,9 @@ def test_options_are_told_as_one_object_with_everything_a_program_needs() -> Non
     assert found["executed"] is None
     options = found["options"]
     assert isinstance(options, list)
-    assert [option["rank"] for option in options] == [1, 2, 3]
+    assert [option["rank"] for option in options] == list(range(1, len(options) + 1))
+    assert 1 <= len(options) <= 3
+    assert found["weights"] == {"travel": 1.0, "obstacle_clearance": 1.0, "self_clearance": 1.0}
     hands = found["hands"]
     assert isinstance(hands, dict)
     for option in options:
@@ -43,6 +45,10 @@ def test_options_are_told_as_one_object_with_everything_a_program_needs() -> Non
         assert option["room_m"] > 0
         assert set(option["values"]) == set(option["costs"])
         assert option["nearest_limit"] in DAWM.joint_names
+        assert set(option["near"]) <= {"self", "environment", "robots"}
+        assert option["path"] is not None
+        assert (option["hands_move"], option["hands_leave"]) == (False, False)
+    assert options[0]["energy"] <= options[0]["energy_here"]
 
 
 def test_a_hand_can_be_sent_elsewhere_and_the_other_stays() -> None:
@@ -67,6 +73,31 @@ def test_weights_choose_what_options_are_ranked_by() -> None:
     )
 
 
+def test_a_trade_off_is_told_and_its_options_go_from_one_criterion_to_the_other() -> None:
+    status, found = advised("--trade-off", "travel,self_clearance")
+    assert status == 0
+    assert found["trade_off"] == ["travel", "self_clearance"]
+    options = found["options"]
+    assert isinstance(options, list)
+    costs = [[option["costs"][name] for name in ("travel", "self_clearance")] for option in options]
+    assert len(costs) >= 2
+    assert costs == sorted(costs)
+
+
+def test_a_hand_that_may_leave_gives_an_arm_without_a_joint_to_spare_options_and_that_is_said() -> None:
+    status, found = advised("--cell", "lab", "--robot", "fr", "--hands-may-leave")
+    assert status == 0
+    options = found["options"]
+    assert isinstance(options, list)
+    assert any(option["hands_leave"] for option in options)
+    done = CliRunner().invoke(
+        app,
+        ["advise", "--offline", "--cell", "lab", "--robot", "fr", "--hands-may-leave"],
+        terminal_width=200,
+    )
+    assert "leave and come back" in " ".join(done.stdout.replace("│", " ").split())
+
+
 def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
     status, found = advised("--hand", "left=9,0,1,0,0,0", "--method", "brute-force")
     assert status == 1
@@ -89,6 +120,9 @@ def test_hands_out_of_reach_are_said_to_be_and_that_is_exit_status_1() -> None:
         (("--robot", "fr"), "no robot 'fr' in cell dawm"),
         (("--robot", "fr", "--cell", "lab"), "'fr' is not redundant"),
         (("--execute", "1"), "needs a running cell"),
+        (("--trade-off", "travel"), "takes the names of two criteria, A,B, got 'travel'"),
+        (("--trade-off", "travel,travel"), "takes the names of two criteria"),
+        (("--trade-off", "travel,travle"), "no criterion 'travle'"),
     ],
 )
 def test_what_is_asked_for_wrongly_is_answered_with_what_is_right(

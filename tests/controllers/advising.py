@@ -29,7 +29,7 @@ def advised(
 ) -> Teleoperator:
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         tracker_of(robot)
-        answers = advisor or SynchronousAdvisor(cell_of(robot.name), robot.name, options=3, effort=0.2)
+        answers = advisor or SynchronousAdvisor(cell_of(robot.name), robot.name, options=3, effort=0.5)
         return AdvisorMode(robot, CYCLE_S, answers)
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}

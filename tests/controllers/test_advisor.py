@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_controllers.advisor.advisor import DRIVABLE, NOT_LOOKED_FOR, Option, Progress, advise
+from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress, advise
 from deltaq_controllers.advisor.descent import descend, reduced_gradient
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.methods import METHODS
-from deltaq_controllers.advisor.motion_validator import FINE, LEAP, MotionValidator
+from deltaq_controllers.advisor.motion_validator import FINE, LEAP, LIMIT_SHARE, MotionValidator
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
 from deltaq_controllers.advisor.search import DISTINCT, Pool, search
 from deltaq_controllers.advisor.seeding import feasible
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trees import Tree
+from deltaq_controllers.criteria.normalised import CriterionError
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_experiments.advised_starts import CELLS, starts
 from deltaq_protocol.arrays import Array
 
 CELL = CellModel.load("dawm")
@@ -44,7 +48,7 @@ def options() -> list[Option]:
 
 
 def test_the_gradient_over_the_free_joints_agrees_with_finite_differences() -> None:
-    task = problem(travel=1.0, clearance=1.0, manipulability=0.5)
+    task = problem(travel=1.0, manipulability=0.5)
     starts = feasible(task, np.random.default_rng(2), 32, 64, 50)
     q, energy = task.try_best(starts)
     q = q[np.isfinite(energy)][:8]
@@ -106,7 +110,7 @@ def test_every_method_finds_configurations_that_hold_the_hands(method: str) -> N
         assert np.abs(TRACKER.hands(q) - task.poses).max() < 1e-9
         assert np.all((q >= DAWM.lower) & (q <= DAWM.upper))
         assert task.energies(q[None])[0] == pytest.approx(energy)
-    assert pool.best < task.energies(DAWM.home[None])[0] - 0.03
+    assert pool.best < task.energies(DAWM.home[None])[0] - 0.015
 
 
 def test_one_seed_is_one_search() -> None:
@@ -115,28 +119,39 @@ def test_one_seed_is_one_search() -> None:
 
 
 def test_options_are_ranked_distinct_clear_and_told_with_what_limits_them(options: list[Option]) -> None:
-    assert len(options) == 4
+    assert 2 <= len(options) <= 4
     energies = [option.energy for option in options]
     assert energies == sorted(energies)
+    here = problem().energies(DAWM.home[None])[0]
+    assert options[0].energy < here
     for number, option in enumerate(options):
         for better in options[:number]:
             assert np.abs(option.q - better.q).max() > DISTINCT
         assert option.clearance == EXACT.measure(option.q)
         assert option.clearance.room_m > 0
-        assert option.energy == pytest.approx(option.costs["travel"] + option.costs["clearance"])
+        assert option.energy == pytest.approx(sum(option.costs[name] for name in problem().weights))
+        assert option.energy_here == pytest.approx(here)
         joint = DAWM.joint_names.index(option.nearest_limit)
         extent = DAWM.upper[joint] - DAWM.lower[joint]
         room = min(option.q[joint] - DAWM.lower[joint], DAWM.upper[joint] - option.q[joint])
         assert option.limit_share == pytest.approx(room / extent)
+        assert not option.hands_move
 
 
-def test_a_path_to_an_option_keeps_the_hands_still_and_everything_clear(options: list[Option]) -> None:
-    paths = [option.path for option in options if option.path is not None]
-    assert len(paths) >= 2
+def test_options_are_minima_of_their_own(options: list[Option]) -> None:
+    """Descending from all of them ends at as many places as there are options."""
+    task, q = problem(), np.array([option.q for option in options])
+    lower, _ = descend(task, q, task.energies(q), np.random.default_rng(16), 30)
+    apart = np.abs(lower[:, None] - lower).max(axis=2) + 10 * np.eye(len(q))
+    assert apart.min() > 0.1
+
+
+def test_every_option_has_a_path_that_keeps_the_hands_still_and_everything_clear(
+    options: list[Option],
+) -> None:
     poses = TRACKER.hands(DAWM.home)
     for option in options:
-        if option.path is None:
-            continue
+        assert option.path is not None, option.no_path
         np.testing.assert_array_equal(option.path[0], DAWM.home)
         np.testing.assert_allclose(option.path[-1], option.q, atol=1e-6)
         steps = np.abs(np.diff(option.path, axis=0))
@@ -148,14 +163,89 @@ def test_a_path_to_an_option_keeps_the_hands_still_and_everything_clear(options:
             assert EXACT.measure(q).room_m > 0
 
 
-def test_options_that_are_barred_leave_room_for_some_that_are_not(options: list[Option]) -> None:
-    space = HandsKept(TRACKER, TRACKER.hands(DAWM.home))
-    barred = [space.barred(DAWM.home, option.q) for option in options]
-    assert barred.count("") >= DRIVABLE
-    for why, option in zip(barred, options, strict=True):
-        if why:
-            assert option.no_path == why
-            assert "on another branch" in why
+STARTS = {robot: starts(CellModel.load(CELLS[robot]), robot, 3, seed=4711) for robot in ("gr", "dawm")}
+"""Configurations at random, some of which are near limits, bodies and singularities."""
+
+
+@pytest.mark.parametrize("robot", STARTS)
+def test_from_almost_every_start_some_option_is_better_and_can_be_driven_to(robot: str) -> None:
+    better = 0
+    for found in answers(robot):
+        assert found
+        assert all(option.path is not None for option in found[:1])
+        better += found[0].energy < 0.99 * found[0].energy_here
+    assert better >= len(STARTS[robot]) - 1
+
+
+@cache
+def answers(robot: str) -> list[list[Option]]:
+    return [advised_from(robot, q) for q in STARTS[robot]]
+
+
+def advised_from(robot: str, q: Array, **asked: Any) -> list[Option]:
+    cell = CellModel.load(CELLS[robot])
+    tracker = ConstraintTracker(cell.robots[robot])
+    may_leave = asked.pop("hands_may_leave", False)
+    task = AdvisorProblem(cell, robot, tracker.hands(q), None, tracker, None, may_leave)
+    return advise(task, q, generator=np.random.default_rng(17), **asked)
+
+
+@pytest.mark.parametrize("robot", STARTS)
+def test_an_option_is_no_nearer_to_a_limit_than_a_fiftieth_where_the_start_is_not(robot: str) -> None:
+    model = CellModel.load(CELLS[robot]).robots[robot]
+    extent = model.upper - model.lower
+    for q, found in zip(STARTS[robot], answers(robot), strict=True):
+        least = np.minimum(LIMIT_SHARE, np.minimum(q - model.lower, model.upper - q) / extent)
+        for option in found:
+            assert (np.minimum(option.q - model.lower, model.upper - option.q) / extent >= least - 1e-9).all()
+
+
+def test_a_start_that_is_best_is_an_option_that_needs_no_motion() -> None:
+    (best, *_) = advised_from("dawm", DAWM.home)
+    again = advised_from("dawm", best.q, effort=0.2)
+    assert again[0].energy == pytest.approx(best.energy, abs=2e-3)
+    assert again[0].path is not None
+
+
+def test_hands_that_may_leave_are_offered_more_and_that_is_told() -> None:
+    gr = CellModel.load("lab").robots["gr"]
+    found = advised_from("gr", gr.home, hands_may_leave=True, effort=0.3)
+    leaving = [option for option in found if option.hands_leave]
+    assert leaving
+    assert all(option.hands_move for option in leaving)
+    for option in found:
+        np.testing.assert_allclose(gr.forward(option.q), gr.forward(gr.home), atol=1e-9)
+        if option.path is not None:
+            off_m = max(np.linalg.norm((gr.forward(q) - gr.forward(gr.home))[:3, 3]) for q in option.path)
+            assert (off_m > 0.01) == option.hands_leave
+
+
+def test_an_arm_without_a_joint_to_spare_is_offered_its_other_branches() -> None:
+    (q,) = starts(CellModel.load("lab"), "fr", 1, seed=3)
+    found = advised_from("fr", q, hands_may_leave=True)
+    assert sum(option.hands_leave for option in found) >= 2
+    (here,) = [option for option in found if not option.hands_leave]
+    np.testing.assert_array_equal(here.q, q)
+    assert here.path is not None
+    assert len(here.path) == 1
+
+
+def test_a_trade_off_is_a_front_of_the_two_criteria_and_all_of_it_can_be_reached() -> None:
+    names = ("travel", "self_clearance")
+    found = advised_from("dawm", DAWM.home, trade_off=names)
+    costs = np.array([[option.costs[name] for name in names] for option in found])
+    assert len(found) >= 3
+    assert np.all(np.diff(costs[:, 0]) > 0)
+    assert np.all(np.diff(costs[:, 1]) < 0)
+    assert all(option.path is not None for option in found)
+
+
+def test_a_trade_off_that_is_none_is_refused() -> None:
+    with pytest.raises(CriterionError, match="no criterion 'travle'"):
+        advised_from("dawm", DAWM.home, trade_off=("travle", "speed"), effort=0.1)
+    elsewhere = DAWM.home + 0.1
+    with pytest.raises(AdvisorError, match="with the hands in place"):
+        advise(problem(), elsewhere, generator=np.random.default_rng(0), trade_off=("travel", "speed"))
 
 
 @pytest.mark.parametrize("joint", [0, 4], ids=["the torso", "an arm"])
@@ -178,8 +268,8 @@ def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
 def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     task = problem()
     space = HandsKept(TRACKER, task.poses)
-    ground = MotionValidator(task, space, DAWM.home[None], wider=1.0)
-    ways = PathPlanner(task, space, EXACT, np.random.default_rng(9), DAWM.home)
+    ground = MotionValidator(DAWM, space, EXACT, DAWM.home[None], wider=1.0)
+    ways = PathPlanner(DAWM, space, EXACT, np.random.default_rng(9), DAWM.home)
     found = 0
     for q in search(task, np.random.default_rng(10), effort=0.5).q[:60]:
         if ground.straight(DAWM.home[None], q[None])[0]:
@@ -209,8 +299,7 @@ def test_what_keeps_its_distance_is_told_as_it_is_measured(robot: str, room_m: f
 
 
 def test_a_tree_is_cut_where_an_edge_is_not_clear_and_leads_nowhere_from_there() -> None:
-    task = problem()
-    ground = MotionValidator(task, HandsMoved(DAWM), DAWM.home[None], wider=1.0)
+    ground = MotionValidator(DAWM, HandsMoved(DAWM), EXACT, DAWM.home[None], wider=1.0)
     tree, through = Tree(DAWM.home, ground), DAWM.home.copy()
     through[[2, 4, 10, 12]] = DAWM.lower[[2, 4, 10, 12]]
     near = DAWM.home - 0.05
@@ -252,10 +341,10 @@ def test_progress_grows_and_tells_the_least_energy_and_the_options_so_far() -> N
         go_on=lambda progress: told.append(progress) is None,
     )
     searching = [progress for progress in told if progress.doing == "searching"]
-    assert searching[-1].done == pytest.approx(1.0)
+    assert 0.0 < searching[-1].done <= 1.0
     assert all(later.done > earlier.done for earlier, later in pairwise(searching))
     assert all(later.energy <= earlier.energy for earlier, later in pairwise(searching))
-    assert all(later.trials > earlier.trials for earlier, later in pairwise(searching))
+    assert all(later.trials >= earlier.trials for earlier, later in pairwise(searching))
     (checked,) = [progress for progress in told if progress.doing == "checking"]
     assert {option.no_path for option in checked.options} == {NOT_LOOKED_FOR}
     for progress in told[told.index(checked) :]:

@@ -10,7 +10,6 @@ from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.motion_validator import FINE, FINE_SHARE, MARGIN_M
 from deltaq_controllers.advisor.parting import parted
 from deltaq_controllers.advisor.path_planner import PathPlanner
-from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
@@ -62,8 +61,7 @@ def test_a_path_begins_with_the_way_out() -> None:
     start = at_a_body(np.random.default_rng(1))
     space = HandsMoved(GR)
     goal = parted(GR, space, EXACT, start, 5 * ENOUGH_M)[-1]
-    problem = AdvisorProblem(CELL, "gr", TRACKER.hands(goal), None, TRACKER)
-    path = PathPlanner(problem, space, EXACT, np.random.default_rng(2), start).to(goal)
+    path = PathPlanner(GR, space, EXACT, np.random.default_rng(2), start).to(goal)
     out = parted(GR, space, EXACT, start, ENOUGH_M)
     np.testing.assert_array_equal(path[: len(out)], out)
     np.testing.assert_allclose(path[-1], goal, atol=1e-9)

@@ -122,7 +122,11 @@ def criteria() -> str:
         "# Performance criteria\n\nWhat `--criterion NAME=WEIGHT` weighs, "
         "of `deltaq advise` and `deltaq drive`. With x the value and x0 its "
         "reference the cost is `x / (x + x0)` where less is better and `x0 / (x + x0)` where more is, so that 0 is "
-        "good and 1 bad; the reference is the median over the robot's workspace, of `clearance` 0.1 m. Of several "
-        "hands the mean counts. Joint stiffness and the inertia of the drives are stand-ins.\n\n"
-        + table(columns, rows)
+        "good and 1 bad; the reference is the median over the robot's workspace, of clearances 0.1 m. Of several "
+        "hands the worst counts. Room is distance beyond the stop distance, by the gate's shapes, without pairs "
+        "whose distance the hands' poses fix; more than 0.25 m counts as that. D are the joints' greatest speeds and "
+        "A their accelerations.\n\nA cell's description has no joint stiffness, inertia of drives or torque limits: "
+        "the first two are stand-ins, and `t_j` is the torque that gives joint j its acceleration with the robot "
+        "at home, M_jj a_j. So `torque`, `relative_load` and `force` compare configurations, and say nothing "
+        "of what a robot can carry.\n\n" + table(columns, rows)
     )

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deltaq_controllers.advisor.exact import Clearance, ExactClearance
+from deltaq_controllers.advisor.component import Component
+from deltaq_controllers.advisor.exact import ExactClearance
+from deltaq_controllers.advisor.motion_validator import LIMIT_MARGIN, LIMIT_SHARE
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
-from deltaq_controllers.advisor.problem import AdvisorProblem
-from deltaq_controllers.advisor.search import Pool, search
-from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
+from deltaq_controllers.advisor.problem import AdvisorError, AdvisorProblem
+from deltaq_controllers.advisor.search import DISTINCT, Pool, check_method, search
+from deltaq_controllers.advisor.space import HandsKept, HandsMoved
+from deltaq_controllers.advisor.trade_off import front
+from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.criteria import TABLE, Postures
+from deltaq_controllers.criteria.near_bodies import Clearance, Kind
 from deltaq_controllers.criteria.normalised import cost
 from deltaq_protocol.arrays import Array
 
 THERE_M, THERE_RAD = 1e-4, 1e-3
 """The robot's hands count as being where they should be within this."""
-
-DRIVABLE = 3
-"""This many of the options can be driven to, if there are that many, even if others have less energy."""
 
 MEASURED = 100
 """Configurations that are measured exactly to find the options."""
@@ -44,6 +46,9 @@ class Option:
         start: (n,) configuration from which a path is searched for.
         path: (P, n) from there, clear of everything; None if none is known.
         no_path: why not; empty if there is one.
+        hands_leave: whether the hands are in place, and leave and come back on the way.
+        energy_here: energy of the configuration from which the advisor was asked.
+        nearest: of each kind of body that is near, the nearest pair whose distance the hands do not fix.
     """
 
     q: Array
@@ -57,6 +62,9 @@ class Option:
     start: Array
     path: Array | None = None
     no_path: str = NOT_LOOKED_FOR
+    hands_leave: bool = False
+    energy_here: float = float("nan")
+    nearest: Mapping[Kind, Clearance] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -87,103 +95,178 @@ def advise(
     method: str = "annealing",
     effort: float = 1.0,
     exact: ExactClearance | None = None,
+    trade_off: tuple[str, str] | None = None,
     go_on: Callable[[Progress], bool] = lambda _: True,
 ) -> list[Option]:
     """Ranked, distinct options.
 
-    The best is always among them. Options behind a singularity are replaced by reachable ones until `DRIVABLE`
-    are reachable.
+    With the hands in place they are the minima of what can be driven to from here, the best of them always among
+    them; or, if asked for, points of the front of two criteria there. Where hands may leave and come back, minima
+    elsewhere are options too, and marked. If hands are to go elsewhere, all configurations with the hands there are
+    searched.
 
     Args:
         problem: the task.
         present: (n,) where the robot is. If its hands are where the task has them, paths keep them there.
         generator: of random numbers.
         options: how many at most.
-        method: one of `METHODS`.
-        effort: of the method.
+        method: one of `METHODS`, for the search beyond what can be reached with the hands in place.
+        effort: of the search.
         exact: measures clearance; one with the other robots at home if not given.
+        trade_off: names of two criteria whose front is wanted in place of minima; the hands have to be in place.
         go_on: called after every step; once it returns False, the options found so far are returned at once.
 
     Returns:
-        Options, best first.
+        Options, best first; of a front the best by its first criterion first.
+
+    Raises:
+        AdvisorError: no such method, or a front with the hands elsewhere.
+        CriterionError: a front of an unknown criterion.
     """
     exact = exact or ExactClearance(problem.cell, problem.robot.name)
-    cancelled = False
+    return _Answer(problem, present, generator, options, exact, go_on).found(method, effort, trade_off)
 
-    def ask(doing: str, done: float, energy: float, found: tuple[Option, ...] = ()) -> bool:
-        nonlocal cancelled
-        cancelled = cancelled or not go_on(Progress(doing, done, energy, problem.count, found))
-        return not cancelled
 
-    pool = search(problem, generator, method, effort, ask)
-    there = hands_are_there(problem, present)
-    space: Space = HandsKept(problem.tracker, problem.poses) if there else HandsMoved(problem.robot)
-    found = _described(problem, pool, _chosen(pool, space, present, options, exact), present, not there)
-    ask("checking", 1.0, pool.best, tuple(found))
-    ways = PathPlanner(problem, space, exact, generator, present)
-    for number, option in enumerate(found):
-        try:
-            path = ways.to(option.q, lambda: not cancelled)
-            found[number] = replace(option, path=path, no_path="")
-        except NoPathError as error:
-            found[number] = replace(option, no_path=str(error))
-        ask("finding paths", (number + 1) / len(found), pool.best, tuple(found))
-    return found
+class _Answer:
+    """One answer as it becomes known."""
+
+    def __init__(
+        self,
+        problem: AdvisorProblem,
+        present: Array,
+        generator: np.random.Generator,
+        count: int,
+        exact: ExactClearance,
+        go_on: Callable[[Progress], bool],
+    ) -> None:
+        self._problem, self._present, self._generator = problem, present, generator
+        self._count, self._exact, self._go_on = count, exact, go_on
+        self._ended = False
+        self._best = float("inf")
+
+    def found(self, method: str, effort: float, trade_off: tuple[str, str] | None) -> list[Option]:
+        problem, present = self._problem, self._present
+        check_method(method)
+        moved = PathPlanner(problem.robot, HandsMoved(problem.robot), self._exact, self._generator, present)
+        if not hands_are_there(problem, present):
+            if trade_off is not None:
+                raise AdvisorError("a trade-off is looked for with the hands in place; leave out their poses")
+            pool = self._searched(method, effort)
+            found = self._described(*self._clear(pool, self._count), hands_move=True, hands_leave=False)
+            return self._with_paths(found, moved, moved)
+        space = HandsKept(problem.tracker, problem.poses)
+        kept = PathPlanner(problem.robot, space, self._exact, self._generator, present)
+        found = self._reached(kept.tree, effort, trade_off)
+        if problem.hands_may_leave and trade_off is None:
+            found += self._left(self._searched(method, effort), found)
+            found = sorted(found, key=lambda option: option.energy)[: self._count]
+        return self._with_paths(found, kept, moved)
+
+    def _reached(self, tree: Tree, effort: float, trade_off: tuple[str, str] | None) -> list[Option]:
+        """Options with the hands in place all the way."""
+        component = Component(self._problem, tree, self._generator)
+
+        def go_on(done: float) -> bool:
+            self._best = min(self._best, float(component.energy.min()))
+            return self._ask("searching", done)
+
+        ends = component.explore(effort, go_on)
+        self._ask("polishing", 0.0)
+        nodes = (
+            component.minima(ends, 2 * self._count)[: self._count]
+            if trade_off is None
+            else front(component, self._problem, trade_off, self._count)
+        )
+        self._best = min(self._best, float(component.energy.min()))
+        nodes = nodes[np.isfinite(component.energy[nodes])]
+        return self._described(tree.q[nodes], component.energy[nodes], hands_move=False, hands_leave=False)
+
+    def _left(self, pool: Pool, known: list[Option]) -> list[Option]:
+        """Options to which the hands leave: on other branches, or turned by a whole turn, or behind something."""
+        q, energy = self._clear(pool, self._count + len(known))
+        other = [
+            not any(np.abs(one - option.q).max() <= DISTINCT for option in known)
+            and (np.abs(one - self._present).max() > DISTINCT)
+            for one in q
+        ]
+        return self._described(q[other], energy[other], hands_move=True, hands_leave=True)
+
+    def _searched(self, method: str, effort: float) -> Pool:
+        def go_on(doing: str, done: float, energy: float) -> bool:
+            self._best = min(self._best, energy)
+            return self._ask(doing, done)
+
+        if not self._problem.free:
+            every = self._problem.try_all(np.empty((1, 0)))
+            best_first = np.argsort(every.energy, kind="stable")
+            return Pool(every.q[best_first], every.energy[best_first])
+        return search(self._problem, self._generator, method, effort, go_on)
+
+    def _clear(self, pool: Pool, count: int) -> tuple[Array, Array]:
+        """The best of a pool that are clear by the exact shapes, and no nearer to a limit than a path may be."""
+        robot = self._problem.robot
+        margin = np.maximum(LIMIT_MARGIN, LIMIT_SHARE * (robot.upper - robot.lower))
+        chosen: list[int] = []
+        for index, q in enumerate(pool.q[:MEASURED]):
+            if len(chosen) == count:
+                break
+            if ((q - robot.lower < margin) | (robot.upper - q < margin)).any():
+                continue
+            if self._exact.keeps(q[None]):
+                chosen.append(index)
+        return pool.q[chosen], pool.energy[chosen]
+
+    def _with_paths(self, found: list[Option], kept: PathPlanner, moved: PathPlanner) -> list[Option]:
+        self._ask("checking", 1.0, tuple(found))
+        for number, option in enumerate(found):
+            ways = moved if option.hands_move else kept
+            try:
+                is_here = (option.q == self._present).all()
+                path = self._present[None] if is_here else ways.to(option.q, lambda: not self._ended)
+                found[number] = replace(option, path=path, no_path="")
+            except NoPathError as error:
+                found[number] = replace(option, no_path=str(error))
+            self._ask("finding paths", (number + 1) / len(found), tuple(found))
+        return found
+
+    def _ask(self, doing: str, done: float, found: tuple[Option, ...] = ()) -> bool:
+        progress = Progress(doing, done, self._best, self._problem.count, found)
+        self._ended = self._ended or not self._go_on(progress)
+        return not self._ended
+
+    def _described(self, q: Array, energy: Array, *, hands_move: bool, hands_leave: bool) -> list[Option]:
+        if not len(q):
+            return []
+        problem, robot = self._problem, self._problem.robot
+        postures = Postures(problem.data, q)
+        values = {criterion.name: criterion.value(postures) for criterion in TABLE}
+        costs = {
+            criterion.name: cost(criterion, problem.references[criterion.name], values[criterion.name])
+            for criterion in TABLE
+        }
+        shares = np.minimum(q - robot.lower, robot.upper - q) / (robot.upper - robot.lower)
+        nearest = shares.argmin(axis=1)
+        here = float(problem.energies(self._present[None])[0])
+        return [
+            Option(
+                q=q[row],
+                energy=float(energy[row]),
+                values={name: float(column[row]) for name, column in values.items()},
+                costs={name: float(column[row]) for name, column in costs.items()},
+                clearance=self._exact.measure(q[row]),
+                nearest_limit=robot.joint_names[nearest[row]],
+                limit_share=float(shares[row, nearest[row]]),
+                hands_move=hands_move,
+                start=self._present,
+                hands_leave=hands_leave,
+                energy_here=here,
+                nearest=problem.data.bodies.nearest(q[row]),
+            )
+            for row in range(len(q))
+        ]
 
 
 def hands_are_there(problem: AdvisorProblem, q: Array) -> bool:
     """Whether the hands are where the task has them at `q` (n,)."""
     off = problem.tracker.hands(q) - problem.poses
     return bool(np.abs(off[:, :3, 3]).max() < THERE_M and np.abs(off[:, :3, :3]).max() < THERE_RAD)
-
-
-def _chosen(
-    pool: Pool, space: Space, present: Array, count: int, exact: ExactClearance
-) -> list[tuple[int, Clearance]]:
-    """Indices and clearances of the options, best first."""
-    best: list[tuple[int, Clearance]] = []
-    drivable: list[tuple[int, Clearance]] = []
-    for index, q in enumerate(pool.q[:MEASURED]):
-        clearance = exact.measure(q)
-        if clearance.room_m <= 0.0:
-            continue
-        if len(best) < count:
-            best.append((index, clearance))
-        if not space.barred(present, q):
-            drivable.append((index, clearance))
-        if len(best) == count and len(drivable) >= DRIVABLE:
-            break
-    wanted = drivable[: min(DRIVABLE, count)]
-    chosen = dict([*best[:1], *wanted, *best])
-    return sorted(list(chosen.items())[:count])
-
-
-def _described(
-    problem: AdvisorProblem, pool: Pool, chosen: list[tuple[int, Clearance]], present: Array, hands_move: bool
-) -> list[Option]:
-    if not chosen:
-        return []
-    robot = problem.robot
-    q = pool.q[[index for index, _ in chosen]]
-    postures = Postures(problem.data, q)
-    values = {criterion.name: criterion.value(postures) for criterion in TABLE}
-    costs = {
-        criterion.name: cost(criterion, problem.references[criterion.name], values[criterion.name])
-        for criterion in TABLE
-    }
-    shares = np.minimum(q - robot.lower, robot.upper - q) / (robot.upper - robot.lower)
-    nearest = shares.argmin(axis=1)
-    return [
-        Option(
-            q=q[row],
-            energy=float(pool.energy[index]),
-            values={name: float(column[row]) for name, column in values.items()},
-            costs={name: float(column[row]) for name, column in costs.items()},
-            clearance=clearance,
-            nearest_limit=robot.joint_names[nearest[row]],
-            limit_share=float(shares[row, nearest[row]]),
-            hands_move=hands_move,
-            start=present,
-        )
-        for row, (index, clearance) in enumerate(chosen)
-    ]

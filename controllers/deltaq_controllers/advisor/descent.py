@@ -6,13 +6,15 @@ free joints is `dE/du + dE/dq_arm dq_arm/du`. Steps are quasi-Newton ones (BFGS)
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.criteria import Postures
-from deltaq_protocol.arrays import Array
+from deltaq_protocol.arrays import Array, Flags, Indices
 
-LENGTHS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])
+LENGTHS = np.array([1.0, 0.4, 0.1, 0.02])
 """Fractions of a step that are tried."""
 
 DAMPING = 1e-6
@@ -39,12 +41,17 @@ def reduced_gradient(problem: AdvisorProblem, q: Array) -> Array:
 
 
 def descend(
-    problem: AdvisorProblem, q: Array, energy: Array, generator: np.random.Generator, steps: int
+    problem: AdvisorProblem,
+    q: Array,
+    energy: Array,
+    generator: np.random.Generator,
+    steps: int,
+    accept: Callable[[Indices, Array], Flags] | None = None,
 ) -> tuple[Array, Array]:
     """Descend from configurations, each on its branch.
 
-    Beside the quasi-Newton step two random ones of the same radius are tried, since a clearance has kinks at which
-    the gradient is one-sided.
+    Beside the quasi-Newton step a random one of the same radius is tried, since limits and obstacles may bar that of
+    the gradient.
 
     Args:
         problem: the task.
@@ -52,13 +59,15 @@ def descend(
         energy: (K,) their energies.
         generator: of random numbers.
         steps: how many.
+        accept: called with the rows that improve and where to (k, n); returns which of them may go there. All if
+            not given.
 
     Returns:
         (K, n) configurations and (K,) energies, none higher than before.
     """
     q, energy = q.copy(), energy.copy()
     count, m, base = len(q), problem.free, problem.tracker.base
-    if not count:
+    if not count or not m:
         return q, energy
     H = np.tile(np.eye(m), (count, 1, 1))
     radius = np.full(count, RADIUS)
@@ -67,7 +76,7 @@ def descend(
     for _ in range(steps):
         step = -(H @ gradient[:, :, None])[:, :, 0]
         step *= np.minimum(1.0, radius / np.maximum(np.linalg.norm(step, axis=1), 1e-12))[:, None]
-        blind = generator.normal(size=(count, 2, m))
+        blind = generator.normal(size=(count, 1, m))
         blind *= radius[:, None, None] / np.linalg.norm(blind, axis=2, keepdims=True)
         tries = np.concatenate([step[:, None] * LENGTHS[:, None], blind], axis=1)
         u = np.clip(q[:, None, base] + tries, problem.lower, problem.upper)
@@ -77,6 +86,8 @@ def descend(
         best = energies.argmin(axis=1)
         better = energies[rows, best] < energy
         chosen = tried.reshape(count, -1, problem.robot.n)[rows, best]
+        if accept is not None and better.any():
+            better[better] = accept(np.flatnonzero(better), chosen[better])
         moved = np.where(better[:, None], chosen[:, base] - q[:, base], 0.0)
         q[better], energy[better] = chosen[better], energies[rows, best][better]
         last, gradient = gradient, reduced_gradient(problem, q)

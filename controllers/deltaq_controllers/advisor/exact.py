@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import coal
 import numpy as np
@@ -14,22 +13,10 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import composite_model
 from deltaq_cell.group import Group
 from deltaq_cell.proximity import ProximityEngine
-from deltaq_protocol.arrays import Array
-
-
-@dataclass(frozen=True)
-class Clearance:
-    """The tightest pair of one configuration.
-
-    Attributes:
-        room_m: distance beyond the stop distance; negative is too near.
-        distance_m: distance.
-        pair: names of the two bodies.
-    """
-
-    room_m: float
-    distance_m: float
-    pair: tuple[str, str]
+from deltaq_controllers.criteria.near_bodies import Clearance
+from deltaq_controllers.criteria.screen import Screen, least_gaps
+from deltaq_controllers.kinematics import placement_views
+from deltaq_protocol.arrays import Array, Flags
 
 
 class ExactClearance:
@@ -60,6 +47,10 @@ class ExactClearance:
     def keeps(self, q: Array, room_m: float = 0.0) -> bool:
         """Whether all configurations (N, n) have more than `room_m` beyond the stop distances; stops at the first."""
         return self._kept.at(q, room_m)
+
+    def kept(self, q: Array, room_m: float = 0.0) -> Flags:
+        """(N,) whether each of the configurations (N, n) has more than `room_m` beyond the stop distances."""
+        return np.array([self._kept.at(one[None], room_m) for one in q], dtype=np.bool_)
 
     def measure(self, q: Array) -> Clearance:
         """The tightest pair at configuration `q` (n,)."""
@@ -92,7 +83,10 @@ class _KeptDistances:
                         numbers[body.name] = self._geometry.addGeometryObject(own)
                 self._geometry.addCollisionPair(pin.CollisionPair(*(numbers[body.name] for body in pair)))
         self._placed = self._geometry.createData()
-        self._stop_m = [group.stop_distance_m for group in groups for _ in group.pairs]
+        pairs = [(int(pair.first), int(pair.second)) for pair in self._geometry.collisionPairs]
+        self._screen = Screen.of(list(self._geometry.geometryObjects), pairs)
+        self._placements = placement_views(self._data)
+        self._stop_m = np.array([group.stop_distance_m for group in groups for _ in group.pairs])
         self._room_m = np.nan
         with warnings.catch_warnings():
             # as `deltaq_cell.group.make_reproducible` says
@@ -108,7 +102,7 @@ class _KeptDistances:
     def at(self, q: Array, room_m: float) -> bool:
         """Whether all configurations (N, n) keep more than `room_m` beyond the stop distances."""
         if room_m != self._room_m:
-            for request, stop_m in zip(self._placed.collisionRequests, self._stop_m, strict=True):
+            for request, stop_m in zip(self._placed.collisionRequests, self._stop_m.tolist(), strict=True):
                 request.security_margin = stop_m + room_m
             self._room_m = room_m
         return all(map(self._keeps, q))
@@ -116,5 +110,9 @@ class _KeptDistances:
     def _keeps(self, q: Array) -> bool:
         self.place(self._robot, q)
         pin.forwardKinematics(self._model, self._data, self._q)
+        gaps = least_gaps(self._screen, np.concatenate(self._placements), self._stop_m + self._room_m)
+        pairs = np.flatnonzero(np.isfinite(gaps)).tolist()
+        if not pairs:
+            return True
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed)
-        return not pin.computeCollisions(self._geometry, self._placed, True)
+        return not any(pin.computeCollision(self._geometry, self._placed, pair) for pair in pairs)

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.motion_validator import FINE_SHARE, MARGIN_M, MotionValidator
 from deltaq_controllers.advisor.parting import parted
-from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.advisor.space import Space
 from deltaq_controllers.advisor.trees import Tree, connected
 from deltaq_protocol.arrays import Array
@@ -36,7 +36,7 @@ class PathPlanner:
     """Finds paths from one configuration.
 
     Args:
-        problem: the task, for the robot and the bodies about.
+        robot: whose limits are kept.
         space: in which to look.
         exact: measures the paths that are returned.
         generator: of random numbers.
@@ -45,16 +45,16 @@ class PathPlanner:
 
     def __init__(
         self,
-        problem: AdvisorProblem,
+        robot: RobotModel,
         space: Space,
         exact: ExactClearance,
         generator: np.random.Generator,
         start: Array,
     ) -> None:
-        self._problem, self._space, self._exact, self._generator = problem, space, exact, generator
-        self._way_out = parted(problem.robot, space, exact, start, FINE_SHARE * MARGIN_M)
+        self._robot, self._space, self._exact, self._generator = robot, space, exact, generator
+        self._way_out = parted(robot, space, exact, start, FINE_SHARE * MARGIN_M)
         self._start = self._way_out[-1]
-        self._limits = problem.robot.lower[space.free], problem.robot.upper[space.free]
+        self._limits = robot.lower[space.free], robot.upper[space.free]
         self._trees: dict[float, Tree] = {}
 
     def to(self, goal: Array, go_on: Callable[[], bool] = lambda: True) -> Array:
@@ -77,7 +77,7 @@ class PathPlanner:
         ends = np.stack([self._start, goal])
         room_m = min(FINE_SHARE * MARGIN_M, *(max(0.0, 0.8 * self._exact.measure(q).room_m) for q in ends))
         for wider in WIDER:
-            ground = MotionValidator(self._problem, self._space, ends, wider)
+            ground = self._ground(ends, wider)
             corners = connected(self._tree(wider), goal, ground, self._limits, self._generator, ROUNDS, go_on)
             if not go_on():
                 raise NoPathError("the search for a path was ended")
@@ -88,11 +88,18 @@ class PathPlanner:
                     return np.concatenate([self._way_out[:-1], path])
         raise NoPathError("all paths found pass too close to limits or obstacles")
 
+    @property
+    def tree(self) -> Tree:
+        """What can be reached from the start, as far as it has been looked for."""
+        return self._tree(WIDER[0])
+
     def _tree(self, wider: float) -> Tree:
         if wider not in self._trees:
-            ground = MotionValidator(self._problem, self._space, self._start[None], wider)
-            self._trees[wider] = Tree(self._start, ground)
+            self._trees[wider] = Tree(self._start, self._ground(self._start[None], wider))
         return self._trees[wider]
+
+    def _ground(self, ends: Array, wider: float) -> MotionValidator:
+        return MotionValidator(self._robot, self._space, self._exact, ends, wider)
 
 
 def _paths(ground: MotionValidator, corners: Array) -> Iterator[Array]:

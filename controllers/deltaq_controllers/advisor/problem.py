@@ -21,8 +21,11 @@ from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array, Indices
 from deltaq_protocol.errors import DeltaqError
 
-WEIGHTS = {"travel": 1.0, "clearance": 1.0}
-"""The two criteria of the paper's own application: joint limits and collisions."""
+WEIGHTS = {"travel": 1.0, "obstacle_clearance": 1.0, "robot_clearance": 1.0, "self_clearance": 1.0}
+"""The two criteria of the paper's own application, joint limits and collisions, these by what may be hit."""
+
+ROBOTS = "robot_clearance"
+"""Left out of `WEIGHTS` where there is no other robot."""
 
 
 class AdvisorError(DeltaqError):
@@ -53,10 +56,13 @@ class AdvisorProblem:
         T_world_hands: (h, 4, 4) where its hands should be.
         weights: of the criteria.
         tracker: of the robot, where there is one already.
+        others: (n,) configuration of each other robot; at home if not given.
+        hands_may_leave: whether hands that are in place may leave on the way to an option, and come back.
 
     Attributes:
-        tracker: of the robot.
+        tracker, hands_may_leave: as given.
         data: of the robot, for the criteria.
+        weights: of the criteria, as given or `WEIGHTS`.
         energy: the weighted sum.
         lower: (m,) lower limits of the free joints.
         upper: (m,) their upper limits.
@@ -75,23 +81,46 @@ class AdvisorProblem:
         T_world_hands: Array,
         weights: Mapping[str, float] | None = None,
         tracker: ConstraintTracker | None = None,
+        others: Mapping[str, Array] | None = None,
+        hands_may_leave: bool = False,
     ) -> None:
         if robot not in cell.robots:
             raise AdvisorError(f"the cell has no robot {robot!r}; it has {', '.join(cell.robots)}")
         self.cell, self.robot = cell, cell.robots[robot]
         self.tracker = tracker or ConstraintTracker(self.robot)
-        self.data = RobotData(cell, robot, kinematics=self.tracker.kinematics)
-        if not len(self.tracker.base):
-            raise AdvisorError(f"robot '{robot}' is not redundant: there is nothing to advise on")
+        standing = {name: model.home for name, model in cell.robots.items()} | dict(others or {})
+        self.data = RobotData(cell, robot, kinematics=self.tracker.kinematics, others=standing)
+        self.hands_may_leave = hands_may_leave
+        if not len(self.tracker.base) and not hands_may_leave:
+            raise AdvisorError(
+                f"robot '{robot}' is not redundant: with its hand in place there is nothing to advise on, "
+                "unless the hand may leave and come back"
+            )
         self.poses = _checked(T_world_hands, len(self.robot.hands))
-        self.energy = Normalised(self.data, WEIGHTS if weights is None else weights)
+        if weights is None:
+            weights = {
+                name: weight for name, weight in WEIGHTS.items() if name != ROBOTS or len(cell.robots) > 1
+            }
+        self.weights = dict(weights)
+        self.energy = Normalised(self.data, self.weights)
         self.lower, self.upper = self.robot.lower[self.tracker.base], self.robot.upper[self.tracker.base]
         self.count = 0
 
-    def at(self, T_world_hands: Array) -> AdvisorProblem:
-        """The same with the hands (h, 4, 4) elsewhere, and no trials yet."""
+    def at(self, T_world_hands: Array, others: Mapping[str, Array] | None = None) -> AdvisorProblem:
+        """The same with the hands (h, 4, 4), and other robots (n,), elsewhere, and no trials yet."""
+        self.data.bodies.place(others or {})
         other = copy(self)
         other.poses, other.count = _checked(T_world_hands, len(self.robot.hands)), 0
+        return other
+
+    def weighed(self, weights: Mapping[str, float]) -> AdvisorProblem:
+        """The same with other criteria.
+
+        Raises:
+            CriterionError: an unknown criterion, or a weight that is negative or not finite.
+        """
+        other = copy(self)
+        other.energy = Normalised(self.data, weights, self.references)
         return other
 
     @property
@@ -162,8 +191,8 @@ class AdvisorProblem:
     def energies(self, q: Array) -> Array:
         """(N,) energies of configurations (N, n); infinite in collision."""
         postures = Postures(self.data, q)
-        clear = postures.nearest.room > 0.0
-        energy: Array = np.where(clear, self.energy.total(postures), np.inf)
+        energy: Array = self.energy.total(postures)
+        energy[postures.near.row[postures.near.room <= 0.0]] = np.inf
         return energy
 
 

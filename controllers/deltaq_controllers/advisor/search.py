@@ -81,8 +81,7 @@ def search(
     Raises:
         AdvisorError: no such method.
     """
-    if method not in METHODS:
-        raise AdvisorError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    check_method(method)
     pool = Pool(np.empty((0, problem.robot.n)))
     for found in METHODS[method](problem, generator, effort):
         pool.add(found.q, found.energy)
@@ -93,3 +92,9 @@ def search(
     pool.add(*descend(problem, pool.q[rough], pool.energy[rough], generator, POLISH_STEPS))
     kept = pool.distinct(POOL)
     return Pool(pool.q[kept], pool.energy[kept])
+
+
+def check_method(name: str) -> None:
+    """Raise an `AdvisorError` for a method that there is none."""
+    if name not in METHODS:
+        raise AdvisorError(f"no method {name!r}; there are {', '.join(METHODS)}")

@@ -12,7 +12,7 @@ from deltaq_controllers.advisor.advisor import Option, Progress, advise
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.path_planner import NoPathError, PathPlanner
 from deltaq_controllers.advisor.problem import AdvisorProblem
-from deltaq_controllers.advisor.space import HandsKept
+from deltaq_controllers.advisor.space import HandsKept, HandsMoved, Space
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
 
@@ -68,7 +68,7 @@ class AdvisorSession:
             go_on: called with every step, and with the options as they become known; returns whether anybody still
                 waits.
         """
-        self._problem = self._problem.at(self.tracker.hands(q))
+        self._problem = self._problem.at(self.tracker.hands(q), others)
         self._exact.place(others)
 
         def noted(progress: Progress) -> bool:
@@ -96,11 +96,13 @@ class AdvisorSession:
             go_on: called with the options at the end, and now and then; returns whether anybody still waits.
         """
         self._exact.place(others)
-        space = HandsKept(self.tracker, self._problem.poses)
         first = self._first[rank - 1]
+        robot = self.tracker.robot
+        kept: Space = HandsKept(self.tracker, self._problem.poses)
+        space = HandsMoved(robot) if first.hands_move else kept
 
         def path(start: Array) -> Array:
-            ways = PathPlanner(self._problem, space, self._exact, self._generator, start)
+            ways = PathPlanner(robot, space, self._exact, self._generator, start)
             return ways.to(first.q, lambda: go_on(self._progress))
 
         try:

@@ -45,12 +45,12 @@ class Tree:
     def __len__(self) -> int:
         return len(self.q)
 
-    def add(self, q: Array, parents: Indices) -> Indices:
-        """Add nodes (k, n) whose edges have not been checked over their whole length; returns their numbers."""
+    def add(self, q: Array, parents: Indices, is_sure: bool = False) -> Indices:
+        """Add nodes (k, n); `is_sure` if their edges have been checked over their whole length. Their numbers."""
         first = len(self.q)
         self.q = np.concatenate([self.q, q])
         self._parent = np.append(self._parent, parents)
-        self._is_sure = np.append(self._is_sure, np.zeros(len(q), dtype=np.bool_))
+        self._is_sure = np.append(self._is_sure, np.full(len(q), is_sure))
         self._is_cut = np.append(self._is_cut, np.zeros(len(q), dtype=np.bool_))
         return np.arange(first, len(self.q))
 
@@ -95,6 +95,26 @@ class Tree:
         free = self.ground.space.free
         targets = generator.uniform(lower, upper, (EXTENSIONS, len(free)))
         targets[:TOWARDS] = other.q[generator.integers(len(other), size=TOWARDS)][:, free]
+        new = self.extend(targets)
+        nearest_first: Indices = new[np.argsort(other._distances(self.q[new][:, free]).min(axis=1))]
+        return nearest_first
+
+    def spread(self, lower: Array, upper: Array, generator: np.random.Generator) -> Indices:
+        """Extend towards random free joints between `lower` and `upper` (m,), half of them about nodes of its own.
+
+        Returns:
+            The new nodes.
+        """
+        free = self.ground.space.free
+        targets = generator.uniform(lower, upper, (EXTENSIONS, len(free)))
+        half = EXTENSIONS // 2
+        about = self.q[generator.integers(len(self), size=half)][:, free]
+        targets[:half] = np.clip(about + generator.normal(size=about.shape) * REACH, lower, upper)
+        return self.extend(targets)
+
+    def extend(self, targets: Array) -> Indices:
+        """Extend the nearest nodes towards free joints (k, m), by `REACH` at most; returns the new nodes."""
+        free = self.ground.space.free
         parents = self.nearest(targets)
         origin = self.q[parents]
         change = targets - origin[:, free]
@@ -102,9 +122,7 @@ class Tree:
         way, passes = self.ground.walk(origin, origin[:, free] + change)
         for place in (way.shape[1] - 1, way.shape[1] // 2):
             passes[passes] = self.ground.clear(way[passes, place])
-        new = self.add(way[passes, -1], parents[passes])
-        nearest_first: Indices = new[np.argsort(other._distances(self.q[new][:, free]).min(axis=1))]
-        return nearest_first
+        return self.add(way[passes, -1], parents[passes])
 
     def _distances(self, targets: Array) -> Array:
         """(k, K) distances of the nodes from free joints (k, m); infinite for those that are cut off."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deltaq_controllers.criteria.hands import of_worst, singular
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array
 
@@ -54,47 +55,18 @@ def limits_gradient(postures: Postures) -> Array:
     return gradient
 
 
-def clearance(postures: Postures) -> Array:
-    """Least distance beyond the stop distance [m]."""
-    return postures.nearest.room
-
-
-def clearance_gradient(postures: Postures) -> Array:
-    """Of `clearance`, the nearest points followed as they are carried."""
-    nearest, kinematics = postures.nearest, postures.data.kinematics
-    joints = postures.data.field.joints
-    gradient = np.zeros_like(postures.q)
-    for capsules, points, sign in (
-        (nearest.first, nearest.on_first, 1.0),
-        (nearest.second, nearest.on_second, -1.0),
-    ):
-        carriers = np.where(capsules >= 0, joints[capsules], -1)
-        for joint in np.unique(carriers[carriers >= 0]):
-            rows = np.flatnonzero(carriers == joint)
-            J = kinematics.jacobian(postures.frames, int(joint), points)[rows, :3]
-            gradient[rows] += sign * np.einsum("na,naj->nj", nearest.away[rows], J)
-    return gradient
-
-
-def _singular(J: Array, H: Array) -> tuple[Array, Array]:
-    """(N, h, k) singular values of J (N, h, r, n), and their (N, h, k, n) derivatives from H (N, h, r, n, n)."""
-    U, values, Vt = np.linalg.svd(J, full_matrices=False)
-    return values, np.einsum("nhak,nhaji,nhkj->nhki", U, H, Vt, optimize=True)
-
-
 def speed(postures: Postures) -> Array:
     """Least singular value of J_v D [m/s]."""
     values = np.linalg.svd(_fast(postures), compute_uv=False)
-    slowest: Array = values[..., -1].mean(axis=1)
+    slowest: Array = values[..., -1].min(axis=1)
     return slowest
 
 
 def speed_gradient(postures: Postures) -> Array:
     """Of `speed`."""
     D = postures.data.robot.max_velocity
-    _, derivatives = _singular(_fast(postures), postures.hessians[:, :, :3] * D[:, None])
-    gradient: Array = derivatives[:, :, -1].mean(axis=1)
-    return gradient
+    values, derivatives = singular(_fast(postures), postures.hessians[:, :, :3] * D[:, None])
+    return of_worst(values[..., -1], "more", derivatives[:, :, -1])
 
 
 def _fast(postures: Postures) -> Array:
@@ -105,48 +77,46 @@ def _fast(postures: Postures) -> Array:
 def manipulability(postures: Postures) -> Array:
     """Product of the singular values."""
     values = np.linalg.svd(postures.jacobians, compute_uv=False)
-    product: Array = values.prod(axis=2).mean(axis=1)
+    product: Array = values.prod(axis=2).min(axis=1)
     return product
 
 
 def manipulability_gradient(postures: Postures) -> Array:
     """Of `manipulability`."""
-    values, derivatives = _singular(postures.jacobians, postures.hessians)
+    values, derivatives = singular(postures.jacobians, postures.hessians)
     count = values.shape[2]
     # the product of all others, without dividing: a singular value may be zero
     others = np.stack([np.delete(values, k, axis=2).prod(axis=2) for k in range(count)], axis=2)
-    gradient: Array = np.einsum("nhk,nhki->nhi", others, derivatives).mean(axis=1)
-    return gradient
+    each = np.einsum("nhk,nhki->nhi", others, derivatives)
+    return of_worst(values.prod(axis=2), "more", each)
 
 
 def condition(postures: Postures) -> Array:
     """Inverse condition number."""
     values = np.linalg.svd(postures.jacobians, compute_uv=False)
-    ratio: Array = (values[..., -1] / values[..., 0]).mean(axis=1)
+    ratio: Array = (values[..., -1] / values[..., 0]).min(axis=1)
     return ratio
 
 
 def condition_gradient(postures: Postures) -> Array:
     """Of `condition`."""
-    values, derivatives = _singular(postures.jacobians, postures.hessians)
+    values, derivatives = singular(postures.jacobians, postures.hessians)
     least, greatest = values[..., -1, None], values[..., 0, None]
     each = (derivatives[:, :, -1] - least / greatest * derivatives[:, :, 0]) / greatest
-    gradient: Array = each.mean(axis=1)
-    return gradient
+    return of_worst(values[..., -1] / values[..., 0], "more", each)
 
 
 def smallest(postures: Postures) -> Array:
     """Least singular value."""
     values = np.linalg.svd(postures.jacobians, compute_uv=False)
-    least: Array = values[..., -1].mean(axis=1)
+    least: Array = values[..., -1].min(axis=1)
     return least
 
 
 def smallest_gradient(postures: Postures) -> Array:
     """Of `smallest`."""
-    _, derivatives = _singular(postures.jacobians, postures.hessians)
-    gradient: Array = derivatives[:, :, -1].mean(axis=1)
-    return gradient
+    values, derivatives = singular(postures.jacobians, postures.hessians)
+    return of_worst(values[..., -1], "more", derivatives[:, :, -1])
 
 
 def _mobility(postures: Postures) -> tuple[Array, Array]:
@@ -159,7 +129,7 @@ def _mobility(postures: Postures) -> tuple[Array, Array]:
 def effective_mass(postures: Postures) -> Array:
     """Mass felt at the hand [kg]."""
     _, trace = _mobility(postures)
-    mass: Array = (3.0 / trace).mean(axis=1)
+    mass: Array = (3.0 / trace).max(axis=1)
     return mass
 
 
@@ -168,8 +138,7 @@ def effective_mass_gradient(postures: Postures) -> Array:
     X, trace = _mobility(postures)
     change = 2.0 * np.einsum("nhaji,nhja->nhi", postures.hessians[:, :, :3], X, optimize=True)
     change -= np.einsum("nhja,njki,nhka->nhi", X, postures.mass_derivatives, X, optimize=True)
-    gradient: Array = (-3.0 / np.square(trace)[..., None] * change).mean(axis=1)
-    return gradient
+    return of_worst(3.0 / trace, "less", -3.0 / np.square(trace)[..., None] * change)
 
 
 def effective_mass_rate(postures: Postures) -> Array:
@@ -198,28 +167,27 @@ def _shares(postures: Postures) -> tuple[Array, Array]:
 def compliance(postures: Postures) -> Array:
     """Mean deflection of the hand per force [m/N]."""
     Jv = postures.jacobians[:, :, :3]
-    value: Array = (np.square(Jv).sum(axis=2) / postures.data.stiffness).sum(axis=2).mean(axis=1) / 3.0
+    value: Array = (np.square(Jv).sum(axis=2) / postures.data.stiffness).sum(axis=2).max(axis=1) / 3.0
     return value
 
 
 def compliance_gradient(postures: Postures) -> Array:
     """Of `compliance`."""
-    _, derivatives = _shares(postures)
-    gradient: Array = derivatives.sum(axis=2).mean(axis=1) / 3.0
-    return gradient
+    shares, derivatives = _shares(postures)
+    return of_worst(shares.sum(axis=2), "less", derivatives.sum(axis=2)) / 3.0
 
 
 def potential_partition(postures: Postures) -> Array:
     """How unevenly the joints share the deflection."""
     shares = np.square(postures.jacobians[:, :, :3]).sum(axis=2) / postures.data.stiffness
-    value: Array = _unevenness(shares).mean(axis=1)
+    value: Array = _unevenness(shares).max(axis=1)
     return value
 
 
 def potential_partition_gradient(postures: Postures) -> Array:
     """Of `potential_partition`."""
-    gradient: Array = _unevenness_gradient(*_shares(postures)).mean(axis=1)
-    return gradient
+    shares, derivatives = _shares(postures)
+    return of_worst(_unevenness(shares), "less", _unevenness_gradient(shares, derivatives))
 
 
 def _energies(postures: Postures) -> Array:

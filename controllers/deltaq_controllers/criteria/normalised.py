@@ -29,6 +29,7 @@ class Normalised:
     Args:
         data: of the robot.
         weights: criterion to weight, not negative.
+        known: references by criterion, where they are known already.
 
     Attributes:
         criteria: those with a weight, in the order of the weights.
@@ -39,7 +40,9 @@ class Normalised:
         CriterionError: an unknown criterion, or a weight that is negative or not finite.
     """
 
-    def __init__(self, data: RobotData, weights: Mapping[str, float]) -> None:
+    def __init__(
+        self, data: RobotData, weights: Mapping[str, float], known: Mapping[str, float] | None = None
+    ) -> None:
         for name, weight in weights.items():
             if name not in BY_NAME:
                 raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
@@ -47,7 +50,11 @@ class Normalised:
                 raise CriterionError(f"the weight of {name} must be a finite number, 0 or more, got {weight}")
         self.criteria = tuple(BY_NAME[name] for name, weight in weights.items() if weight > 0.0)
         self.weights = np.array([weight for weight in weights.values() if weight > 0.0])
-        self.references = references(data, self.criteria)
+        self.references = (
+            references(data, self.criteria)
+            if known is None
+            else np.array([known[criterion.name] for criterion in self.criteria])
+        )
 
     def costs(self, postures: Postures) -> Array:
         """(N, k) cost by criterion."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -9,11 +10,13 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.batch import BatchKinematics, FrameBatch
-from deltaq_controllers.criteria.clearance import ClearanceField, NearestBodies
+from deltaq_controllers.criteria.near_bodies import NearBodies, NearPairs
 from deltaq_protocol.arrays import Array
 
 STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
 """Joint stiffness where none is given: stand-ins [N m/rad and N/m]."""
+
+GRAVITY_M_S2 = 9.80665
 
 ROTOR_RAD, ROTOR_M = 0.05, 1.0
 """What a joint's drive adds to the mass matrix, seen through its gear: stand-ins [kg m^2 and kg]."""
@@ -27,6 +30,7 @@ class RobotData:
         robot: name of the robot.
         stiffness: (n,) of the joints [N m/rad or N/m]; stand-ins if not given.
         kinematics: of the robot, where there is one already.
+        others: (n,) configuration of each other robot that counts as a body about; none if not given.
     """
 
     def __init__(
@@ -35,10 +39,11 @@ class RobotData:
         robot: str,
         stiffness: Array | None = None,
         kinematics: BatchKinematics | None = None,
+        others: Mapping[str, Array] | None = None,
     ) -> None:
         self.robot = cell.robots[robot]
         self.kinematics = kinematics or BatchKinematics(self.robot)
-        self.field = ClearanceField(cell, robot)
+        self.bodies = NearBodies(cell, robot, others)
         given = np.where(self.robot.revolute, STIFFNESS_RAD, STIFFNESS_M)
         self.stiffness: Array = given if stiffness is None else np.asarray(stiffness, dtype=np.float64)
         self.rotors = np.where(self.robot.revolute, ROTOR_RAD, ROTOR_M)
@@ -46,6 +51,13 @@ class RobotData:
         self.masses = np.array([float(inertia.mass) for inertia in inertias])
         self.centres = np.array([inertia.lever for inertia in inertias])
         self.inertias = np.array([inertia.inertia for inertia in inertias])
+
+    @cached_property
+    def torques(self) -> Array:
+        """(n,) torque that gives each joint its acceleration with the robot at home [N m or N]: a stand-in."""
+        (masses,) = Postures(self, self.robot.home).masses
+        torques: Array = np.diagonal(masses) * self.robot.max_acceleration
+        return torques
 
 
 class Postures:
@@ -71,9 +83,27 @@ class Postures:
         return self._frames or self.data.kinematics.frames(self.q)
 
     @cached_property
-    def nearest(self) -> NearestBodies:
-        """The tightest pair of bodies of each."""
-        return self.data.field.nearest(self.frames, len(self))
+    def near(self) -> NearPairs:
+        """The nearest pairs of bodies of each."""
+        return self.data.bodies.near(self.q)
+
+    @cached_property
+    def near_rates(self) -> Array:
+        """(e, n) change of the distance of each near pair by the joints, its nearest points carried along."""
+        near, kinematics = self.near, self.data.kinematics
+        rates = np.zeros((len(near.row), self.q.shape[1]))
+        if not len(near.row):
+            return rates
+        axes, origins = kinematics.columns(self.frames)
+        axes, origins, away = axes[near.row], origins[near.row], near.away[:, None]
+        # away . (axis x r) = (away x axis) . r
+        turned = np.cross(away, axes)
+        slid = (away * axes).sum(axis=2)
+        for carriers, points, sign in ((near.first, near.on_first, 1.0), (near.second, near.on_second, -1.0)):
+            along = np.einsum("eni,eni->en", turned, points[:, None] - origins)
+            columns = np.where(kinematics.revolute, along, slid)
+            rates += sign * columns * (kinematics.moves[carriers] & (carriers >= 0)[:, None])
+        return rates
 
     @cached_property
     def jacobians(self) -> Array:
@@ -114,6 +144,22 @@ class Postures:
             by_joint = turning[:, None] @ turned.transpose(0, 1, 3, 2) @ angular[:, None]
             half += by_joint.transpose(0, 2, 3, 1)
             total += half + half.transpose(0, 2, 1, 3)
+        return total
+
+    @cached_property
+    def gravity(self) -> Array:
+        """(N, n) torque or force of gravity against each joint [N m or N]."""
+        total = np.zeros_like(self.q)
+        for mass, J, _, _ in self._links:
+            total += GRAVITY_M_S2 * mass * J[:, 2]
+        return total
+
+    @cached_property
+    def gravity_derivatives(self) -> Array:
+        """(N, n, n) its derivative by joint i at `[..., i]`."""
+        total = np.zeros((*self.q.shape, self.data.robot.n))
+        for mass, J, _, joint in self._links:
+            total += GRAVITY_M_S2 * mass * _hessian(J, self.data.kinematics.moves[joint])[:, 2]
         return total
 
     @cached_property

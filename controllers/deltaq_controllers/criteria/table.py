@@ -1,8 +1,10 @@
 """The performance criteria of Hooper and Noakes, Table 2, as one table; each category has at least two.
 
 The paper names the categories; the formulas are from the sources named in each row. Where a robot has several hands, a
-criterion of a hand is the mean over its hands. Speeds are the joints' limits, `D = diag(max_velocity)`; lengths are
-weighed against angles at 1 m to 1 rad.
+criterion of a hand is that of its worst hand: a mean would hide one that is singular. Room is distance beyond the stop
+distance, by the gate's shapes; pairs whose distance the hands' poses fix are left out. Speeds are the joints' limits,
+`D = diag(max_velocity)`; lengths are weighed against angles at 1 m to 1 rad. `t_j` is the torque that gives joint j its
+acceleration: a cell's description has no torque limits.
 """
 
 from __future__ import annotations
@@ -12,19 +14,21 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-from deltaq_controllers.criteria import formulas
+from deltaq_controllers.criteria import clearances, formulas, loads
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array
 
 
 class Category(StrEnum):
-    """The categories of Table 2."""
+    """The categories of Table 2, and two that the introduction lists."""
 
     CONSTRAINT = "constraint"
     GEOMETRIC = "geometric"
     INERTIAL = "inertial"
     COMPLIANCE = "compliance"
     KINETIC_ENERGY = "kinetic energy"
+    DUAL_ARM = "dual arm"
+    TASK = "task"
 
 
 @dataclass(frozen=True)
@@ -74,10 +78,40 @@ TABLE: tuple[Criterion, ...] = (
         formulas.speed, formulas.speed_gradient,
     ),
     Criterion(
+        "acceleration", Category.CONSTRAINT,
+        "least singular value of J_v A, A the joints' accelerations: the hand's in its slowest direction",
+        "Van Doren and Tesar, acceleration availability", "m/s^2", "more",
+        loads.acceleration, loads.acceleration_gradient,
+    ),
+    Criterion(
+        "torque", Category.CONSTRAINT,
+        "mean over the joints of (gravity's torque / t_j)^2",
+        "Van Doren and Tesar, torque availability", "1", "less",
+        loads.torque, loads.torque_gradient,
+    ),
+    Criterion(
         "clearance", Category.CONSTRAINT,
-        "least distance of two bodies beyond their stop distance, bodies taken for capsules",
+        "smooth minimum of the room of the nearest pairs of all pairs",
         "approach to collisions of Hooper and Noakes, III-C", "m", "more",
-        formulas.clearance, formulas.clearance_gradient, reference=0.1,
+        clearances.clearance, clearances.clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "obstacle_clearance", Category.CONSTRAINT,
+        "smooth minimum of the room of the nearest pairs of the robot and the structure",
+        "Hooper and Noakes, I: obstacle avoidance, environment", "m", "more",
+        clearances.obstacle_clearance, clearances.obstacle_clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "robot_clearance", Category.CONSTRAINT,
+        "smooth minimum of the room of the nearest pairs of the robot and other robots as they stand",
+        "Hooper and Noakes, I: obstacle avoidance, environment", "m", "more",
+        clearances.robot_clearance, clearances.robot_clearance_gradient, reference=0.1,
+    ),
+    Criterion(
+        "self_clearance", Category.CONSTRAINT,
+        "smooth minimum of the room of the nearest pairs of two bodies of the robot",
+        "Hooper and Noakes, I: obstacle avoidance, system", "m", "more",
+        clearances.self_clearance, clearances.self_clearance_gradient, reference=0.1,
     ),
     Criterion(
         "manipulability", Category.GEOMETRIC,
@@ -132,6 +166,42 @@ TABLE: tuple[Criterion, ...] = (
         "sum of p_j^2 with p_j = s_j / sum s, s_j = M_jj D_j^2 / 2: 1/n even, 1 all in one joint",
         "Van Doren and Tesar, kinetic energy partition values", "1", "less",
         formulas.kinetic_partition, formulas.kinetic_partition_gradient,
+    ),
+    Criterion(
+        "relative_load", Category.DUAL_ARM,
+        "greatest fraction of one arm in the sum of (gravity's torque / t_j)^2 over the arms",
+        "Hooper and Noakes, I: relative load", "1", "less",
+        loads.relative_load, loads.relative_load_gradient,
+    ),
+    Criterion(
+        "relative_energy", Category.DUAL_ARM,
+        "greatest fraction of one arm in the sum of M_jj D_j^2 / 2 over the arms",
+        "Hooper and Noakes, I: energy", "1", "less",
+        loads.relative_energy, loads.relative_energy_gradient,
+    ),
+    Criterion(
+        "relative_compliance", Category.DUAL_ARM,
+        "tr(J_r K^-1 J_r^T) / 3, J_r = J_v of one hand less that of the other: their deflection against each other",
+        "Hooper and Noakes, I: compliance", "m/N", "less",
+        loads.relative_compliance, loads.relative_compliance_gradient,
+    ),
+    Criterion(
+        "force", Category.TASK,
+        "1 / greatest singular value of J_v diag(1 / t_j): force in the weakest direction",
+        "Hooper and Noakes, I: force; Chiu 1988", "N", "more",
+        loads.force, loads.force_gradient,
+    ),
+    Criterion(
+        "deformation", Category.TASK,
+        "greatest singular value of J_v K^-1 J_v^T: deflection per force in the softest direction",
+        "Hooper and Noakes, I: deformation", "m/N", "less",
+        loads.deformation, loads.deformation_gradient,
+    ),
+    Criterion(
+        "dexterity", Category.TASK,
+        "least over greatest singular value of J_v",
+        "Hooper and Noakes, I: dexterity; Salisbury and Craig 1982", "1", "more",
+        loads.dexterity, loads.dexterity_gradient,
     ),
 )  # fmt: skip
 """All criteria."""

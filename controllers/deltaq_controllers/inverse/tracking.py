@@ -133,8 +133,7 @@ class ConstraintTracker:
     def walk(self, origin: Array, target: Array, T_world_hands: Array, pieces: int) -> Array:
         """Paths that are straight in the base, the hands kept, each arm following without a change of branch.
 
-        All branches of all configurations are solved at once, and each is continued by the nearest branch of the next
-        configuration. Limits are not checked.
+        All branches of all configurations are solved at once, and each arm keeps its own. Limits are not checked.
 
         Args:
             origin: (N, n) configurations with the hands in place.
@@ -146,28 +145,20 @@ class ConstraintTracker:
             (N, pieces + 1, n) configurations from each origin on; NaN from where an arm cannot reach.
         """
         count, rows = len(origin), np.arange(len(origin))
-        shares = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
+        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
         base = origin[:, None, self.base] + shares * (target - origin[:, self.base])[:, None]
         way = np.empty((count, pieces + 1, self.robot.n))
-        way[:, 0], way[:, 1:, self.base] = origin, base
+        way[:, 0], way[:, 1:, self.base] = origin, base[:, 1:]
         hint = origin[0] if count else None
         solved = self.solve(base.reshape(-1, len(self.base)), T_world_hands, hint)
         for arm, branches in zip(self.arms, solved, strict=True):
-            q = np.where(branches.exists[:, :, None], branches.q, np.nan).reshape(
-                count, pieces, 8, ARM_JOINTS
-            )
-            start = origin[:, arm.joints]
-            first = wrapped(q[:, 0] - start[:, None])
-            branch = _largest(first).argmin(axis=1)
-            angles = start + first[rows, branch]
-            changes = wrapped(q[:, 1:, None] - q[:, :-1, :, None])
-            following = _largest(changes).argmin(axis=3)
-            steps = np.take_along_axis(changes, following[..., None, None], axis=3)[:, :, :, 0]
-            for piece in range(pieces):
-                if piece > 0:
-                    angles = angles + steps[rows, piece - 1, branch]
-                    branch = following[rows, piece - 1, branch]
-                way[:, piece + 1, arm.joints] = angles
+            q = np.where(branches.exists[:, :, None], branches.q, np.nan)
+            q = q.reshape(count, pieces + 1, 8, ARM_JOINTS)
+            # two branches touch in a singularity, where the nearest one may be the other
+            branch = _largest(wrapped(q[:, 0] - origin[:, None, arm.joints])).argmin(axis=1)
+            followed = q[rows, :, branch]
+            steps = wrapped(np.diff(followed, axis=1))
+            way[:, 1:, arm.joints] = origin[:, None, arm.joints] + np.cumsum(steps, axis=1)
         way[:, 1:][~np.isfinite(way[:, 1:]).all(axis=2)] = np.nan
         return way
 

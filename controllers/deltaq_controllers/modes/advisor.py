@@ -9,8 +9,8 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
 from deltaq_controllers.advisor.answered import Answered
-from deltaq_controllers.advisor.exact import Clearance
 from deltaq_controllers.advisor.time_parameterisation import Route, timed
+from deltaq_controllers.criteria.near_bodies import Clearance
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked

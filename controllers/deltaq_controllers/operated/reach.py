@@ -12,8 +12,9 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.answered import Answered
-from deltaq_controllers.advisor.exact import Clearance, ExactClearance
+from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.time_parameterisation import timed
+from deltaq_controllers.criteria.near_bodies import Clearance
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.advisor import AdvisorMode

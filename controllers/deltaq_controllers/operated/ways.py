@@ -7,7 +7,7 @@ import numpy as np
 from deltaq_controllers.advisor.advisor import Option
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import MOST_WAY_POINTS, Search, Way
+from deltaq_protocol.driving import MOST_WAY_POINTS, NearPair, Search, Way
 
 _DECIMALS = 5
 """Of what is only drawn [rad or m]."""
@@ -21,7 +21,13 @@ def option_way(rank: int, option: Option) -> Way:
         points=() if option.path is None else points(option.path),
         why_not="" if option.path is not None else option.no_path,
         energy=option.energy,
+        energy_here=option.energy_here if np.isfinite(option.energy_here) else None,
         costs=option.costs,
+        near={
+            kind.name.lower(): NearPair(distance_m=one.distance_m, pair=one.pair)
+            for kind, one in option.nearest.items()
+        },
+        hands_leave=option.hands_leave,
         clearance_m=option.clearance.distance_m,
         pair=option.clearance.pair,
         nearest_limit=option.nearest_limit,

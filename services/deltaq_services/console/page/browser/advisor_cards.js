@@ -4,12 +4,14 @@ import { el, say } from "./dom.js";
 import { holds } from "./hold.js";
 
 const TITLES = {
-  travel: "joint travel", clearance: "clearance", limits: "joint limits", speed: "hand speed", manipulability: "manipulability",
+  travel: "joint travel", clearance: "clearance", obstacle_clearance: "from obstacles", robot_clearance: "from other robots",
+  self_clearance: "from itself", limits: "joint limits", speed: "hand speed", manipulability: "manipulability",
   condition: "condition", smallest_singular_value: "least singular value", effective_mass: "effective mass",
   effective_mass_rate: "its change", compliance: "compliance", potential_energy_partition: "share of springs",
   kinetic_energy: "kinetic energy", kinetic_energy_partition: "share of inertia",
 };
-const FIRST = ["travel", "clearance"]; // what options are ranked by
+const FIRST = ["travel", "obstacle_clearance", "robot_clearance", "self_clearance"]; // what options are ranked by
+const KINDS = { environment: "obstacles", robots: "other robots", self: "itself" };
 
 /** A criterion's cost, 0 good to 1 bad, as a score of a hundred. */
 export const score = (cost) => Math.round(100 * (1 - Math.min(1, Math.max(0, cost))));
@@ -17,6 +19,16 @@ export const score = (cost) => Math.round(100 * (1 - Math.min(1, Math.max(0, cos
 function bar(name, cost) {
   return el("li", { title: `${TITLES[name] ?? name}: ${score(cost)} of 100` },
     el("span", {}, TITLES[name] ?? name), el("i", { style: `--score: ${score(cost)}%` }), el("b", {}, String(score(cost))));
+}
+
+function near(name, { distance_m, pair }) {
+  return el("p", { class: "doing" }, `${(100 * distance_m).toFixed(1)} cm to ${name}: ${pair.join(" and ")}`);
+}
+
+/** What the option is ranked by, and what it gains over where the robot is. */
+function energy({ energy, energy_here }) {
+  const gain = energy_here ? `, ${Math.round(100 * (1 - energy / energy_here))} % less than here` : "";
+  return `energy ${energy.toFixed(3)}${gain}`;
 }
 
 /**
@@ -46,10 +58,11 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     const costs = Object.entries(way.costs);
     const rest = costs.filter(([name]) => !FIRST.includes(name));
     const item = el("li", { class: "card-option", "data-option": way.rank, tabindex: 0 },
-      el("header", {}, el("b", {}, `${way.rank}`), el("span", {}, `energy ${way.energy.toFixed(3)}`), el("small", {}, `${way.nearest_limit} ${Math.round(100 * way.limit_share)} % from its limit`)),
+      el("header", {}, el("b", {}, `${way.rank}`), el("span", {}, energy(way)), el("small", {}, `${way.nearest_limit} ${Math.round(100 * way.limit_share)} % from its limit`)),
       thumbnails.of(views.find(({ name }) => name === driven.name), way.q),
       el("ul", { class: "scores" }, ...FIRST.filter((name) => name in way.costs).map((name) => bar(name, way.costs[name]))),
-      el("p", { class: "doing" }, `${(100 * way.clearance_m).toFixed(1)} cm between ${way.pair.join(" and ")}`),
+      ...Object.entries(KINDS).filter(([kind]) => kind in way.near).map(([kind, name]) => near(name, way.near[kind])),
+      el("p", { class: "why", hidden: !way.hands_leave }, "The hand leaves its place on the way, and comes back."),
       el("details", {}, el("summary", {}, "All criteria"), el("ul", { class: "scores" }, ...rest.map(([name, cost]) => bar(name, cost)))),
       el("p", { class: "why", hidden: !way.why_not }, way.why_not),
       go, driven_,

@@ -1,0 +1,159 @@
+"""What a robot can reach with its hands in place: the component of its self-motions that it stands in.
+
+With the hands fixed, most configurations lie on other branches of an arm, or behind limits and bodies. So the search
+begins where the robot stands and never leaves what can be driven from there: a tree spreads over the free joints, and
+from its best nodes the energy descends along edges that are checked in the same way. Each configuration has a path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from deltaq_controllers.advisor.descent import descend
+from deltaq_controllers.advisor.problem import AdvisorProblem
+from deltaq_controllers.advisor.search import DISTINCT
+from deltaq_controllers.advisor.trees import Tree
+from deltaq_controllers.criteria import Postures
+from deltaq_protocol.arrays import Array, Flags, Indices
+
+ROUNDS = 16
+"""How often the tree is grown."""
+DESCENTS = 8
+"""Nodes from which the energy descends, and the steps of that."""
+STEPS = 12
+TOGETHER = 8
+"""So many descents are made side by side."""
+LEAST_SINGULAR = 0.02
+"""Least singular value of an arm's Jacobian at an option, unless the start has less. Closer to a singularity the speed
+at which a brake leaves the hands in place goes to zero, and the robot does not arrive."""
+BARRIER = 0.01
+"""Two minima are one if the energy between them, straight in the free joints, rises by less than this."""
+LOOKED_AT = 17
+"""Configurations between two minima whose energy is looked at."""
+APART = 0.5
+"""The nodes differ by more than this in at least one joint [rad or m]."""
+
+
+class Component:
+    """Configurations that can be reached from one, and their energies.
+
+    Args:
+        problem: the task.
+        tree: its root is where the robot is.
+        generator: of random numbers.
+
+    Attributes:
+        tree: as given; it grows.
+        energy: (K,) energies of its nodes.
+    """
+
+    def __init__(self, problem: AdvisorProblem, tree: Tree, generator: np.random.Generator) -> None:
+        self._problem, self.tree, self._generator = problem, tree, generator
+        self._least = min(LEAST_SINGULAR, float(self._singular(tree.q).min()))
+        self.energy = problem.energies(tree.q)
+
+    def explore(self, effort: float, go_on: Callable[[float], bool]) -> Indices:
+        """Spread, and descend from the best nodes.
+
+        Args:
+            effort: factor of the usual time.
+            go_on: called with the fraction that is done; once it returns False, this ends.
+
+        Returns:
+            The nodes at which descents ended, the root's first.
+        """
+        rounds = max(1, round(ROUNDS * effort))
+        ends = self.descend(np.zeros(1, dtype=np.intp), STEPS)
+        for number in range(rounds):
+            if not len(self._problem.tracker.base) or not go_on(0.5 * number / rounds):
+                return ends
+            new = self.tree.spread(self._problem.lower, self._problem.upper, self._generator)
+            self._problem.count += len(new)
+            self._measure()
+        # a few at a time: what may be shown grows, and the operator may end it
+        nodes = self.best(max(1, round(DESCENTS * effort)), ends)
+        for first in range(0, len(nodes), TOGETHER):
+            if not go_on(0.5 + 0.5 * first / len(nodes)):
+                break
+            ends = np.append(ends, self.descend(nodes[first : first + TOGETHER], STEPS))
+        return ends
+
+    def best(self, count: int, known: Indices, energy: Array | None = None) -> Indices:
+        """The nodes of least energy that differ by `APART` from one another and from those known, at most `count`.
+
+        Their edges hold. Another energy (K,) of the nodes may be given.
+        """
+        energy = self.energy if energy is None else energy
+        q, left = self.tree.q, np.isfinite(energy)
+        for node in known:
+            left &= np.abs(q - q[node]).max(axis=1) > APART
+        chosen: list[int] = []
+        while left.any() and len(chosen) < count:
+            node = int(np.argmin(np.where(left, energy, np.inf)))
+            left[node] = False
+            if self.tree.holds(node):
+                chosen.append(node)
+                left &= np.abs(q - q[node]).max(axis=1) > APART
+        return np.array(chosen, dtype=np.intp)
+
+    def descend(self, nodes: Indices, steps: int, problem: AdvisorProblem | None = None) -> Indices:
+        """Descend from nodes (k,) whose edges hold, by the energy of the task or of another with the same hands.
+
+        Returns:
+            (k,) nodes where that ends.
+        """
+        problem, at = problem or self._problem, nodes.copy()
+
+        def accept(rows: Indices, to: Array) -> Flags:
+            passes = self._singular(to) >= self._least
+            passes[passes] = self.tree.ground.straight(self.tree.q[at[rows[passes]]], to[passes])
+            at[rows[passes]] = self.tree.add(to[passes], at[rows[passes]], is_sure=True)
+            return passes
+
+        q = self.tree.q[at]
+        descend(problem, q, problem.energies(q), self._generator, steps, accept)
+        self._measure()
+        return at
+
+    def minima(self, ends: Indices, count: int) -> Indices:
+        """Distinct minima among the nodes where descents ended, best first, at most `count`."""
+        found = self._distinct(ends)[:count]
+        # those that are left have a second descent: a slow one may yet end in another's minimum
+        return self._distinct(self.descend(found, STEPS))
+
+    def _distinct(self, nodes: Indices) -> Indices:
+        kept: list[int] = []
+        for node in nodes[np.argsort(self.energy[nodes], kind="stable")].tolist():
+            if not any(self._is_same(better, node) for better in kept):
+                kept.append(node)
+        return np.array(kept, dtype=np.intp)
+
+    def _is_same(self, better: int, worse: int) -> bool:
+        """Whether nothing separates two minima."""
+        q, space = self.tree.q, self.tree.ground.space
+        if np.abs(q[better] - q[worse]).max() <= DISTINCT:
+            return True
+        way = space.walk(q[worse][None], q[better, space.free][None], LOOKED_AT)[0, 1:]
+        if np.isnan(way).any() or np.abs(way[-1] - q[better]).max() > 1e-6:
+            return False
+        energy = self._problem.energies(way)
+        return bool(energy.max() <= self.energy[worse] + BARRIER and self.tree.ground.clear(way).all())
+
+    def _measure(self) -> None:
+        new = self.tree.q[len(self.energy) :]
+        if len(new):
+            energy = self._problem.energies(new)
+            energy[self._singular(new) < self._least] = np.inf
+            self.energy = np.append(self.energy, energy)
+
+    def _singular(self, q: Array) -> Array:
+        """(N,) least singular value of the Jacobian of any arm at configurations (N, n)."""
+        J = Postures(self._problem.data, q).jacobians
+        arms = self._problem.tracker.arms
+        least = [
+            np.linalg.svd(J[:, k][:, :, arm.joints], compute_uv=False)[:, -1] for k, arm in enumerate(arms)
+        ]
+        singular: Array = np.min(least, axis=0)
+        return singular
