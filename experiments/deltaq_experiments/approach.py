@@ -28,7 +28,7 @@ class ApproachStart(BaseModel):
 
     Attributes:
         start_deg: view angle error at the start.
-        time_to_1_deg_s: when it was below 1 degree, None if never.
+        time_to_1_deg_s: from when on it stayed below 1 degree, None if it did not.
         largest_rise_deg: largest rise of the error until then; 0 for a monotone approach.
         final_deg: error at the end.
         final_distance_m: error of the view distance at the end.
@@ -106,6 +106,7 @@ def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: 
         for recording, views in runs
     ]
     together = np.concatenate([views for _, views in runs])
+    rolls = np.concatenate([np.abs(recording.trace.rolls(cell.robots[FOLLOWER])) for recording, _ in runs])
     everything = np.ones(len(together), dtype=np.bool_)
     times = [start.time_to_1_deg_s for start in starts]
     clearances = [recording.trace.least_clearance(cell) for recording, _ in runs]
@@ -121,6 +122,7 @@ def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: 
         leader_speed_m_s=0.0,
         angle_deg=Figures.of(together[:, 0], everything),
         distance_m=Figures.of(np.abs(together[:, 1] - VIEW_DISTANCE_M), everything),
+        roll_deg=Figures.of(rolls, everything),
         time_to_1_deg_s=None if None in times else max(t for t in times if t is not None),
         clearance_m=LeastClearance(
             min=nearest.min,

@@ -60,7 +60,10 @@ class Report(BaseModel):
     leader_speed_m_s: float
     angle_deg: Figures
     distance_m: Figures
+    roll_deg: Figures
+    """Of the picture, about the view axis."""
     time_to_1_deg_s: float | None
+    """From when on the view angle error stays below 1 degree; None if it does not."""
     clearance_m: LeastClearance
     limits: LimitCounts
     gate: GateCounts

@@ -9,6 +9,7 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures
+from deltaq_experiments.scene import FOLLOWER
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord
 from deltaq_protocol.arrays import Array
@@ -47,6 +48,7 @@ def summary(
         "leader_speed_m_s": options.leader_speed_m_s,
         "angle_deg": Figures.of(np.abs(angle_deg), settled),
         "distance_m": Figures.of(np.abs(distance_error_m), settled),
+        "roll_deg": Figures.of(np.abs(trace.rolls(cell.robots[FOLLOWER])), settled),
         "time_to_1_deg_s": time_to_stay_below(trace.time_s, np.abs(angle_deg), 1.0),
         "clearance_m": trace.least_clearance(cell),
         "limits": trace.limit_counts(cell),

@@ -11,11 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deltaq_cell.cell_model import CellModel
 from deltaq_experiments import approach, collision, step_bench, tracking, zoom
-from deltaq_experiments.claims import CLAIMS, Claim, page
+from deltaq_experiments.claims.__main__ import PAGE
+from deltaq_experiments.claims.__main__ import main as write_page
+from deltaq_experiments.claims.claim import Claim, ClaimOutcome
+from deltaq_experiments.claims.page import page
+from deltaq_experiments.claims.quantities import CLEARANCE, SLOWEST
+from deltaq_experiments.claims.table import CLAIMS
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
+from deltaq_experiments.trace import Trace, time_to_stay_below
 from deltaq_protocol.errors import DeltaqError
 
 PNG = b"\x89PNG\r\n"
@@ -34,6 +41,31 @@ def test_an_approach_tells_each_start_and_draws_both_panels(tmp_path: Path) -> N
     assert [panel.unit for panel in outcome.panels] == ["deg", "m"]
     draw(outcome.panels, "approach", tmp_path / "figure.png")
     assert (tmp_path / "figure.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "since_s"),
+    [
+        ([5.0, 0.5, 0.4, 0.3], 1.0),
+        ([5.0, 0.5, 2.0, 0.3], 3.0),  # it was there before, and did not stay
+        ([5.0, 0.5, 0.4, 1.1], None),
+        ([0.5, 1.0, 0.4, 0.3], 0.0),
+        ([5.0, 0.5, float("nan"), 0.3], 3.0),
+    ],
+)
+def test_a_time_to_stay_below_is_when_it_was_above_for_the_last_time(
+    angle_deg: list[float], since_s: float | None
+) -> None:
+    assert time_to_stay_below(np.arange(4.0), np.array(angle_deg), 1.0) == since_s
+
+
+def test_a_roll_is_how_far_the_picture_is_turned_about_the_view_axis() -> None:
+    robot = CellModel.load("lab").robots["fr"]
+    turned = np.array(robot.home)
+    turned[-1] += np.deg2rad(30.0)  # the camera looks along the last axis
+    level, rolled = Trace(np.arange(2.0), {"fr": np.array([robot.home, turned])}, {}).rolls(robot)
+    assert abs(level) < 3.0
+    assert abs(rolled - level) == pytest.approx(30.0)
 
 
 def test_an_approach_never_reached_is_null() -> None:
@@ -120,12 +152,48 @@ def test_a_picture_that_cannot_be_written_is_told(name: str, tmp_path: Path) -> 
 
 def test_the_page_says_of_each_claim_whether_it_holds() -> None:
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking")
-    good = {"angle_deg": {"max": 0.9, "rms": 0.5}, "distance_m": {"max": 0.02, "rms": 0.01}}
-    bad = good | {"angle_deg": {"max": 1.1, "rms": 0.5}}
-    text = page([(claim, good), (claim, bad)])
-    assert "| yes |" in text
-    assert "| **no** |" in text
-    assert "deltaq experiment tracking --controller paper" in text
+    good = {
+        "angle_deg": {"max": 0.9, "rms": 0.5},
+        "distance_m": {"max": 0.02, "rms": 0.01},
+        "roll_deg": {"max": 3.0},
+    }
+    bad = good | {"angle_deg": {"max": 1.3, "rms": 0.5}}
+    reports = [report | {"seed": seed} for seed, report in enumerate((good, good, bad))]
+    text = page([ClaimOutcome(claim, reports[:2]), ClaimOutcome(claim, reports)], 3)
+    assert "| 2 of 2 |" in text
+    assert "| **2 of 3**, not 2 |" in text
+    assert "| angle 0.90°, angle rms 0.50°, distance 2.0 cm, roll 3° | angle 1.30° (2)," in text
+    assert "`deltaq experiment tracking --controller paper`" in text
+    assert "--seeds 3" in text
+
+
+def test_the_worst_of_a_clearance_is_the_least_and_of_a_time_never() -> None:
+    attack = next(claim for claim in CLAIMS if claim.experiment == "collision")
+    approached = next(claim for claim in CLAIMS if claim.experiment == "approach")
+    clearances = Claim("collision", attack.options, "", attack.holds, (CLEARANCE,))
+    near = [
+        {"seed": seed, "clearance_m": {"robots_min": least}} for seed, least in enumerate((0.2, 0.05, 0.1))
+    ]
+    times = Claim("approach", approached.options, "", approached.holds, (SLOWEST,))
+    slow = [{"seed": seed, "time_to_1_deg_s": time} for seed, time in enumerate((0.5, None, 0.7))]
+    assert ClaimOutcome(clearances, near).worst() == "clearance 5.0 cm (1)"
+    assert ClaimOutcome(clearances, near).medians() == "clearance 10.0 cm"
+    assert ClaimOutcome(times, slow).worst() == "slowest start never (1)"
+    assert ClaimOutcome(times, slow).medians() == "slowest start 0.70 s"
+
+
+def test_a_page_has_as_many_runs_of_each_claim_as_asked_for(tmp_path: Path) -> None:
+    claim = next(claim for claim in CLAIMS if claim.experiment == "tracking" and claim.picture)
+    short = replace(claim, options=replace(claim.options, duration_s=1.0, settle_s=0.5))
+    assert write_page(["--root", str(tmp_path), "--seeds", "2"], [short]) == 0
+    assert "a run for each `--seed` from 0 to 1" in (tmp_path / PAGE).read_text(encoding="utf-8")
+    assert (tmp_path / PAGE).parent.joinpath("pictures", f"{claim.picture}.png").exists()
+
+
+def test_a_page_without_runs_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        write_page(["--seeds", "0"])
+    assert "--seeds 0: at least 1" in capsys.readouterr().err
 
 
 PAPER_ZOOM = next(claim for claim in CLAIMS if claim.experiment == "zoom" and claim.options == Options())

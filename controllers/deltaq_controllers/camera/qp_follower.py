@@ -101,7 +101,9 @@ class QpFollower:
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
-        self._task_gains = TaskGains.of(gains)
+        # with nobody near the joints' margin gives way to the distance
+        self._gains_near = TaskGains.of(gains)
+        self._gains_alone = self._gains_near._replace(room_weight=gains.posture_weight)
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -180,8 +182,8 @@ class QpFollower:
             q,
             Aim(focus, velocity, float(self.desired_distance_m)),
             self._evasion(q) if evade else np.zeros_like(q),
-            self._room(q) if evade else np.zeros_like(q),
-            self._task_gains,
+            self._room(q),
+            self._gains_near if evade else self._gains_alone,
             self._roll_joint,
             self.limits.max_ddq,
             self._cycle_s,
@@ -211,7 +213,8 @@ class QpFollower:
         """(n,) rates back from the limits, along -H of (11) [rad/s or m/s].
 
         A joint at its limit blocks the retreat. To turn round before it, and slip past the attacker where the evasion
-        allows it, takes more margin than the weights of the evasion keep.
+        allows it, takes more margin than the weights of the evasion keep. And what the view leaves free drifts: with
+        A3 and A5 at their limits a camera that is near has no way back to a greater distance.
         """
         back = -self.gains.room * limit_gradient(q, self.limits.lower, self.limits.upper)
         return back * min(1.0, self.gains.room_rate / max(float(np.linalg.norm(back)), 1e-9))
