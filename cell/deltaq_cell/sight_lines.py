@@ -21,7 +21,9 @@ ROD_M = 5e-4
 """Radius of the rod that stands for a line [m]."""
 
 NEAR_EYE_M, NEAR_TARGET_M = 0.005, 0.01
-"""How far from eye and target a line begins and ends: a lens is in its housing, and a tool touches what it holds [m]."""
+"""How far from eye and target a line begins and ends: lenses have housings, and tools touch what they hold [m]."""
+
+_Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass
@@ -105,15 +107,11 @@ class SightLines:
                 where = placed.data.oMi[body.parentJoint] * where
         place = coal.Transform3s(where.rotation, where.translation)
         self._result.clear()
-        return coal.collide(rod, pose, body.geometry, place, self._request, self._result) > 0
+        return bool(coal.collide(rod, pose, body.geometry, place, self._request, self._result))
 
 
 def _rod(begin: Array, end: Array) -> tuple[coal.Capsule, coal.Transform3s]:
     """A thin capsule between two points (3,), and where it is: its axis is its z."""
-    z = end - begin
-    length = float(np.linalg.norm(z))
-    z /= length
-    x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-    x /= np.linalg.norm(x)
-    rotation = np.column_stack([x, np.cross(z, x), z])
-    return coal.Capsule(ROD_M, length), coal.Transform3s(rotation, 0.5 * (begin + end))
+    way = end - begin
+    rotation = pin.Quaternion.FromTwoVectors(_Z, way).matrix()
+    return coal.Capsule(ROD_M, float(np.linalg.norm(way))), coal.Transform3s(rotation, 0.5 * (begin + end))

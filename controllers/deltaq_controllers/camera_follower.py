@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import NAMES, FocusController, Seeing, camera_controller_named
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
@@ -53,7 +54,7 @@ class FollowerProcess:
             model = cell_model(cell.description)
             for name in (options.robot, options.leader):
                 model_of(model.robots, name)
-            scene = Scene(model, options.robot, options.leader)
+            scene = Scene(model, options.robot, options.leader, tuple(options.aim_offset_m))
             focus = None if options.focus_m is None else np.array(options.focus_m)
             camera = camera_controller_named(options.controller, scene, options.distance_m, focus)
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
@@ -147,6 +148,13 @@ def main() -> int:
     )
     parser.add_argument(
         "--focus-m", type=float, nargs=3, help="point in the world to look at (default: the leader's tool)"
+    )
+    parser.add_argument(
+        "--aim-offset-m",
+        type=float,
+        nargs=3,
+        default=TOOL,
+        help="point of the leader's tool to look at, in the tool's frame (default: its origin)",
     )
     parser.add_argument(
         "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"

@@ -76,7 +76,7 @@ def camera_controller_named(
     """
     if name in BY_NAME:
         follower = CameraFollower(scene.robot, scene.leader, scene.cycle_s, variants=BY_NAME[name])
-        return CameraController(follower, scene.leader, distance_m, focus)
+        return CameraController(follower, scene.leader, distance_m, focus, scene.aim_offset_m)
     if name == "qp":
         return QpFollower(scene, distance_m, focus)
     return _imported(name)(scene, distance_m, focus)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deltaq_controllers.camera.aim import focus_of
 from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
@@ -53,7 +54,8 @@ class QpFollower:
         gains: weights and margins.
 
     Attributes:
-        desired_distance_m, focus, gains: as given.
+        desired_distance_m, focus, gains: as given; the first two may be changed at any time.
+        aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame; may be changed too [m].
         limits: limits of the increments.
         evades_below_m: clearance from other robots below which barriers act [m].
         barrier_m: least distance from other robots, however they stand [m].
@@ -79,6 +81,7 @@ class QpFollower:
                 f"robots.{robot.name}.camera in the cell's description, or choose another robot"
             )
         self.desired_distance_m, self.focus, self.gains = desired_distance_m, focus, gains or QpGains()
+        self.aim_offset_m: Array = np.array(scene.aim_offset_m)
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.barrier_m = scene.cell.description.gate.stop_distance_m + self.gains.clear_of_others_m
         self.evades_below_m = self.barrier_m + self.gains.others_range_m
@@ -150,7 +153,9 @@ class QpFollower:
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
         """View angle error [rad] and view distance less the desired one [m], at measured configurations."""
         T_world_camera = self._scene.robot.camera_pose(q)
-        focus = self.focus if self.focus is not None else self._scene.leader.forward(q_leader)[:3, 3]
+        focus = self.focus
+        if focus is None:
+            focus = focus_of(self._scene.leader.forward(q_leader), self.aim_offset_m)
         lens = T_world_camera[:3, 3]
         distance = float(np.linalg.norm(focus - lens))
         return view_angle(T_world_camera[:3, :3], lens, focus), distance - self.desired_distance_m
@@ -170,7 +175,7 @@ class QpFollower:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
         leader = self._others.named(self._scene.leader_name)
         self._leader.update(leader.ahead(-self._cycle_s))  # what the increment starts from
-        focus = self._leader.position
+        focus = self._leader.position + self._leader.rotation @ self.aim_offset_m
         return focus, self._leader.at_point(focus) @ leader.velocity
 
     def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:

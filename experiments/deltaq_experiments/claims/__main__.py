@@ -20,22 +20,20 @@ SEEDS = 10
 """Runs of each claim: enough to tell what is usual from what one seed does."""
 
 
-def run(claim: Claim, seeds: Sequence[int], pictures: Path) -> ClaimOutcome:
-    """The runs of one claim, one for each seed; the picture is drawn of the first.
+def run(claim: Claim, seed: int, picture: Path | None) -> JsonReport:
+    """The report of one run of a claim; its figure is drawn to `picture`, if there is one.
 
     Raises:
-        DeltaqError: if a run cannot be made.
+        DeltaqError: if the run cannot be made.
     """
     module = import_module(f"deltaq_experiments.{claim.experiment}")
-    reports: list[JsonReport] = []
-    for seed in seeds:
-        outcome: ExperimentOutcome = module.run(replace(claim.options, seed=seed))
-        if claim.picture and not reports:
-            draw(outcome.panels, f"{claim.command} --seed {seed}", pictures / f"{claim.picture}.png")
-        reports.append(outcome.report.model_dump(mode="json"))
-        of_this = ClaimOutcome(claim, reports[-1:])
-        print(f"{claim.command} --seed {seed}: {of_this.medians()}; {of_this.share()}", flush=True)
-    return ClaimOutcome(claim, reports)
+    outcome: ExperimentOutcome = module.run(replace(claim.options, seed=seed))
+    if picture is not None:
+        draw(outcome.panels, f"{claim.command} --seed {seed}", picture)
+    report: JsonReport = outcome.report.model_dump(mode="json")
+    of_this = ClaimOutcome(claim, [report])
+    print(f"{claim.command} --seed {seed}: {of_this.medians()}; {of_this.share()}", flush=True)
+    return report
 
 
 def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIMS) -> int:
@@ -53,11 +51,17 @@ def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIM
     root: Path = options.root
     if seeds < 1:
         parser.error(f"--seeds {seeds}: at least 1")
-    (root / PICTURES).mkdir(parents=True, exist_ok=True)
-    outcomes = [run(claim, range(seeds), root / PICTURES) for claim in claims]
-    (root / PAGE).write_text(page(outcomes, seeds), encoding="utf-8")
-    violated = any(any(report["limits"].values()) for outcome in outcomes for report in outcome.reports)
-    return int(violated)
+    pictures = root / PICTURES
+    pictures.mkdir(parents=True, exist_ok=True)
+    reports: list[list[JsonReport]] = [[] for _ in claims]
+    for seed in range(seeds):
+        for claim, so_far in zip(claims, reports, strict=True):
+            picture = pictures / f"{claim.picture}.png" if claim.picture and not seed else None
+            so_far.append(run(claim, seed, picture))
+        # after each seed: who has less time has a page of fewer
+        outcomes = [ClaimOutcome(claim, so_far) for claim, so_far in zip(claims, reports, strict=True)]
+        (root / PAGE).write_text(page(outcomes, seed + 1), encoding="utf-8")
+    return int(any(any(report["limits"].values()) for so_far in reports for report in so_far))
 
 
 if __name__ == "__main__":

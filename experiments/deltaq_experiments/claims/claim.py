@@ -70,6 +70,8 @@ class Claim:
             words += ["--leader-speed-m-s", f"{options.leader_speed_m_s:g}"]
         if options.target != Options.target:
             words += ["--target", options.target]
+        if options.aim_offset_m != Options.aim_offset_m:
+            words += ["--aim-offset-m", *(f"{part:g}" for part in options.aim_offset_m)]
         if options.settle_s != Options.settle_s:
             words += ["--settle-s", f"{options.settle_s:g}"]
         if options.duration_s is not None:

@@ -27,6 +27,7 @@ def _plateau_angle(report: JsonReport) -> float:
 ANGLE = Quantity("angle", lambda r: float(r["angle_deg"]["max"]), "°")
 ANGLE_RMS = Quantity("angle rms", lambda r: float(r["angle_deg"]["rms"]), "°")
 DISTANCE = Quantity("distance", lambda r: float(r["distance_m"]["max"]), " cm", 100.0, 1)
+SEEN = Quantity("seen", lambda r: float(r["seen"]["by_all_eyes"]), " %", 100.0, 0, least_is_worst=True)
 ROLL = Quantity("roll", lambda r: float(r["roll_deg"]["max"]), "°", decimals=0)
 CLEARANCE = Quantity(
     "clearance", lambda r: float(r["clearance_m"]["robots_min"]), " cm", 100.0, 1, least_is_worst=True

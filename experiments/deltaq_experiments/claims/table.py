@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from deltaq_experiments.claims import quantities as q
@@ -14,6 +15,9 @@ BARRIER_LESS_1_CM = 0.09
 
 LENGTH_S = 20.0
 """Of a run of tracking or collision: ten seeds of this tell more than one seed of twice as much [s]."""
+
+BEFORE_THE_FINGERS_M = (0.0, 0.0, 0.04)
+"""A point that the gripper's own fingers do not hide, in the tool's frame [m]."""
 
 FIRST_ATTACK_S = 1.0
 """By then the camera looks at its focus, and the first attack has just begun [s]."""
@@ -51,10 +55,10 @@ def _no_contact(report: JsonReport) -> bool:
     return bool(report["contacts"] == 0)
 
 
-_APPROACH = (q.SLOWEST, q.RISE)
-_TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.ROLL)
-_ZOOM = (q.IN_REACH, q.IN_REACH_ANGLE, q.ON_THE_WAY, q.OUT_OF_REACH, q.ROLL)
-_COLLISION = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, q.ROLL)
+_APPROACH = (q.SLOWEST, q.RISE, q.SEEN)
+_TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.ROLL, q.SEEN)
+_ZOOM = (q.IN_REACH, q.IN_REACH_ANGLE, q.ON_THE_WAY, q.OUT_OF_REACH, q.ROLL, q.SEEN)
+_COLLISION = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, q.ROLL, q.SEEN)
 
 
 def _tracking(claim: str, angle_deg: float, distance_m: float, picture: str = "", **options: Any) -> Claim:
@@ -64,9 +68,9 @@ def _tracking(claim: str, angle_deg: float, distance_m: float, picture: str = ""
 
 def _attack(claim: str, picture: str = "", **options: Any) -> Claim:
     """An attack that `qp` evades while it keeps the view."""
-    options = {"controller": "qp", "settle_s": FIRST_ATTACK_S, "duration_s": LENGTH_S} | options
+    usual = Options(controller="qp", settle_s=FIRST_ATTACK_S, duration_s=LENGTH_S)
     holds = _kept_clear(BARRIER_LESS_1_CM)
-    return Claim("collision", Options(**options), claim, holds, _COLLISION, picture)
+    return Claim("collision", replace(usual, **options), claim, holds, _COLLISION, picture)
 
 
 CLAIMS = (
@@ -84,6 +88,13 @@ CLAIMS = (
     _tracking("Fig. 9: ±1°, ±2 cm", 1.0, 0.021, "fig-9-paper"),
     _tracking("the paper's future work (VII-B): 0.1°, 0.3 cm", 0.1, 0.003, controller="predictive"),
     _tracking("0.1°, 0.3 cm", 0.1, 0.003, "fig-9-qp", controller="qp"),
+    Claim(
+        "tracking",
+        Options(controller="qp", duration_s=LENGTH_S, aim_offset_m=BEFORE_THE_FINGERS_M),
+        "the same, aimed 4 cm before the fingers: seen by both eyes all the time",
+        lambda r: _within(0.1, 0.003)(r) and bool(r["seen"]["by_all_eyes"] == 1.0),
+        _TRACKING,
+    ),
     _tracking("at 0.5 m/s: 0.1°, 0.3 cm", 0.1, 0.003, controller="qp", leader_speed_m_s=0.5),
     _tracking("at 1 m/s: 0.2°, 1 cm", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0),
     Claim(
