@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.visibility import Visibility
 from deltaq_experiments import approach, collision, step_bench, tracking, zoom
 from deltaq_experiments.claims.__main__ import PAGE
 from deltaq_experiments.claims.__main__ import main as write_page
@@ -22,6 +23,7 @@ from deltaq_experiments.claims.table import CLAIMS
 from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
+from deltaq_experiments.seen import SeenRun
 from deltaq_experiments.trace import Trace, time_to_stay_below
 from deltaq_protocol.errors import DeltaqError
 
@@ -82,8 +84,24 @@ def test_tracking_is_one_run_a_seed_and_draws_three_panels() -> None:
     assert len(first.panels) == 3
     assert first.report.angle_deg == again.report.angle_deg
     assert first.report.angle_deg != other.report.angle_deg
+    assert first.report.seen.by_all_eyes == 0.0
+    assert list(first.report.seen.bodies) == ["gr/tool_finger_1"], "which is nearer to the camera"
     assert first.report.angle_deg.max < 0.9
     assert sum(first.report.limits.model_dump().values()) == 0
+
+
+def test_what_was_seen_is_told_as_shares_of_the_time() -> None:
+    hidden = Visibility((True, True), (("gr/finger", "gr/thumb"), ("gr/finger",)))
+    half = Visibility((True, True), ((), ("structure/post",)))
+    outside = Visibility((True, False), ((), ()))
+    clear = Visibility((True, True), ((), ()))
+    looks = SeenRun(np.arange(5.0), [hidden, hidden, half, outside, clear])
+    told = looks.shares(settle_s=1.0)
+    assert (told.by_all_eyes, told.by_one_eye, told.in_picture) == (0.25, 0.75, 0.75)
+    assert told.blocked_by == {"gr": 0.25, "structure": 0.25}
+    assert told.bodies == {"gr/finger": 0.25, "gr/thumb": 0.25, "structure/post": 0.25}
+    assert looks.shares(settle_s=9.0).by_all_eyes == 0.2, "of a shorter run all counts"
+    assert looks.hidden().holds.tolist() == [True, True, True, True, False]
 
 
 def test_a_zoom_asks_for_one_distance_after_the_other() -> None:
@@ -156,14 +174,15 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
         "angle_deg": {"max": 0.9, "rms": 0.5},
         "distance_m": {"max": 0.02, "rms": 0.01},
         "roll_deg": {"max": 3.0},
+        "seen": {"by_all_eyes": 0.5},
     }
     bad = good | {"angle_deg": {"max": 1.3, "rms": 0.5}}
     reports = [report | {"seed": seed} for seed, report in enumerate((good, good, bad))]
     text = page([ClaimOutcome(claim, reports[:2]), ClaimOutcome(claim, reports)], 3)
     assert "| 2 of 2 |" in text
     assert "| **2 of 3**, not 2 |" in text
-    assert "| angle 0.90°, angle rms 0.50°, distance 2.0 cm, roll 3° | angle 1.30° (2)," in text
-    assert "`deltaq experiment tracking --controller paper`" in text
+    assert "| angle 0.90°, angle rms 0.50°, distance 2.0 cm, roll 3°, seen 50 % | angle 1.30° (2)," in text
+    assert "`deltaq experiment tracking --controller paper --duration-s 20`" in text
     assert "--seeds 3" in text
 
 
