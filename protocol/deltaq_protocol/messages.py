@@ -109,6 +109,25 @@ class Playout(Message):
     owed: Joints | None = None
 
 
+ViewDistance = Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
+"""How far a camera may be asked to stand from its target [m]."""
+Place = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
+Point = tuple[Place, Place, Place]
+
+
+class ViewWish(Message):
+    """What a robot's camera is to look at, and from how far; whoever follows with it reads this from its states.
+
+    The target is `aim_offset_m`, a point in the frame of the tool of `leader`, or `focus_m`, one that stands still in
+    the world. What is null stays as the follower was started with.
+    """
+
+    distance_m: ViewDistance | None = None
+    leader: Name | None = None
+    aim_offset_m: Point | None = None
+    focus_m: Point | None = None
+
+
 class RobotState(Message):
     """State of one robot, published every cycle of its KRC.
 
@@ -116,7 +135,8 @@ class RobotState(Message):
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
     brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
     `playout` is there where the robot's lease asked for it. `sight` is how well the controller sees what it follows, as
-    its newest increment says; null if it says nothing.
+    its newest increment says; null if it says nothing. `view` is what its camera was asked to look at last; it outlives
+    leases, so that the next follower looks there too.
     `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
     the gate has been heard.
     """
@@ -136,6 +156,7 @@ class RobotState(Message):
     setpoint_cycle: Count | None = None
     playout: Playout | None = None
     sight: Sight | None = None
+    view: ViewWish | None = None
 
 
 class Increment(Message):
@@ -244,6 +265,28 @@ class ResetRequest(Message):
     robot: Name
     client: str | None = Field(default=None, max_length=64)
     token: Secret = None
+
+
+class ViewRequest(ViewWish):
+    """Ask whoever follows with a robot's camera for another view; states tell it (`RobotState.view`).
+
+    What is null stays as it is. A `leader` or `aim_offset_m` ends an earlier `focus_m`. It needs the right to have a
+    lease, and no lease: the follower holds it. `token` is never sent, as in `LeaseRequest`.
+    """
+
+    type: Literal["view"] = "view"
+    robot: Name
+    client: str | None = Field(default=None, max_length=64)
+    token: Secret = None
+
+
+class ViewReply(Message):
+    """The view that is wished for now, all wishes together, and who holds the robot: null if nobody follows."""
+
+    type: Literal["view"] = "view"
+    robot: Name
+    view: ViewWish
+    holder: str | None = None
 
 
 class DryRunRequest(Message):

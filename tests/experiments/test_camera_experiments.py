@@ -178,12 +178,14 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
     }
     bad = good | {"angle_deg": {"max": 1.3, "rms": 0.5}}
     reports = [report | {"seed": seed} for seed, report in enumerate((good, good, bad))]
-    text = page([ClaimOutcome(claim, reports[:2]), ClaimOutcome(claim, reports)], 3)
+    text = page([ClaimOutcome(claim, reports[:2]), ClaimOutcome(claim, reports)])
     assert "| 2 of 2 |" in text
     assert "| **2 of 3**, not 2 |" in text
     assert "| angle 0.90°, angle rms 0.50°, distance 2.0 cm, roll 3°, seen 50 % | angle 1.30° (2)," in text
     assert "`deltaq experiment tracking --controller paper --duration-s 20`" in text
-    assert "--seeds 3" in text
+    assert "Each row has 2 to 3 runs" in text
+    assert "Where a row has less than 10 runs, there was no time for more" in text
+    assert "no time for more" not in page([ClaimOutcome(claim, 10 * [reports[0]])])
 
 
 def test_the_worst_of_a_clearance_is_the_least_and_of_a_time_never() -> None:
@@ -205,8 +207,29 @@ def test_a_page_has_as_many_runs_of_each_claim_as_asked_for(tmp_path: Path) -> N
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking" and claim.picture)
     short = replace(claim, options=replace(claim.options, duration_s=1.0, settle_s=0.5))
     assert write_page(["--root", str(tmp_path), "--seeds", "2"], [short]) == 0
-    assert "a run for each `--seed` from 0 to 1" in (tmp_path / PAGE).read_text(encoding="utf-8")
+    assert "Each row has 2 runs" in (tmp_path / PAGE).read_text(encoding="utf-8")
     assert (tmp_path / PAGE).parent.joinpath("pictures", f"{claim.picture}.png").exists()
+
+
+def test_a_series_that_was_interrupted_goes_on_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    claim = next(claim for claim in CLAIMS if claim.experiment == "tracking")
+    report = {"angle_deg": {"max": 0.9, "rms": 0.5}, "distance_m": {"max": 0.02}, "roll_deg": {"max": 3.0}}
+    ran: list[int] = []
+
+    def made(_claim: Claim, seed: int, _picture: Path | None) -> dict[str, object]:
+        ran.append(seed)
+        return report | {"seed": seed, "seen": {"by_all_eyes": 0.5}, "limits": {}}
+
+    monkeypatch.setattr("deltaq_experiments.claims.__main__.run", made)
+    arguments = ["--root", str(tmp_path), "--reports", str(tmp_path / "reports"), "--seeds"]
+    write_page([*arguments, "2"], [claim])
+    write_page([*arguments, "3"], [claim])
+    assert ran == [0, 1, 2]
+    assert "| 3 of 3 |" in (tmp_path / PAGE).read_text(encoding="utf-8")
+    write_page([*arguments, "4", "--only", "zoom"], [claim])
+    assert ran == [0, 1, 2]
 
 
 def test_a_page_without_runs_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

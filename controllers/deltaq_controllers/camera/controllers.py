@@ -40,6 +40,19 @@ class FocusController(Controller, Protocol):
 
 
 @runtime_checkable
+class Aiming(Protocol):
+    """A controller whose target may be changed at any time; all that come with the project are.
+
+    Attributes:
+        focus: (3,) fixed point in the world to look at; None for the leader's tool [m].
+        aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame [m].
+    """
+
+    focus: Array | None
+    aim_offset_m: Array
+
+
+@runtime_checkable
 class Seeing(Protocol):
     """A controller that tells how it sees the leader; all that come with the project do.
 

@@ -9,15 +9,14 @@ from importlib import import_module
 from pathlib import Path
 
 from deltaq_experiments.claims.claim import Claim, ClaimOutcome, JsonReport
-from deltaq_experiments.claims.page import page
+from deltaq_experiments.claims.kept import KeptReports
+from deltaq_experiments.claims.page import ENOUGH, page
 from deltaq_experiments.claims.table import CLAIMS
 from deltaq_experiments.figures import draw
 from deltaq_experiments.report import ExperimentOutcome
 
 PAGE = Path("docs/explanation/camera-figures.md")
 PICTURES = Path("docs/explanation/pictures")
-SEEDS = 10
-"""Runs of each claim: enough to tell what is usual from what one seed does."""
 
 
 def run(claim: Claim, seed: int, picture: Path | None) -> JsonReport:
@@ -31,8 +30,6 @@ def run(claim: Claim, seed: int, picture: Path | None) -> JsonReport:
     if picture is not None:
         draw(outcome.panels, f"{claim.command} --seed {seed}", picture)
     report: JsonReport = outcome.report.model_dump(mode="json")
-    of_this = ClaimOutcome(claim, [report])
-    print(f"{claim.command} --seed {seed}: {of_this.medians()}; {of_this.share()}", flush=True)
     return report
 
 
@@ -43,9 +40,16 @@ def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIM
     parser.add_argument(
         "--seeds",
         type=int,
-        default=SEEDS,
+        default=ENOUGH,
         help="runs of each claim, a minute or less each (default: %(default)s)",
     )
+    parser.add_argument(
+        "--reports",
+        type=Path,
+        default=None,
+        help="folder in which each run's report is kept; those that are there, of the same code, are not run again",
+    )
+    parser.add_argument("--only", default="", help="run only what has this in its command")
     options = parser.parse_args(arguments)
     seeds: int = options.seeds
     root: Path = options.root
@@ -53,15 +57,24 @@ def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIM
         parser.error(f"--seeds {seeds}: at least 1")
     pictures = root / PICTURES
     pictures.mkdir(parents=True, exist_ok=True)
-    reports: list[list[JsonReport]] = [[] for _ in claims]
+    kept = KeptReports(options.reports)
+    outcomes = [ClaimOutcome(claim, []) for claim in claims]
     for seed in range(seeds):
-        for claim, so_far in zip(claims, reports, strict=True):
-            picture = pictures / f"{claim.picture}.png" if claim.picture and not seed else None
-            so_far.append(run(claim, seed, picture))
-        # after each seed: who has less time has a page of fewer
-        outcomes = [ClaimOutcome(claim, so_far) for claim, so_far in zip(claims, reports, strict=True)]
-        (root / PAGE).write_text(page(outcomes, seed + 1), encoding="utf-8")
-    return int(any(any(report["limits"].values()) for so_far in reports for report in so_far))
+        for outcome in outcomes:
+            claim = outcome.claim
+            report = kept.get(claim, seed)
+            if report is None and options.only in claim.command:
+                picture = pictures / f"{claim.picture}.png" if claim.picture and not seed else None
+                report = kept.put(claim, seed, run(claim, seed, picture))
+            if report is None:
+                continue
+            outcome.reports.append(report)
+            this = ClaimOutcome(claim, [report])
+            print(f"{claim.command} --seed {seed}: {this.medians()}; {this.share()}", flush=True)
+            # after each run: who has less time has a page of fewer
+            there = [outcome for outcome in outcomes if outcome.reports]
+            (root / PAGE).write_text(page(there), encoding="utf-8")
+    return int(any(any(report["limits"].values()) for outcome in outcomes for report in outcome.reports))
 
 
 if __name__ == "__main__":

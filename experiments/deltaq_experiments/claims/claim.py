@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,7 +89,7 @@ class ClaimOutcome:
     """
 
     claim: Claim
-    reports: Sequence[JsonReport]
+    reports: list[JsonReport]
 
     def medians(self) -> str:
         """The median of each quantity."""
