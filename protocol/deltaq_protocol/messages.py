@@ -109,10 +109,10 @@ class Playout(Message):
     owed: Joints | None = None
 
 
-ViewDistance = Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
+CameraDistance = Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
 """How far a camera may be asked to stand from its target [m]."""
-Place = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
-Point = tuple[Place, Place, Place]
+TargetCoordinate = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
+TargetPoint = tuple[TargetCoordinate, TargetCoordinate, TargetCoordinate]
 
 
 class ViewWish(Message):
@@ -122,10 +122,10 @@ class ViewWish(Message):
     the world. What is null stays as the follower was started with.
     """
 
-    distance_m: ViewDistance | None = None
+    distance_m: CameraDistance | None = None
     leader: Name | None = None
-    aim_offset_m: Point | None = None
-    focus_m: Point | None = None
+    aim_offset_m: TargetPoint | None = None
+    focus_m: TargetPoint | None = None
 
 
 class RobotState(Message):

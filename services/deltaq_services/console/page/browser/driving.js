@@ -172,7 +172,7 @@ export function drivingPanel(context) {
     say(doing, robot.mode === "advisor" ? "" : robot.driving);
     advisor.show();
     pose.show();
-    zoom.hidden = robot.mode !== "follow";
+    zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
     distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
     if (robot.view_distance_m && document.activeElement !== distance) {
       distance.value = robot.view_distance_m;
