@@ -187,7 +187,8 @@ class QpFollower:
             q,
             Aim(focus, velocity, float(self.desired_distance_m)),
             self._evasion(q) if evade else np.zeros_like(q),
-            self._room(q),
+            # a target that stands still moves nothing: what it leaves free does not drift
+            self._room(q) if evade or self.focus is None else np.zeros_like(q),
             self._gains_near if evade else self._gains_alone,
             self._roll_joint,
             self.limits.max_ddq,
