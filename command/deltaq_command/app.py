@@ -15,6 +15,7 @@ from deltaq_command import (
     advise,
     audit,
     bench,
+    camera,
     demo,
     drive,
     fault,
@@ -79,6 +80,8 @@ app.command(rich_help_panel=WATCH)(metrics.metrics)
 app.command(rich_help_panel=WATCH)(ros2.ros2)
 app.command(rich_help_panel=WATCH)(audit.audit)
 app.command(rich_help_panel=COMMAND)(drive.drive)
+app.command(rich_help_panel=COMMAND)(camera.follow)
+app.command(rich_help_panel=COMMAND)(camera.view)
 app.command(rich_help_panel=COMMAND)(advise.advise)
 app.command(rich_help_panel=COMMAND)(operate.stop)
 app.command(rich_help_panel=COMMAND)(operate.reset)

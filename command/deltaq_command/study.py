@@ -44,6 +44,10 @@ def experiment(
     target: Annotated[
         str, typer.Option(help="What a collision aims at: lens, wrist, elbow or all.")
     ] = "lens",
+    aim_offset_m: Annotated[
+        tuple[float, float, float],
+        typer.Option(help="Point of the leader's tool to look at, in the tool's frame."),
+    ] = (0.0, 0.0, 0.0),
     live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
     figure: Annotated[Path | None, typer.Option(help="Picture to write, laid out as in the paper.")] = None,
@@ -81,6 +85,7 @@ def experiment(
         settle_s=settle_s,
         live=live,
         target=target,
+        aim_offset_m=aim_offset_m,
         record=record,
     )
     with shown_compiled_ahead([controller]):

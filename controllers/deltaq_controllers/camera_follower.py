@@ -8,19 +8,24 @@ import contextlib
 import logging
 import math
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from deltaq_controllers.camera.controllers import NAMES, FocusController, Seeing, camera_controller_named
+from deltaq_cell.roles import camera_roles
+from deltaq_controllers.camera.aim import TOOL
+from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
+from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.sightings import Sightings
 from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.live import cell_model, drive, model_of, read_clock, run
+from deltaq_controllers.live import cell_model, drive, read_clock, run
 from deltaq_controllers.path_clock import PathClock
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_controllers.surroundings.setpoints import Foreseen
@@ -51,11 +56,18 @@ class FollowerProcess:
         options = self._options
         async with connect(options.url, client="camera-follower") as cell:
             model = cell_model(cell.description)
-            for name in (options.robot, options.leader):
-                model_of(model.robots, name)
-            scene = Scene(model, options.robot, options.leader)
+            roles = camera_roles(model.description, options.robot, options.leader)
+            options.robot, options.leader = roles.follower, roles.leader
+            scene = Scene(model, options.robot, options.leader, tuple(options.aim_offset_m))
             focus = None if options.focus_m is None else np.array(options.focus_m)
-            camera = camera_controller_named(options.controller, scene, options.distance_m, focus)
+            cameras = {
+                name: camera_controller_named(
+                    options.controller, replace(scene, leader_name=name), options.distance_m, focus
+                )
+                for name in model.robots
+                if name != options.robot
+            }
+            camera = CameraInUse(cameras, options.leader)
             limits = IncrementLimits.of(scene.robot, scene.cycle_s)
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
@@ -66,21 +78,21 @@ class FollowerProcess:
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
                     sight = partial(_sight_of, camera, move_to_start)
-                    await drive(cell, options.robot, controller, self._statistics, watch, sight)
+                    await drive(cell, options.robot, controller, self._statistics, watch, sight, camera.take)
 
     def _watch(
-        self, camera: FocusController, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
+        self, camera: CameraInUse, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
     ) -> None:
         """Record the figures of a view; the time to follow for counts from the beginning of following."""
-        options, other = self._options, view.others.get(self._options.leader)
+        options, other = self._options, view.others.get(camera.leader)
         if move_to_start.began_s is None or other is None:
             return
         if self._began_s is None:
             self._began_s = move_to_start.began_s
             if options.duration_s is not None:
                 timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
-        if isinstance(camera, Seeing):
-            self._look(camera.leader_seen, view.own.time_s)
+        if camera.leader_seen is not None:
+            self._look(camera.leader, camera.leader_seen, view.own.time_s)
         if math.isfinite(self._clock.error_s):
             self._age.add(self._clock.age_s(other.time_s, time.monotonic()), settled=True)
         angle, distance = camera.errors(view.own.q, other.q)
@@ -88,17 +100,17 @@ class FollowerProcess:
         self._angle.add(angle, settled)
         self._distance.add(distance, settled)
 
-    def _look(self, leader: Foreseen, time_s: float) -> None:
+    def _look(self, name: str, leader: Foreseen, time_s: float) -> None:
         """Count how well the controller sees the leader, and say so when it changes."""
         if self._sightings.add(leader.sight, leader.age_s, time_s):
             level = logging.INFO if leader.sight is Sight.FRESH else logging.WARNING
             told = "seen again" if leader.sight is Sight.FRESH else leader.sight
-            _log.log(level, "%s: %s, its state is %.2f s old", self._options.leader, told, leader.age_s)
+            _log.log(level, "%s: %s, its state is %.2f s old", name, told, leader.age_s)
 
     @property
     def robot(self) -> str:
-        """The robot with the camera."""
-        return str(self._options.robot)
+        """The robot with the camera; empty before the cell has said which one has."""
+        return self._options.robot or ""
 
     def summary(self) -> dict[str, Any]:
         """The figures as one JSON object."""
@@ -117,22 +129,22 @@ class FollowerProcess:
         }
 
 
-def _sight_of(camera: FocusController, move_to_start: MoveToStart) -> Sight | None:
+def _sight_of(camera: CameraInUse, move_to_start: MoveToStart) -> Sight | None:
     """How well a controller sees the leader, once it looks at it."""
-    if move_to_start.began_s is None or not isinstance(camera, Seeing):
+    if move_to_start.began_s is None or camera.leader_seen is None:
         return None
     return camera.leader_seen.sight
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the process; returns its exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m deltaq_controllers.camera_follower",
         description="Follow the leader's tool with the camera; one JSON line of figures at the end.",
     )
     parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
-    parser.add_argument("--robot", default="fr", help="robot with the camera (default: %(default)s)")
-    parser.add_argument("--leader", default="gr", help="robot to follow (default: %(default)s)")
+    parser.add_argument("--robot", help="robot with the camera (default: the cell's first)")
+    parser.add_argument("--leader", help="robot to follow (default: the first other one)")
     parser.add_argument(
         "--controller",
         default="paper",
@@ -147,6 +159,13 @@ def main() -> int:
     )
     parser.add_argument(
         "--focus-m", type=float, nargs=3, help="point in the world to look at (default: the leader's tool)"
+    )
+    parser.add_argument(
+        "--aim-offset-m",
+        type=float,
+        nargs=3,
+        default=TOOL,
+        help="point of the leader's tool to look at, in the tool's frame (default: its origin)",
     )
     parser.add_argument(
         "--start", type=float, nargs="+", help="joints to go to first, rad or m (default: where it stands)"
@@ -166,7 +185,7 @@ def main() -> int:
         default=5.0,
         help="start-up that rms and max leave out (default: %(default)s)",
     )
-    process = FollowerProcess(parser.parse_args())
+    process = FollowerProcess(parser.parse_args(arguments))
     return run(process.follow(), process.summary, "follower", process.robot)
 
 

@@ -25,7 +25,7 @@ from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
-from deltaq_protocol.messages import Description, Sight
+from deltaq_protocol.messages import Description, Sight, ViewWish
 
 _log = logging.getLogger(__name__)
 
@@ -76,6 +76,7 @@ async def drive(
     statistics: ControlStatistics,
     watch: Callable[[View], None] | None = None,
     sight: Callable[[], Sight | None] | None = None,
+    wished: Callable[[ViewWish | None], None] | None = None,
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
@@ -89,6 +90,7 @@ async def drive(
         statistics: counts the verdicts.
         watch: called with each view.
         sight: says how well the controller sees what it follows, for others to read.
+        wished: called with the view that the robot's states ask for.
 
     Raises:
         RefusedError: the lease was not granted, or lost.
@@ -98,6 +100,8 @@ async def drive(
     async with await lease(cell, robot) as leased:
         answers = Answers(cell, leased)
         async for state in leased.states():
+            if wished is not None:
+                wished(state.view)
             for cycle in await answers.due(state):
                 view = answers.view(state)
                 if watch is not None:

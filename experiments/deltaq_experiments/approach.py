@@ -12,7 +12,16 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel
 from deltaq_experiments.report import ExperimentOutcome, Figures, LeastClearance, Report
-from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.scene import (
+    FOLLOWER,
+    LEADER,
+    VIEW_DISTANCE_M,
+    aim_arguments,
+    camera_controller,
+    camera_scene,
+    load,
+)
+from deltaq_experiments.seen import SeenRun, seen, shares_of
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord, record
@@ -28,7 +37,7 @@ class ApproachStart(BaseModel):
 
     Attributes:
         start_deg: view angle error at the start.
-        time_to_1_deg_s: when it was below 1 degree, None if never.
+        time_to_1_deg_s: from when on it stayed below 1 degree, None if it did not.
         largest_rise_deg: largest rise of the error until then; 0 for a monotone approach.
         final_deg: error at the end.
         final_distance_m: error of the view distance at the end.
@@ -67,23 +76,25 @@ def run(options: Options) -> ExperimentOutcome:
     return ExperimentOutcome(_report(options, cell, runs, elapsed_s), _panels(runs))
 
 
-RunViews = tuple[RunRecord, Array]
-"""A recording, and (k, 2) view angle error [deg] and view distance [m]."""
+RunViews = tuple[RunRecord, Array, SeenRun]
+"""A recording, (k, 2) view angle error [deg] and view distance [m], and what was seen."""
 
 
 def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> RunViews:
-    camera = camera_controller(cell, options.controller)
+    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
     start = start_with_error(cell, camera, error, seed)
     recording = (
         _run_live(options, cell, start) if options.live else record(options, camera, start={FOLLOWER: start})
     )
-    return recording, recording.trace.views(camera, FOLLOWER, LEADER)
+    looks = seen(cell, recording.trace, camera_scene(cell, options).focus_at)
+    return recording, recording.trace.views(camera, FOLLOWER, LEADER), looks
 
 
 def _run_live(options: Options, cell: CellModel, start: Array) -> RunRecord:
     from deltaq_experiments.live import run_live
 
-    return run_live(options, cell, ["--start", *(f"{value:.9f}" for value in start)], leading=None)
+    starting = ["--start", *(f"{value:.9f}" for value in start)]
+    return run_live(options, cell, [*starting, *aim_arguments(options)], leading=None)
 
 
 def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> ApproachStart:
@@ -103,12 +114,13 @@ def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> App
 def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: float) -> ApproachReport:
     starts = [
         approach_of(recording.trace.time_s, views[:, 0], views[:, 1] - VIEW_DISTANCE_M)
-        for recording, views in runs
+        for recording, views, _ in runs
     ]
-    together = np.concatenate([views for _, views in runs])
+    together = np.concatenate([views for _, views, _ in runs])
+    rolls = np.concatenate([np.abs(recording.trace.rolls(cell.robots[FOLLOWER])) for recording, _, _ in runs])
     everything = np.ones(len(together), dtype=np.bool_)
     times = [start.time_to_1_deg_s for start in starts]
-    clearances = [recording.trace.least_clearance(cell) for recording, _ in runs]
+    clearances = [recording.trace.least_clearance(cell) for recording, _, _ in runs]
     nearest = min(clearances, key=lambda clearance: clearance.min)
     return ApproachReport(
         experiment="approach",
@@ -121,6 +133,8 @@ def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: 
         leader_speed_m_s=0.0,
         angle_deg=Figures.of(together[:, 0], everything),
         distance_m=Figures.of(np.abs(together[:, 1] - VIEW_DISTANCE_M), everything),
+        roll_deg=Figures.of(rolls, everything),
+        seen=shares_of([look for _, _, looks in runs for look in looks.looks]),
         time_to_1_deg_s=None if None in times else max(t for t in times if t is not None),
         clearance_m=LeastClearance(
             min=nearest.min,
@@ -128,13 +142,13 @@ def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: 
             robots_min=min(clearance.robots_min for clearance in clearances),
             self_min=min(clearance.self_min for clearance in clearances),
         ),
-        limits=LimitCounts.sum(recording.trace.limit_counts(cell) for recording, _ in runs),
-        gate=GateCounts.sum(recording.gate for recording, _ in runs),
+        limits=LimitCounts.sum(recording.trace.limit_counts(cell) for recording, _, _ in runs),
+        gate=GateCounts.sum(recording.gate for recording, _, _ in runs),
         reasons={
-            code: sum(recording.reasons.get(code, 0) for recording, _ in runs)
-            for code in sorted({code for recording, _ in runs for code in recording.reasons})
+            code: sum(recording.reasons.get(code, 0) for recording, _, _ in runs)
+            for code in sorted({code for recording, _, _ in runs for code in recording.reasons})
         },
-        real_time_factor=sum(float(recording.trace.time_s[-1]) for recording, _ in runs) / elapsed_s,
+        real_time_factor=sum(float(recording.trace.time_s[-1]) for recording, _, _ in runs) / elapsed_s,
         starts=tuple(starts),
     )
 
@@ -143,7 +157,7 @@ def _panels(runs: list[RunViews]) -> tuple[FigurePanel, ...]:
     def lines(column: int) -> tuple[Curve, ...]:
         return tuple(
             Curve(f"from {views[0, 0]:.0f}°", recording.trace.time_s, views[:, column])
-            for recording, views in runs
+            for recording, views, _ in runs
         )
 
     clock = runs[0][0].trace.time_s

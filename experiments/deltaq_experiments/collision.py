@@ -14,6 +14,7 @@ from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
@@ -60,14 +61,15 @@ def run(options: Options) -> ExperimentOutcome:
     between = trace.robot_clearances(cell)
     evading = trace.clearances(camera, FOLLOWER, LEADER) < camera.evades_below_m
     error = views[:, 1] - VIEW_DISTANCE_M
+    looks = seen(cell, trace, lambda _q_leader: focus)
     report = CollisionReport(
-        **summary("collision", options, cell, recording, views[:, 0], error, elapsed_s),
+        **summary("collision", options, cell, recording, views[:, 0], error, looks, elapsed_s),
         target=options.target,
         contacts=int((between <= 0.0).sum()),
         evading_share=float(evading.mean()),
         angle_below_1_deg_share=float((views[:, 0] < 1.0).mean()),
     )
-    return ExperimentOutcome(report, _panels(recording, views, between, evading))
+    return ExperimentOutcome(report, _panels(recording, views, between, evading, looks.hidden()))
 
 
 def _run_virtual(options: Options, cell: CellModel, camera: FocusController) -> RunRecord:
@@ -90,12 +92,12 @@ def _run_live(options: Options, cell: CellModel, focus: Array) -> RunRecord:
 
 
 def _panels(
-    recording: RunRecord, views: Array, between: Array, evading: NDArray[np.bool_]
+    recording: RunRecord, views: Array, between: Array, evading: NDArray[np.bool_], hidden: Marks
 ) -> tuple[FigurePanel, ...]:
     clock = recording.trace.time_s
     marks = (Marks("F_rep acts", clock, evading),)
     return (
-        FigurePanel("View angle error", "deg", (Curve("", clock, views[:, 0]),), marks, bound=1.0),
+        FigurePanel("View angle error", "deg", (Curve("", clock, views[:, 0]),), (*marks, hidden), bound=1.0),
         FigurePanel(
             "View distance",
             "m",

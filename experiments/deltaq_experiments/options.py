@@ -22,6 +22,7 @@ class Options:
         settle_s: start-up that rms and max leave out.
         live: real processes, zenoh and UDP.
         target: the part that a collision's attacks home in on; other experiments do not use it.
+        aim_offset_m: point of the leader's tool that is looked at, in the tool's frame; a collision does not use it.
         record: MCAP file to record to; of several runs in one experiment the later ones are numbered.
     """
 
@@ -34,6 +35,7 @@ class Options:
     settle_s: float = 5.0
     live: bool = False
     target: str = "lens"
+    aim_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     record: Path | None = None
 
     def lasting(self, default_s: float) -> Self:

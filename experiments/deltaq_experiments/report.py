@@ -45,6 +45,23 @@ class LeastClearance(BaseModel):
     """Between two bodies of one robot."""
 
 
+class SeenShares(BaseModel):
+    """Shares of the time in which the camera saw its target, after the settling time."""
+
+    model_config = ConfigDict(frozen=True)
+
+    by_all_eyes: float
+    """Within the picture of every eye, and nothing on any line of sight."""
+    by_one_eye: float
+    """Seen by one eye at least."""
+    in_picture: float
+    """Within the picture of every eye, whatever stands before it."""
+    blocked_by: dict[str, float]
+    """Something of this robot, or of the structure, on a line of sight."""
+    bodies: dict[str, float]
+    """The same by body, the most frequent first."""
+
+
 class Report(BaseModel):
     """One run of an experiment."""
 
@@ -60,7 +77,11 @@ class Report(BaseModel):
     leader_speed_m_s: float
     angle_deg: Figures
     distance_m: Figures
+    roll_deg: Figures
+    """Of the picture, about the view axis."""
+    seen: SeenShares
     time_to_1_deg_s: float | None
+    """From when on the view angle error stays below 1 degree; None if it does not."""
     clearance_m: LeastClearance
     limits: LimitCounts
     gate: GateCounts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.aim import TOOL
 from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
 from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.options import Options
@@ -40,19 +41,32 @@ def require_both(cell: CellModel, purpose: str) -> None:
         )
 
 
+def camera_scene(cell: CellModel, options: Options) -> Scene:
+    """Who looks at what, but for a fixed point."""
+    return Scene(cell, FOLLOWER, LEADER, options.aim_offset_m)
+
+
 def camera_controller(
     cell: CellModel,
     name: str = "paper",
     distance_m: float = VIEW_DISTANCE_M,
     focus: Array | None = None,
+    aim_offset_m: tuple[float, float, float] = TOOL,
 ) -> FocusController:
-    """The camera controller of that name, looking at the leader's tool or at a fixed point.
+    """The camera controller of that name, looking at a point of the leader's tool or at a fixed point.
 
     Raises:
         DeltaqError: if there is none of that name.
     """
-    scene = Scene(cell, FOLLOWER, LEADER)
+    scene = Scene(cell, FOLLOWER, LEADER, aim_offset_m)
     return camera_controller_named(name, scene, distance_m, focus)
+
+
+def aim_arguments(options: Options) -> list[str]:
+    """Arguments of `deltaq_controllers.camera_follower` that say what is looked at."""
+    if options.aim_offset_m == TOOL:
+        return []
+    return ["--aim-offset-m", *(f"{part:g}" for part in options.aim_offset_m)]
 
 
 def added_delay_cycles(cell: CellModel, latency_s: float) -> int:

@@ -9,6 +9,8 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_experiments.options import Options
 from deltaq_experiments.report import Figures
+from deltaq_experiments.scene import FOLLOWER
+from deltaq_experiments.seen import SeenRun
 from deltaq_experiments.trace import time_to_stay_below
 from deltaq_experiments.virtual import RunRecord
 from deltaq_protocol.arrays import Array
@@ -21,6 +23,7 @@ def summary(
     recording: RunRecord,
     angle_deg: Array,
     distance_error_m: Array,
+    seen: SeenRun,
     elapsed_s: float,
 ) -> dict[str, Any]:
     """Fields of a `Report`.
@@ -32,6 +35,7 @@ def summary(
         recording: of the run.
         angle_deg: (k,) view angle error.
         distance_error_m: (k,) view distance less the desired one.
+        seen: what was seen of the target.
         elapsed_s: time that it took.
     """
     trace = recording.trace
@@ -47,6 +51,8 @@ def summary(
         "leader_speed_m_s": options.leader_speed_m_s,
         "angle_deg": Figures.of(np.abs(angle_deg), settled),
         "distance_m": Figures.of(np.abs(distance_error_m), settled),
+        "roll_deg": Figures.of(np.abs(trace.rolls(cell.robots[FOLLOWER])), settled),
+        "seen": seen.shares(options.settle_s),
         "time_to_1_deg_s": time_to_stay_below(trace.time_s, np.abs(angle_deg), 1.0),
         "clearance_m": trace.least_clearance(cell),
         "limits": trace.limit_counts(cell),

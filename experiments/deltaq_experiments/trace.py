@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import FocusController
+from deltaq_controllers.camera.subtasks import LEVEL_RATIO, roll
 from deltaq_experiments.report import LeastClearance
 from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import LimitCounts
@@ -56,6 +58,17 @@ class Trace:
         near: NDArray[np.bool_] = (q < robot.lower + margin) | (q > robot.upper - margin)
         return np.asarray(near.any(axis=1))
 
+    def rolls(self, robot: RobotModel) -> Array:
+        """(k,) by how much the picture of the robot's camera is turned about the view axis [deg].
+
+        Zero where the camera looks straight up or down, where no picture is level.
+        """
+        rotations = [robot.camera_pose(q)[:3, :3] for q in self.q[robot.name]]
+        is_level = [math.hypot(R[2, 0], R[2, 1]) < LEVEL_RATIO for R in rotations]
+        return np.array(
+            [0.0 if no else math.degrees(roll(R)) for no, R in zip(is_level, rotations, strict=True)]
+        )
+
     def points(self, robot: RobotModel) -> Array:
         """(k, 3) the tool in the world [m]."""
         return np.array([robot.forward(q)[:3, 3] for q in self.q[robot.name]])
@@ -84,6 +97,7 @@ class Trace:
 
 
 def time_to_stay_below(time_s: Array, values: Array, bound: float) -> float | None:
-    """When `values` (k,) first fell to `bound`; None if they never did."""
-    below = np.flatnonzero(values <= bound)
-    return float(time_s[below[0]]) if below.size else None
+    """When `values` (k,) came to be at most `bound` for good; None if the last one is not."""
+    above = np.flatnonzero(~(values <= bound))
+    first = int(above[-1]) + 1 if above.size else 0
+    return float(time_s[first]) if first < len(values) else None

@@ -9,9 +9,18 @@ import numpy as np
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
-from deltaq_experiments.panels import Curve, FigurePanel
+from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.scene import (
+    FOLLOWER,
+    LEADER,
+    VIEW_DISTANCE_M,
+    aim_arguments,
+    camera_controller,
+    camera_scene,
+    load,
+)
+from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
 from deltaq_experiments.trace import Trace
 from deltaq_experiments.virtual import RunRecord, record
@@ -30,14 +39,17 @@ def run(options: Options) -> ExperimentOutcome:
     began_s = time.perf_counter()
     recording = _run_live(options, cell) if options.live else _run_virtual(options, cell)
     elapsed_s = time.perf_counter() - began_s
-    views = recording.trace.views(camera_controller(cell, options.controller), FOLLOWER, LEADER)
+    trace = recording.trace
+    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
+    views = trace.views(camera, FOLLOWER, LEADER)
+    looks = seen(cell, trace, camera_scene(cell, options).focus_at)
     angle, error = views[:, 0], views[:, 1] - VIEW_DISTANCE_M
-    report = Report(**summary("tracking", options, cell, recording, angle, error, elapsed_s))
-    return ExperimentOutcome(report, panels(cell, recording.trace, angle, views[:, 1]))
+    report = Report(**summary("tracking", options, cell, recording, angle, error, looks, elapsed_s))
+    return ExperimentOutcome(report, panels(cell, trace, angle, views[:, 1], (looks.hidden(),)))
 
 
 def _run_virtual(options: Options, cell: CellModel) -> RunRecord:
-    camera = camera_controller(cell, options.controller)
+    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
     speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
     return record(options, camera, ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed))
 
@@ -45,10 +57,12 @@ def _run_virtual(options: Options, cell: CellModel) -> RunRecord:
 def _run_live(options: Options, cell: CellModel) -> RunRecord:
     from deltaq_experiments.live import run_live
 
-    return run_live(options, cell)
+    return run_live(options, cell, aim_arguments(options))
 
 
-def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarray) -> tuple[FigurePanel, ...]:
+def panels(
+    cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarray, marks: tuple[Marks, ...] = ()
+) -> tuple[FigurePanel, ...]:
     """The layout of Fig. 9.
 
     Args:
@@ -56,6 +70,7 @@ def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarra
         trace: of both robots.
         angle: (k,) view angle error [deg].
         distance: (k,) view distance [m].
+        marks: what is marked beside the angle.
     """
     clock, p = trace.time_s, trace.points(cell.robots[LEADER])
     moved = p - p[0]
@@ -66,6 +81,7 @@ def panels(cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarra
             "View angle error; dotted: |p|, scaled",
             "deg",
             (Curve("angle error", clock, angle), Curve("|p|", clock, scaled, ":")),
+            marks,
             bound=1.0,
         ),
         FigurePanel(

@@ -15,7 +15,16 @@ from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.scene import (
+    FOLLOWER,
+    LEADER,
+    VIEW_DISTANCE_M,
+    aim_arguments,
+    camera_controller,
+    camera_scene,
+    load,
+)
+from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
@@ -78,7 +87,7 @@ def run(options: Options) -> ExperimentOutcome:
     options = options.lasting(DURATION_S)
     cell = load(options, "zoom")
     hold_s = options.length_s / len(DISTANCES_M)
-    camera = camera_controller(cell, options.controller)
+    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
     began_s = time.perf_counter()
     recording = (
         _run_live(options, cell, hold_s) if options.live else _run_virtual(options, cell, camera, hold_s)
@@ -87,13 +96,14 @@ def run(options: Options) -> ExperimentOutcome:
     views = _views(cell, recording, camera, hold_s)
     error = views.distance_m - views.desired_m
     clock = recording.trace.time_s
+    looks = seen(cell, recording.trace, camera_scene(cell, options).focus_at)
     report = ZoomReport(
-        **summary("zoom", options, cell, recording, views.angle_deg, error, elapsed_s),
+        **summary("zoom", options, cell, recording, views.angle_deg, error, looks, elapsed_s),
         plateaus=tuple(
             plateau(views, clock, index * hold_s, (index + 1) * hold_s) for index in range(len(DISTANCES_M))
         ),
     )
-    return ExperimentOutcome(report, _panels(clock, views))
+    return ExperimentOutcome(report, _panels(clock, views, looks.hidden()))
 
 
 def _run_virtual(options: Options, cell: CellModel, camera: FocusController, hold_s: float) -> RunRecord:
@@ -109,7 +119,8 @@ def _run_live(options: Options, cell: CellModel, hold_s: float) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     distances = [f"{distance:g}" for distance in DISTANCES_M]
-    return run_live(options, cell, ["--hold-s", f"{hold_s}", "--distances-m", *distances])
+    zooming = ["--hold-s", f"{hold_s}", "--distances-m", *distances]
+    return run_live(options, cell, [*zooming, *aim_arguments(options)])
 
 
 def desired_at(time_s: float, hold_s: float) -> float:
@@ -157,13 +168,15 @@ def _views(cell: CellModel, recording: RunRecord, camera: FocusController, hold_
     )
 
 
-def _panels(clock: Array, views: Views) -> tuple[FigurePanel, ...]:
+def _panels(clock: Array, views: Views, hidden: Marks) -> tuple[FigurePanel, ...]:
     marks = (
         Marks("joint near its limit", clock, views.near_limit),
         Marks("F_rep acts", clock, views.evading),
     )
     return (
-        FigurePanel("View angle error", "deg", (Curve("", clock, views.angle_deg),), marks, bound=1.0),
+        FigurePanel(
+            "View angle error", "deg", (Curve("", clock, views.angle_deg),), (*marks, hidden), bound=1.0
+        ),
         FigurePanel(
             "View distance",
             "m",

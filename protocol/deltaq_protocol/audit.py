@@ -32,6 +32,7 @@ class AuditKind(StrEnum):
     OUTPUTS = "outputs"
     CONTACT = "contact"
     DRY_RUN = "dry_run"
+    VIEW = "view"
     INCREMENT = "increment"
     MESSAGE = "message"
 

@@ -35,6 +35,7 @@ from deltaq_protocol.messages import (
     RobotSummary,
     Status,
     Verdict,
+    ViewReply,
 )
 from deltaq_protocol.opening import Opening
 
@@ -184,6 +185,17 @@ class BlockingCell:
     def io(self, robot: str) -> IoReply:
         """Digital outputs and inputs of a robot; see `Cell.io`."""
         return self._background.run(self._cell.io(robot))
+
+    def view(
+        self,
+        robot: str,
+        distance_m: float | None = None,
+        leader: str | None = None,
+        aim_offset_m: ArrayLike | None = None,
+        focus_m: ArrayLike | None = None,
+    ) -> ViewReply:
+        """Ask whoever follows with a robot's camera for another view; see `Cell.view`."""
+        return self._background.run(self._cell.view(robot, distance_m, leader, aim_offset_m, focus_m))
 
     def allow_contact(self, contact: str, allowed: bool = True) -> Done:
         """Let bodies touch, or forbid it again; see `Cell.allow_contact`."""

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from deltaq_protocol import topics
 from deltaq_protocol.certified.names import CLIENT_IDENTITY
 from deltaq_protocol.certified.prover import identity_prover
-from deltaq_protocol.codec import InvalidMessageError, unpack
+from deltaq_protocol.codec import InvalidMessageError, from_map, unpack
 from deltaq_protocol.describing import described
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.leased_robot import LeasedRobot
@@ -58,6 +58,8 @@ from deltaq_protocol.messages import (
     Status,
     StopRequest,
     Verdict,
+    ViewReply,
+    ViewRequest,
 )
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.opening import Opening
@@ -205,6 +207,39 @@ class Cell:
         """
         request = IoRequest(robot=self._known(robot), outputs={})
         return unpack(IoReply, await self._wire.ask(topics.IO, self.description.cell, request, robot))
+
+    async def view(
+        self,
+        robot: str,
+        distance_m: float | None = None,
+        leader: str | None = None,
+        aim_offset_m: ArrayLike | None = None,
+        focus_m: ArrayLike | None = None,
+    ) -> ViewReply:
+        """Ask whoever follows with a robot's camera for another view; what is not given stays as it is.
+
+        Args:
+            robot: that carries the camera.
+            distance_m: from the lens to the target [m].
+            leader: robot whose tool is looked at.
+            aim_offset_m: (3,) the target in the frame of that tool [m].
+            focus_m: (3,) a target that stands still, in the world [m].
+
+        Raises:
+            RefusedError: the robot has no camera, there is no such leader, or `not_permitted` without a
+                controller's token.
+            InvalidMessageError: a value is beyond its bounds.
+            ServiceUnreachableError: no answer in time.
+        """
+        wish = {"distance_m": distance_m, "leader": leader}
+        points = {
+            name: np.asarray(point, dtype=float).tolist()
+            for name, point in (("aim_offset_m", aim_offset_m), ("focus_m", focus_m))
+            if point is not None
+        }
+        fields = {"robot": self._known(robot), "client": self._client, **wish, **points}
+        request = from_map(ViewRequest, fields)
+        return unpack(ViewReply, await self._ask_with_role(topics.VIEW, request, robot))
 
     async def allow_contact(self, contact: str, allowed: bool = True) -> Done:
         """Let bodies touch that a contact of the cell names, or forbid it again.

@@ -19,7 +19,7 @@ class ClientRole(IntEnum):
     OBSERVER = 1
     """Look on, and stop."""
     CONTROLLER = 2
-    """Acquire a free lease, and move its robot."""
+    """Acquire a free lease, and move its robot; ask a follower for another view."""
     OPERATOR = 3
     """Take a lease from its holder, reset, allow contacts."""
 
@@ -57,6 +57,7 @@ RIGHTS = (
     Right(topics.LEASE, LeaseAction.RELEASE, of_holder=True),
     Right(topics.LEASE, LeaseAction.ACQUIRE, ClientRole.CONTROLLER),
     Right(topics.LEASE, LeaseAction.TAKE, ClientRole.OPERATOR),
+    Right(topics.VIEW, least=ClientRole.CONTROLLER),
     Right(topics.RESET, least=ClientRole.OPERATOR),
     Right(topics.CONTACT, least=ClientRole.OPERATOR),
 )

@@ -82,7 +82,7 @@ class Wish(Message):
 
 
 class ViewAt(Message):
-    """The distance that a follower keeps from its focus [m]."""
+    """The distance that whoever follows with the robot keeps from its target [m]: the driver asks the HLI for it."""
 
     type: Literal["view_at"] = "view_at"
     id: RequestId

@@ -56,6 +56,10 @@ DRY_RUN = Topic(
     "dry-run", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/dry-run", messages.DryRunRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.DryRunReply, recorded=False,
 )  # fmt: skip
+VIEW = Topic(
+    "view", Realm.OPEN, Kind.QUERY, _OPEN + "{robot}/view", messages.ViewRequest,
+    publishers=_CLIENT, readers=_HLI, reply=messages.ViewReply, recorded=False,
+)  # fmt: skip
 CHALLENGE = Topic(
     "challenge", Realm.OPEN, Kind.QUERY, _OPEN + "challenge", messages.ChallengeRequest,
     publishers=_CLIENT, readers=_HLI, reply=messages.Challenge, recorded=False,
@@ -131,7 +135,7 @@ GATE_MEMORY = Topic(
 )  # fmt: skip
 
 TOPICS: tuple[Topic, ...] = (
-    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, CHALLENGE, CONTACT, DESCRIPTION,
+    STATE, INCREMENT, VERDICT, LEASE, IO, PROXIMITY, STOP, RESET, DRY_RUN, VIEW, CHALLENGE, CONTACT, DESCRIPTION,
     STATUS,
     SERVER_STATE, REQUEST, ADMISSION, SUPERVISION, GATE_VERDICT, COMMAND, COMMAND_REPLY, HEALTH, GREETING,
     AUDIT_ENTRY, AUDIT, GATE_LOG, GATE_MEMORY,

@@ -8,13 +8,20 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from shared_cell import SharedStack
 
+from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.answers import own_view, view_of
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView
+from deltaq_experiments.scene import VIEW_DISTANCE_M
 from deltaq_launch.private_cell import free_ports
+from deltaq_protocol.blocking import connect
 from deltaq_protocol.client import Cell
+from deltaq_protocol.codec import InvalidMessageError
+from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import Outcome, RobotState, ToolPose, Verdict
 
 pytestmark = pytest.mark.live
@@ -70,6 +77,37 @@ def test_what_the_cell_cannot_do_is_said_and_ends_with_2(
     assert message in err
     assert "Traceback" not in err
     assert summary["cycles"] == 0
+
+
+def test_a_running_follower_takes_another_distance_and_another_target(url: str) -> None:
+    follower = start(FOLLOWER, "--url", url, "--controller", "predictive")
+    lab = CellModel.load("lab")
+    try:
+        with connect(url, client="operator") as cell:
+            q_leader = lab.robots["gr"].home
+            target = Scene(lab, "fr", "gr", (0.0, 0.0, 0.04)).focus_at(q_leader)
+            told = cell.view("fr", distance_m=1.0, aim_offset_m=(0.0, 0.0, 0.04))
+            assert told.view.distance_m == 1.0
+            with pytest.raises(RefusedError, match="gr carries no camera"):
+                cell.view("gr", distance_m=1.0)
+            with pytest.raises(InvalidMessageError, match="distance_m"):
+                cell.view("fr", distance_m=9.0)
+            for state in cell.states("fr"):
+                assert follower.poll() is None
+                lens = lab.robots["fr"].camera_pose(state.q)[:3, 3]
+                if abs(float(np.linalg.norm(target - lens)) - 1.0) < 0.005:
+                    assert state.view == told.view
+                    break
+            assert cell.view("fr").holder == "camera-follower"
+            # it outlives the follower, and others share the cell
+            cell.view("fr", distance_m=VIEW_DISTANCE_M, aim_offset_m=(0.0, 0.0, 0.0))
+        follower.send_signal(signal.SIGTERM)
+        status, summary, err = finish(follower)
+    finally:
+        follower.kill()
+        follower.communicate()
+    assert status == 0, err
+    assert summary["robot"] == "fr", "the cell's first with a camera"
 
 
 def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_told(url: str) -> None:

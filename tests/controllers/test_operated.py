@@ -6,12 +6,14 @@ import pytest
 from advising import advised
 
 from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.motion import ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.reach import ReachPlanner
 from deltaq_protocol.driving import DriverStage, DrivingMode, Wish
+from deltaq_protocol.messages import ViewWish
 
 CYCLE_S = 0.012
 
@@ -19,7 +21,7 @@ CYCLE_S = 0.012
 class Follower:
     """A camera controller that creeps along one joint."""
 
-    desired_distance_m = 1.0
+    desired_distance_m, evades_below_m = 1.0, 0.0
 
     def __init__(self, n):
         self.dq = np.zeros(n)
@@ -146,7 +148,7 @@ def test_without_a_camera_there_is_no_following(bench):
 
 
 def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
-    bench = Bench(lambda: Follower(6))
+    bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
     bench.cycles(2)
     bench.wishes(joints=JOG)
     bench.cycles(10)
@@ -158,7 +160,7 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
     assert followed[-1][0] == 1e-4
     with pytest.raises(ControllerError, match="another mode"):
         bench.wishes(joints=JOG)
-    bench.pilot.view_at(1.7)
+    bench.pilot.take_view(ViewWish(distance_m=1.7))
     assert bench.pilot.report(DriverStage.LEASED).distance_m == 1.7
     bench.pilot.change_mode(DrivingMode.JOINT, "tool")
     assert bench.cycles(1) == [None]
@@ -169,8 +171,15 @@ def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
     assert bench.pilot.report(DriverStage.LEASED).frame == "tool"
 
 
+def test_a_view_that_was_wished_for_before_is_what_the_camera_follows_with():
+    bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
+    bench.pilot.take_view(ViewWish(distance_m=1.7))
+    bench.pilot.prepare(DrivingMode.FOLLOW)
+    assert bench.pilot.report(DriverStage.LEASED).distance_m == 1.7
+
+
 def test_a_stop_ends_the_following():
-    bench = Bench(lambda: Follower(6))
+    bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
     bench.pilot.prepare(DrivingMode.FOLLOW)
     bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
     bench.cycles(5)

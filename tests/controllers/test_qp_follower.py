@@ -90,6 +90,13 @@ def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance
     assert settled[:, 1].max() <= distance_m
 
 
+def test_a_point_before_the_fingers_is_kept_in_view_while_the_tool_moves() -> None:
+    controller = QpFollower(Scene(lab(), "fr", "gr", (0.0, 0.05, 0.1)), 1.25)
+    seen, violations = follow(controller, ScriptedLeader(lab().robots["gr"], CYCLE_S, 0.5, 0), 4.0)
+    assert violations == 0
+    assert seen[round(2.0 / CYCLE_S) :, 0].max() <= 0.5
+
+
 def test_from_exactly_behind_it_gets_round_within_limits() -> None:
     T = lab().robots["fr"].camera_pose(lab().robots["fr"].home)
     behind = T[:3, 3] - 1.25 * T[:3, 2]
@@ -155,11 +162,35 @@ def test_an_attacker_that_goes_on_does_not_drive_it_into_a_corner() -> None:
 
 
 def test_what_others_need_to_brake_in_gives_way_to_the_view() -> None:
-    cornered = QpGains(room_weight=0.0)
+    cornered = QpGains(room_weight=0.0, posture_weight=0.0)
     kept = attack(2.2, gains=cornered._replace(reserve_price=cornered.barrier_price))
     given = attack(2.2, gains=cornered)
     assert given[80:, 0].max() < 0.6 * kept[80:, 0].max()
     assert given[:, 2].min() > 0.1, "of the distance to be kept nothing is given"
+
+
+class Zooming(QpFollower):
+    """Asked to come nearer after four seconds; notes how near to a limit a joint gets then, as a share of its range."""
+
+    least_margin = 1.0
+
+    def increment(self, view: View) -> Array:
+        robot, q = self._scene.robot, view.own.q_cmd
+        if view.own.time_s > 4.0:
+            self.desired_distance_m = 1.0
+            margin = np.minimum(q - robot.lower, robot.upper - q) / (robot.upper - robot.lower)
+            self.least_margin = min(self.least_margin, float(margin.min()))
+        return super().increment(view)
+
+
+def test_what_the_view_leaves_free_does_not_drift_into_a_limit() -> None:
+    # at its limits A3 or A5 would leave no way back to a greater distance
+    controller = Zooming(Scene(lab(), "fr", "gr"), 1.25)
+    leader = ScriptedLeader(lab().robots["gr"], CYCLE_S, 0.25, seed=2)
+    seen, violations = follow(controller, leader, 11.0)
+    assert violations == 0
+    assert controller.least_margin > 0.05
+    assert np.abs(seen[round(10.0 / CYCLE_S) :, 1]).max() < 0.01
 
 
 def test_with_nobody_near_room_to_turn_round_is_no_concern() -> None:

@@ -17,6 +17,7 @@ from deltaq_protocol.messages import (
     LeaseRequest,
     ResetRequest,
     StopRequest,
+    ViewRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Party, Realm
@@ -54,6 +55,8 @@ def request_of(right, token):
             return IoRequest(robot="gr", outputs={"gripper": True} if what == "set" else {})
         case "dry-run", _:
             return DryRunRequest(robot="gr", dq=(0.0,) * 9)
+        case "view", _:
+            return ViewRequest(robot="fr", distance_m=1.0, token=token)
         case "stop", _:
             return StopRequest()
     return None

@@ -166,6 +166,13 @@ def test_mode_view_distance_and_outputs_reach_the_driver(bench):
     assert bench.driver_requests("gr")[-1].twist == (0, 0, 0.1, 0, 0, 0)
 
 
+def test_a_view_distance_is_for_whoever_follows_and_needs_no_seat(bench):
+    desk = bench.browser()
+    assert desk.send("view_distance", robot="fr", value_m=1.5).outcome is ASKED
+    assert bench.driver_requests()[-1].distance_m == 1.5
+    assert "not yours to move" in desk.send("mode", robot="fr", mode="follow").text
+
+
 def held_outside(bench, holder="deltaq drive"):
     bench.core.board.heard({"fr": holder, "gr": None}, bench.now_s)
 

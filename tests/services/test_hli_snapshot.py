@@ -21,6 +21,7 @@ from deltaq_protocol.messages import (
     ResetRequest,
     StopRequest,
     Verdict,
+    ViewRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.topic import Realm
@@ -64,6 +65,7 @@ class Day:
             "stop": (1, lambda _: StopRequest()),
             "reset": (1, lambda robot: ResetRequest(robot=robot)),
             "io": (1, lambda robot: IoRequest(robot=robot)),
+            "view": (1, lambda robot: ViewRequest(robot=robot, distance_m=self.random.choice([1.0, 2.0]))),
             "dry run": (1, lambda robot: DryRunRequest(robot=robot, dq=(0.0,) * ROBOTS[robot])),
         }
         (what,) = draw.choices([*kinds], [weight for weight, _ in kinds.values()])
@@ -130,7 +132,7 @@ def test_another_may_take_its_place_at_any_moment(seed):
         day.commands += [
             o.message for o in published(outputs, Realm.GUARDED) if isinstance(o.message, Command)
         ]
-    assert len(day.seen) == 11
+    assert len(day.seen) == 12
     counters = day.core.counters
     assert all(
         counters[name] for name in ("requests", "leases_granted", "leases_expired", "stops", "malformed")
@@ -166,6 +168,7 @@ def test_a_snapshot_leaves_out_nothing_but_what_is_fixed_and_what_is_counted():
         "playout",
         "_carried",
         "sight",
+        "view",
     }
     assert all(set(vars(link)) == remembered | fixed for link in state.links.values())
     assert set(memory.links) == set(ROBOTS)

@@ -145,6 +145,7 @@ async def test_malformed_lines_get_an_error_each_and_the_connection_lives(runnin
         (b'{"type":"io","robot":"gr","outputs":{"griper":true}}', ("io", "gr", None)),
         (b'{"type":"dry_run","robot":"fr","dq":[0]}', ("dry_run", "fr", None)),
         (b'{"type":"contact","contact":"handshake","allowed":true}', ("contact", None, None)),
+        (b'{"type":"view","robot":"gr","distance_m":1.0}', ("view", "gr", None)),
         (b'{"type":"reset","robot":"ghost"}', ("reset", "ghost", None)),
         (b'{"type":"dance","robot":"fr","seq":1}', ("dance", "fr", 1)),
         (b"nonsense", (None, None, None)),

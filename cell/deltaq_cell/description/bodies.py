@@ -59,10 +59,17 @@ class Attachment(Body):
 
 
 class Camera(DescriptionModel):
-    """A camera in the flange frame; its z axis is the view axis, its x axis points up in the picture."""
+    """A camera in the flange frame; its z axis is the view axis, its x axis points up in the picture.
+
+    A stereo camera has an eye on either side of that frame, along its y axis.
+    """
 
     pose: Pose = Pose()
     vertical_view_deg: Annotated[float, Field(gt=1, lt=170)] = 45.0
+    aspect: Annotated[float, Field(gt=0.1, lt=10)] = 1.5
+    """Width of a picture by its height."""
+    baseline_m: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Distance between the eyes of a stereo camera; 0 for a single one."""
 
 
 class Tool(DescriptionModel):

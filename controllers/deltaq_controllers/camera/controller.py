@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera.aim import TOOL, focus_of
 from deltaq_controllers.camera.error import view_angle
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.interface import LastIncrement, View
@@ -22,9 +23,10 @@ class CameraController:
         leader: model of the leader.
         desired_distance_m: desired view distance; may be changed at any time [m].
         focus: (3,) fixed point in the world to look at in place of the leader's tool [m].
+        aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame [m].
 
     Attributes:
-        follower, desired_distance_m, focus: as given.
+        follower, desired_distance_m, focus, aim_offset_m: as given; all but the first may be changed at any time.
         leader_seen: how the leader is seen, and how old its state is.
         evades_below_m: clearance below which the repulsion (12) acts [m].
     """
@@ -35,10 +37,12 @@ class CameraController:
         leader: RobotModel,
         desired_distance_m: float,
         focus: Array | None = None,
+        aim_offset_m: tuple[float, float, float] = TOOL,
     ) -> None:
         self.follower = follower
         self.desired_distance_m = desired_distance_m
         self.focus = focus
+        self.aim_offset_m: Array = np.array(aim_offset_m)
         self.evades_below_m = follower.gains.repulsion_range_m
         self._leader = leader
         self._last = LastIncrement(follower.limits.max_ddq)
@@ -59,7 +63,9 @@ class CameraController:
 
     def focus_at(self, q_leader: Array) -> Array:
         """(3,) the focus in the world for a configuration of the leader [m]."""
-        return self.focus if self.focus is not None else self._leader.forward(q_leader)[:3, 3]
+        if self.focus is not None:
+            return self.focus
+        return focus_of(self._leader.forward(q_leader), self.aim_offset_m)
 
     def clearance(self, q: Array, q_leader: Array) -> float:
         """Least clearance of bounding spheres from the leader's and from the floor [m]."""

@@ -40,6 +40,19 @@ class FocusController(Controller, Protocol):
 
 
 @runtime_checkable
+class Aiming(Protocol):
+    """A controller whose target may be changed at any time; all that come with the project are.
+
+    Attributes:
+        focus: (3,) fixed point in the world to look at; None for the leader's tool [m].
+        aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame [m].
+    """
+
+    focus: Array | None
+    aim_offset_m: Array
+
+
+@runtime_checkable
 class Seeing(Protocol):
     """A controller that tells how it sees the leader; all that come with the project do.
 
@@ -76,7 +89,7 @@ def camera_controller_named(
     """
     if name in BY_NAME:
         follower = CameraFollower(scene.robot, scene.leader, scene.cycle_s, variants=BY_NAME[name])
-        return CameraController(follower, scene.leader, distance_m, focus)
+        return CameraController(follower, scene.leader, distance_m, focus, scene.aim_offset_m)
     if name == "qp":
         return QpFollower(scene, distance_m, focus)
     return _imported(name)(scene, distance_m, focus)

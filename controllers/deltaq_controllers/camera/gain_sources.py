@@ -75,6 +75,7 @@ QP: dict[str, GainSource] = {
     "evasion_weight": GainSource("1 per mrad²", "tasks", _WEIGHT),
     "distance_weight": GainSource("1 per mm²", "tasks", _WEIGHT),
     "room_weight": GainSource("1 per mrad²", "tasks", _WEIGHT),
+    "posture_weight": GainSource("1 per mrad²", "tasks, nobody near", _WEIGHT),
     "roll_weight": GainSource("1 per mrad²", "tasks", _WEIGHT),
     "rest_weight": GainSource("1 per acceleration limit²", "tasks", _WEIGHT),
     "angle_share": GainSource("1 per cycle", "step of a task", TRIAL),

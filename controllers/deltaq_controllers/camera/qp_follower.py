@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deltaq_controllers.camera.aim import focus_of
 from deltaq_controllers.camera.error import CameraPose, view_angle
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_problem import QuadraticProgram
@@ -53,7 +54,8 @@ class QpFollower:
         gains: weights and margins.
 
     Attributes:
-        desired_distance_m, focus, gains: as given.
+        desired_distance_m, focus, gains: as given; the first two may be changed at any time.
+        aim_offset_m: (3,) point of the leader's tool to look at, in the tool's frame; may be changed too [m].
         limits: limits of the increments.
         evades_below_m: clearance from other robots below which barriers act [m].
         barrier_m: least distance from other robots, however they stand [m].
@@ -79,6 +81,7 @@ class QpFollower:
                 f"robots.{robot.name}.camera in the cell's description, or choose another robot"
             )
         self.desired_distance_m, self.focus, self.gains = desired_distance_m, focus, gains or QpGains()
+        self.aim_offset_m: Array = np.array(scene.aim_offset_m)
         self.limits = IncrementLimits.of(robot, cycle_s)
         self.barrier_m = scene.cell.description.gate.stop_distance_m + self.gains.clear_of_others_m
         self.evades_below_m = self.barrier_m + self.gains.others_range_m
@@ -101,7 +104,9 @@ class QpFollower:
         potential = Potential(gains.evasion, gains.evasion_range_m, gains.evasion_min_m)
         self._repulsion = Repulsion(robot, potential, np.zeros(robot.n), floor_m=0.0)
         self._limit_weights = WeightedGradient(robot.lower, robot.upper, gains.limit_scale, 0.0)
-        self._task_gains = TaskGains.of(gains)
+        # with nobody near the joints' margin gives way to the distance
+        self._gains_near = TaskGains.of(gains)
+        self._gains_alone = self._gains_near._replace(room_weight=gains.posture_weight)
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -148,7 +153,9 @@ class QpFollower:
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:
         """View angle error [rad] and view distance less the desired one [m], at measured configurations."""
         T_world_camera = self._scene.robot.camera_pose(q)
-        focus = self.focus if self.focus is not None else self._scene.leader.forward(q_leader)[:3, 3]
+        focus = self.focus
+        if focus is None:
+            focus = focus_of(self._scene.leader.forward(q_leader), self.aim_offset_m)
         lens = T_world_camera[:3, 3]
         distance = float(np.linalg.norm(focus - lens))
         return view_angle(T_world_camera[:3, :3], lens, focus), distance - self.desired_distance_m
@@ -168,7 +175,7 @@ class QpFollower:
             return np.array(self.focus, dtype=np.float64), np.zeros(3)
         leader = self._others.named(self._scene.leader_name)
         self._leader.update(leader.ahead(-self._cycle_s))  # what the increment starts from
-        focus = self._leader.position
+        focus = self._leader.position + self._leader.rotation @ self.aim_offset_m
         return focus, self._leader.at_point(focus) @ leader.velocity
 
     def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
@@ -180,8 +187,9 @@ class QpFollower:
             q,
             Aim(focus, velocity, float(self.desired_distance_m)),
             self._evasion(q) if evade else np.zeros_like(q),
-            self._room(q) if evade else np.zeros_like(q),
-            self._task_gains,
+            # a target that stands still moves nothing: what it leaves free does not drift
+            self._room(q) if evade or self.focus is None else np.zeros_like(q),
+            self._gains_near if evade else self._gains_alone,
             self._roll_joint,
             self.limits.max_ddq,
             self._cycle_s,
@@ -211,7 +219,8 @@ class QpFollower:
         """(n,) rates back from the limits, along -H of (11) [rad/s or m/s].
 
         A joint at its limit blocks the retreat. To turn round before it, and slip past the attacker where the evasion
-        allows it, takes more margin than the weights of the evasion keep.
+        allows it, takes more margin than the weights of the evasion keep. And what the view leaves free drifts: with
+        A3 and A5 at their limits a camera that is near has no way back to a greater distance.
         """
         back = -self.gains.room * limit_gradient(q, self.limits.lower, self.limits.upper)
         return back * min(1.0, self.gains.room_rate / max(float(np.linalg.norm(back)), 1e-9))

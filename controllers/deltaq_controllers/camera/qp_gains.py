@@ -14,8 +14,9 @@ class QpGains(NamedTuple):
     the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it
     while there is an alternative. The tasks are least squares in one sum. Angle comes first, at a higher price than
     the braking distance of others; two decades below it evasion, distance and joint margin, of equal weight: the
-    follower backs off neither along the view axis nor into a limit while it can evade sideways. Then roll, and last
-    of all rest of the joints.
+    follower backs off neither along the view axis nor into a limit while it can evade sideways. Two decades below
+    that roll, and the joint margin where no robot is near: without it the freedom that the view leaves drifts into
+    limits, from which a later change of distance finds no way. Last of all rest of the joints.
 
     Attributes:
         clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
@@ -33,12 +34,12 @@ class QpGains(NamedTuple):
         evasion_range_m: rho_0 of (12) [m].
         evasion_min_m: distance at which the repulsion stops growing [m].
         limit_scale: s_w of the weights (10) that keep the repulsion from pressing joints to their limits [rad].
-        room: k of the rates -k H, H of (11), at which joints leave their limits while another robot is near
-            [rad^2/s or m^2/s].
+        room: k of the rates -k H, H of (11), at which joints leave their limits [rad^2/s or m^2/s].
         room_rate: largest size of these rates [rad/s or m/s].
-        angle_weight, evasion_weight, distance_weight, room_weight, roll_weight, rest_weight: of the squares: per mm
-            of the focus' path at 1 m for angle, per mrad for evasion, room and roll, per mm for distance, per
-            acceleration limit for rest.
+        angle_weight, evasion_weight, distance_weight, room_weight, posture_weight, roll_weight, rest_weight: of the
+            squares: per mm of the focus' path at 1 m for angle, per mrad for evasion, room, posture and roll, per mm
+            for distance, per acceleration limit for rest. The joints' margin weighs `room_weight` while another robot
+            is near, and else `posture_weight`.
         angle_share, distance_share, roll_share: part of an error that a cycle takes away, near the goal.
         brake_share: part of the possible deceleration that approaching a goal counts on.
         zoom_m_s2: largest deceleration of the view distance that is counted on [m/s^2].
@@ -66,6 +67,7 @@ class QpGains(NamedTuple):
     evasion_weight: float = 1e-2
     distance_weight: float = 1e-2
     room_weight: float = 1e-2
+    posture_weight: float = 1e-4
     roll_weight: float = 1e-4
     rest_weight: float = 1e-5
     angle_share: float = 0.5

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.camera.aim import TOOL, focus_of
+from deltaq_protocol.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -16,11 +20,14 @@ class Scene:
         cell: the cell; a client builds it from the description that the HLI gives it.
         robot_name: the robot that carries the camera.
         leader_name: the robot that is watched.
+        aim_offset_m: point of the leader's tool that is looked at, in the tool's frame [m]: the work that a gripper
+            does is before its fingers, and the fingers hide what is between them.
     """
 
     cell: CellModel
     robot_name: str
     leader_name: str
+    aim_offset_m: tuple[float, float, float] = TOOL
 
     @property
     def robot(self) -> RobotModel:
@@ -31,6 +38,10 @@ class Scene:
     def leader(self) -> RobotModel:
         """The robot that is watched."""
         return self.cell.robots[self.leader_name]
+
+    def focus_at(self, q_leader: Array) -> Array:
+        """(3,) what is looked at, in the world, for a configuration of the leader [m]."""
+        return focus_of(self.leader.forward(q_leader), np.array(self.aim_offset_m))
 
     @property
     def cycle_s(self) -> float:

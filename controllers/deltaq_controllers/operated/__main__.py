@@ -13,7 +13,9 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 
-from deltaq_controllers.camera.controllers import FocusController, camera_controller_named
+from deltaq_cell.roles import camera_roles
+from deltaq_controllers.camera.controllers import camera_controller_named
+from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.live import (
@@ -105,8 +107,8 @@ async def _compiled_camera() -> None:
         raise
 
 
-def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> FocusController:
-    """The paper's follower of the first other robot.
+def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> CameraInUse:
+    """The paper's follower of the robot that the cell says, which can be told to follow any other.
 
     Raises:
         ControllerError: there is no other robot, this one carries no camera, or its law is still being compiled.
@@ -119,8 +121,8 @@ def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> FocusC
     model = cell_model(cell.description)
     if not others or model.robots[robot].description.camera is None:
         raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
-    scene = Scene(model, robot, others[0])
-    return camera_controller_named(FOLLOWS, scene, VIEW_M)
+    cameras = {name: camera_controller_named(FOLLOWS, Scene(model, robot, name), VIEW_M) for name in others}
+    return CameraInUse(cameras, camera_roles(model.description, robot).leader)
 
 
 def _planning(cell: Cell, robot: str) -> Callable[[Reach, Array], PlannedReach]:

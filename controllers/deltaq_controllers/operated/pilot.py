@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deltaq_controllers.camera.controllers import FocusController
+from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
@@ -16,7 +16,7 @@ from deltaq_controllers.operated.ways import option_way, search_of
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Way, Wish
-from deltaq_protocol.messages import Outcome, Verdict
+from deltaq_protocol.messages import Outcome, Verdict, ViewWish
 
 _REST = OperatorCommand()
 
@@ -34,10 +34,11 @@ class Pilot:
         is_following: the camera controller drives.
     """
 
-    def __init__(self, teleoperator: Teleoperator, make_follower: Callable[[], FocusController]) -> None:
+    def __init__(self, teleoperator: Teleoperator, make_follower: Callable[[], CameraInUse]) -> None:
         self._teleoperator = teleoperator
         self._make_follower = make_follower
-        self._follower: FocusController | None = None
+        self._follower: CameraInUse | None = None
+        self._view: ViewWish | None = None
         self._reach: PlannedReach | None = None
         self._active: Teleoperator | None = teleoperator
         self._is_still = True
@@ -56,7 +57,9 @@ class Pilot:
         """
         if mode is DrivingMode.FOLLOW:
             if self._follower is None:
-                self._follower = self._make_follower()
+                follower = self._make_follower()
+                follower.take(self._view)
+                self._follower = follower
         elif mode is not DrivingMode.POSE:
             self._teleoperator.mode_named(ModeName(mode.value))
 
@@ -124,10 +127,11 @@ class Pilot:
         """Wish for nothing."""
         self._wish, self._until_s = _REST, -np.inf
 
-    def view_at(self, distance_m: float) -> None:
-        """Keep this distance from what is looked at [m]; after `prepare`."""
-        assert self._follower is not None  # prepared
-        self._follower.desired_distance_m = distance_m
+    def take_view(self, wish: ViewWish | None) -> None:
+        """Look at what the robot's states ask for, as soon as the camera follows."""
+        self._view = wish
+        if self._follower is not None:
+            self._follower.take(wish)
 
     def held(self) -> None:
         """The robot is held: after a reset it moves when it is wished for again, and not before."""

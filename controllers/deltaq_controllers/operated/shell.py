@@ -26,7 +26,6 @@ from deltaq_protocol.driving import (
     DriverRequest,
     DriverStage,
     DriverWays,
-    DrivingMode,
     Reach,
     Release,
     Switch,
@@ -124,8 +123,8 @@ class OperatedRobot:
                     await asyncio.to_thread(self._pilot.prepare, request.mode)
                     self._pilot.change_mode(request.mode, request.frame)
                 case ViewAt():
-                    await asyncio.to_thread(self._pilot.prepare, DrivingMode.FOLLOW)
-                    self._pilot.view_at(request.distance_m)
+                    # the robot's states tell it to whoever follows, this process or another
+                    await self._cell.view(self._robot, request.distance_m)
                 case Advise():
                     self._pilot.advise(again=request.action == "ask")
                 case Reach():
@@ -195,6 +194,7 @@ class OperatedRobot:
             cycles = await answers.due(state)
             stood = before is not None and before.q_cmd == state.q_cmd
             before = state
+            pilot.take_view(state.view)
             if state.phase is Phase.HELD:
                 pilot.held()
             if self._leaving.is_set():

@@ -68,11 +68,20 @@ from deltaq_protocol.messages.status import (
     RobotStatus,
     Status,
 )
+from deltaq_protocol.messages.view import (
+    CameraDistance,
+    TargetCoordinate,
+    TargetPoint,
+    ViewReply,
+    ViewRequest,
+    ViewWish,
+)
 
 __all__ = [
     "LINE_VERSIONS",
     "MOST_EARLIER",
     "PROTOCOL_VERSION",
+    "CameraDistance",
     "CarriedFrame",
     "Challenge",
     "ChallengeRequest",
@@ -116,8 +125,13 @@ __all__ = [
     "Sight",
     "Status",
     "StopRequest",
+    "TargetCoordinate",
+    "TargetPoint",
     "ToolPose",
     "Vector3",
     "Verdict",
+    "ViewReply",
+    "ViewRequest",
+    "ViewWish",
     "Welcome",
 ]

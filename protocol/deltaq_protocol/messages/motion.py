@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from deltaq_protocol.messages.base import Count, Joints, Message, Name, Quaternion, Secret, Vector3
+from deltaq_protocol.messages.view import ViewWish
 from deltaq_protocol.reasons import ReasonCode
 
 
@@ -88,7 +89,8 @@ class RobotState(Message):
     `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
     brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
     `playout` is there where the robot's lease asked for it. `sight` is how well the controller sees what it follows, as
-    its newest increment says; null if it says nothing.
+    its newest increment says; null if it says nothing. `view` is what its camera was asked to look at last; it outlives
+    leases, so that the next follower looks there too.
     `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
     the gate has been heard.
     """
@@ -108,6 +110,7 @@ class RobotState(Message):
     setpoint_cycle: Count | None = None
     playout: Playout | None = None
     sight: Sight | None = None
+    view: ViewWish | None = None
 
 
 MOST_EARLIER = 4

@@ -6,7 +6,15 @@ from collections.abc import Mapping
 
 from deltaq_protocol import driving
 from deltaq_services.console.client import Client
-from deltaq_services.console.commands import DryRun, Jog, LeaseCommand, LeaseVerb, Reset, RobotCommand
+from deltaq_services.console.commands import (
+    DryRun,
+    Jog,
+    LeaseCommand,
+    LeaseVerb,
+    Reset,
+    RobotCommand,
+    ViewDistance,
+)
 from deltaq_services.console.event_log import EventLog
 from deltaq_services.console.messages import AckOutcome, WaysView
 from deltaq_services.console.outputs import AskHli, ConsoleOutput, ToClient, ToDriver
@@ -94,7 +102,8 @@ class DriverDesk:
             )
         if isinstance(command, LeaseCommand):
             return self._lease(client, command, side, now_s)
-        if not side.seat.is_held_by(client):
+        # another view is for whoever follows with the robot, here or elsewhere
+        if not isinstance(command, ViewDistance) and not side.seat.is_held_by(client):
             holder = side.seat.holder
             raise ValueError(
                 f"robot: {side.name} is not yours to move: "

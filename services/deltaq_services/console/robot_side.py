@@ -176,12 +176,19 @@ class RobotSide:
             mode=None if report is None else report.mode,
             frame="world" if report is None else report.frame,
             driving=said,
-            view_distance_m=None if report is None else report.distance_m,
+            view_distance_m=self._view_distance_m(),
             search=None if report is None else report.search,
             bound=self.bound,
             outputs=self.outputs,
             inputs=self.inputs,
         )
+
+    def _view_distance_m(self) -> float | None:
+        """The distance that was asked for last, or that its driver keeps."""
+        state = self.feed.state
+        if state is not None and state.view is not None and state.view.distance_m is not None:
+            return state.view.distance_m
+        return None if self.report is None else self.report.distance_m
 
     def seen_by(self, client: Client, view: RobotStatusView) -> RobotStatusView:
         """The same view for one client."""

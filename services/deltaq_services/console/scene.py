@@ -25,7 +25,6 @@ from deltaq_services.console.frame import OUTCOMES, PHASES
 
 MESHES = "/meshes"
 """Path under which meshes are served."""
-_LENSES = ("tool_lens_left", "tool_lens_right")
 
 
 @dataclass
@@ -96,7 +95,7 @@ def _robot(robot: RobotModel, meshes: dict[str, str]) -> dict[str, Any]:
             "joint": int(model.frames[robot.frame_of("camera")].parentJoint) - 1,
             "T_joint_camera": _columns(_on_joint(robot, robot.frame_of("camera"))),
             "fov_rad": float(np.deg2rad(camera.vertical_view_deg)),
-            "baseline_m": _baseline(robot),
+            "baseline_m": camera.baseline_m or None,
         },
         "home": robot.home.tolist(),
         "outputs": list(robot.description.outputs),
@@ -177,15 +176,6 @@ def _base(robot: RobotModel) -> pin.SE3:
 def _on_joint(robot: RobotModel, frame: int) -> pin.SE3:
     place = robot.model.frames[frame].placement
     return place if robot.model.frames[frame].parentJoint > 0 else _base(robot).inverse() * place
-
-
-def _baseline(robot: RobotModel) -> float | None:
-    """Distance of the lenses, where the tool has two that are named so."""
-    places = {body.name: body.placement.translation for body in robot.geometry.geometryObjects}
-    lenses = [places.get(f"{robot.name}/{lens}") for lens in _LENSES]
-    if lenses[0] is None or lenses[1] is None:
-        return None
-    return float(np.linalg.norm(lenses[0] - lenses[1]))
 
 
 def _columns(pose: pin.SE3 | Array | Sequence[Sequence[float]]) -> list[float]:

@@ -36,6 +36,7 @@ from deltaq_protocol.messages import (
     StopRequest,
     ToolPose,
     Verdict,
+    ViewRequest,
     Welcome,
 )
 from deltaq_protocol.reasons import ReasonCode
@@ -140,6 +141,8 @@ class HliCore:
                 return self.requests.on_dry_run(message, sender, time_s)
             case ContactRequest():
                 return self.requests.on_contact(message, sender, time_s)
+            case ViewRequest():
+                return self.requests.on_view(message, sender)
         raise TypeError(
             f"the HLI takes states, verdicts, replies and requests, got a {type(message).__name__}"
         )
@@ -205,6 +208,7 @@ class HliCore:
             setpoint_cycle=setpoint_cycle,
             playout=playout,
             sight=link.sight,
+            view=link.view,
         )
         told = ToTopic(topics.STATE, state.robot, placed)
         return [*outputs, *asked, told] if waited else [*outputs, told, *asked]

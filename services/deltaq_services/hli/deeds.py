@@ -41,6 +41,7 @@ KIND_OF_REQUEST = {
     "io": AuditKind.OUTPUTS,
     "contact": AuditKind.CONTACT,
     "dry_run": AuditKind.DRY_RUN,
+    "view": AuditKind.VIEW,
 }
 """By the type of the request, which is the kind of the command that comes of it."""
 

@@ -24,6 +24,7 @@ from deltaq_protocol.messages import (
     Message,
     ResetRequest,
     StopRequest,
+    ViewRequest,
 )
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
@@ -34,7 +35,7 @@ from deltaq_services.hli.sieve import Sieve, Sifted
 from deltaq_services.hli.zenoh_session import LoopSession
 from deltaq_services.outputs import ClientOrigin, Output, Sender
 
-RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest)
+RobotRequest = TypeVar("RobotRequest", LeaseRequest, ResetRequest, IoRequest, DryRunRequest, ViewRequest)
 
 
 _ADDRESS = "zenoh"
@@ -86,6 +87,7 @@ class OpenFront:
         session.answer(topics.RESET, self._on_reset, self._is_proven)
         session.answer(topics.STOP, self._on_stop)
         session.answer(topics.DRY_RUN, self._on_dry_run, _is_nobody_s)
+        session.answer(topics.VIEW, self._on_view, self._is_proven)
         session.answer_at_once(topics.CHALLENGE, self._on_challenge)
         session.answer(topics.CONTACT, self._on_contact, self._is_proven)
         session.answer(topics.STATUS, self._on_status, _is_nobody_s)
@@ -142,6 +144,14 @@ class OpenFront:
 
     def _on_dry_run(self, query: zenoh.Query) -> None:
         self._answer(query, topics.DRY_RUN, DryRunRequest, self._port.core.requests.on_dry_run)
+
+    def _on_view(self, query: zenoh.Query) -> None:
+        self._answer(
+            query,
+            topics.VIEW,
+            ViewRequest,
+            lambda asked, sender, _: self._port.core.requests.on_view(asked, sender),
+        )
 
     def _on_contact(self, query: zenoh.Query) -> None:
         port = self._port
@@ -201,7 +211,7 @@ class OpenFront:
             fields["lease"] = self._port.authentication.holder(
                 request.robot, str(query.key_expr), _payload(query), _proof(query)
             )
-        if isinstance(request, LeaseRequest | ResetRequest):
+        if isinstance(request, LeaseRequest | ResetRequest | ViewRequest):
             fields["token"] = self._role_token(query)
         return request.model_copy(update=fields)
 
@@ -209,7 +219,7 @@ class OpenFront:
         if isinstance(request, IoRequest):
             lease = self._port.core.leases.held_with(request.robot, request.lease)
             return self._origin(None, None) if lease is None else lease.origin
-        if isinstance(request, LeaseRequest | ResetRequest):
+        if isinstance(request, LeaseRequest | ResetRequest | ViewRequest):
             return self._origin(request.client, request.token, self._identity(query))
         return self._origin(None, None)
 

@@ -20,6 +20,8 @@ from deltaq_protocol.messages import (
     LeaseRequest,
     Reason,
     ResetRequest,
+    ViewReply,
+    ViewRequest,
 )
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
 from deltaq_services.hli.client_roles import ClientRoles
@@ -27,9 +29,11 @@ from deltaq_services.hli.deeds import KIND_OF_REQUEST, Deed, deed_of
 from deltaq_services.hli.leases import Lease
 from deltaq_services.hli.sequence import Sequence
 from deltaq_services.hli.state import HliState
+from deltaq_services.hli.views import changed, problem_of
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
-_Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest
+_Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest | ViewRequest
+_WithRole = ContactRequest | LeaseRequest | ResetRequest | ViewRequest
 
 
 class Requests:
@@ -155,6 +159,27 @@ class Requests:
         what = f"contact {request.contact} {'allowed' if request.allowed else 'forbidden'}"
         return self._state.command(command, sender, Done(what=what), time_s)
 
+    def on_view(self, request: ViewRequest, sender: Sender) -> list[Output]:
+        """Wish for another view of a robot's camera: its states tell it to whoever follows."""
+        link = self._state.links.get(request.robot)
+        if link is None:
+            return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
+        if self._role(request, sender) < least_role(topics.VIEW):
+            text = f"another view of {request.robot} needs the controller's token"
+            return self._error(
+                sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
+            )
+        problem = problem_of(request, self._state.cell)
+        if problem is not None:
+            return self._error(sender, request, ReasonCode.MALFORMED, *problem)
+        self._state.counters["views_asked"] += 1
+        view = link.view = changed(link.view, request)
+        told = ", ".join(f"{name} {value}" for name, value in view.model_dump(exclude_none=True).items())
+        self._state.tell(Deed(AuditKind.VIEW, AuditOutcome.DONE, sender.origin, request.robot, text=told))
+        lease = self._state.leases.of(request.robot)
+        holder = lease.client if lease else None
+        return [ToSender(sender, ViewReply(robot=request.robot, view=view, holder=holder))]
+
     def on_io(self, request: IoRequest, sender: Sender, time_s: float) -> list[Output]:
         """Set outputs, which only the holder may while the robot is leased, and read all of them."""
         outputs = self._state.tick(time_s)
@@ -231,7 +256,7 @@ class Requests:
             Deed(AuditKind.LEASE_REFUSED, AuditOutcome.REFUSED, asking, request.robot, code, text)
         )
 
-    def _role(self, request: ContactRequest | LeaseRequest | ResetRequest, sender: Sender) -> ClientRole:
+    def _role(self, request: _WithRole, sender: Sender) -> ClientRole:
         return self._roles.of(request.token, sender.origin.identity)
 
     def _robots_are(self, robot: str) -> tuple[str, str]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deltaq_protocol.guarded import ServerState
-from deltaq_protocol.messages import Increment, Phase, Reason, Sight, Verdict
+from deltaq_protocol.messages import Increment, Phase, Reason, Sight, Verdict, ViewWish
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.admitted_ahead import AdmittedAhead, AheadMemory
 from deltaq_services.hli.asked import Asked
@@ -39,6 +39,7 @@ class LinkMemory:
         admitted: what is known of the setpoints to come.
         playout: the increments of a controller far away.
         sight: how well the controller sees what it follows.
+        view: what its camera is to look at.
     """
 
     state: ServerState | None
@@ -50,6 +51,7 @@ class LinkMemory:
     admitted: AheadMemory | None
     playout: PlayoutMemory | None
     sight: Sight | None
+    view: ViewWish | None
 
 
 class RobotLink:
@@ -67,6 +69,7 @@ class RobotLink:
         joints: as given.
         playout: keeps the increments of the lease until their turn; None where it did not ask for that.
         sight: how well the controller sees what it follows; None where it says nothing.
+        view: what its camera is to look at; None while nobody has asked.
         state, received_s: newest state of the robot, and when it came [s].
     """
 
@@ -84,6 +87,7 @@ class RobotLink:
         self._max_playout_cycles = max_playout_cycles
         self._carried = carried
         self.sight: Sight | None = None
+        self.view: ViewWish | None = None
         self.playout: PlayoutBuffer | None = None
         self._max_state_age_s = max_state_age_s
         self._asked_cycle: int | None = None
@@ -108,13 +112,14 @@ class RobotLink:
             admitted,
             None if self.playout is None else self.playout.snapshot(),
             self.sight,
+            self.view,
         )
 
     def restore(self, memory: LinkMemory) -> None:
         """Go on from where another was."""
         self.state, self.received_s = memory.state, memory.received_s
         self._asked_cycle, self._answered_cycle = memory.asked_cycle, memory.answered_cycle
-        self._waiting, self.sight = memory.waiting, memory.sight
+        self._waiting, self.sight, self.view = memory.waiting, memory.sight, memory.view
         self._awaited = dict(memory.awaited)
         if self._admitted is not None and memory.admitted is not None:
             self._admitted.restore(memory.admitted)

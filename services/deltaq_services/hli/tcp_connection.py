@@ -25,6 +25,7 @@ from deltaq_protocol.messages import (
     Message,
     ResetRequest,
     StopRequest,
+    ViewRequest,
 )
 from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
@@ -57,6 +58,7 @@ REQUESTS: dict[str, type[Message]] = {
     "reset": ResetRequest,
     "dry_run": DryRunRequest,
     "contact": ContactRequest,
+    "view": ViewRequest,
     "describe": DescribeRequest,
 }
 """What a client may say, by the `type` of its line."""
@@ -296,7 +298,7 @@ class TcpConnection(asyncio.Protocol, Sender):
                 fields = {"lease": lease, "client": client.client, "token": client.token}
             case IoRequest():
                 fields = {"lease": self.leases.get(request.robot)}
-            case ContactRequest() | ResetRequest():
+            case ContactRequest() | ResetRequest() | ViewRequest():
                 fields = {"token": client.token}
             case DescribeRequest():
                 return self._told(core.description)

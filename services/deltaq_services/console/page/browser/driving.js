@@ -172,8 +172,8 @@ export function drivingPanel(context) {
     say(doing, robot.mode === "advisor" ? "" : robot.driving);
     advisor.show();
     pose.show();
-    zoom.hidden = robot.mode !== "follow";
-    distance.disabled = !!live.cannotDrive(driven.name);
+    zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
+    distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
     if (robot.view_distance_m && document.activeElement !== distance) {
       distance.value = robot.view_distance_m;
       say(distanceText, `${robot.view_distance_m.toFixed(2)} m`);

@@ -1,0 +1,148 @@
+"""The claims: the paper's, and stricter ones of the controllers here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from deltaq_experiments.claims import quantities as q
+from deltaq_experiments.claims.claim import Claim, JsonReport
+from deltaq_experiments.options import Options
+
+BARRIER_LESS_1_CM = 0.09
+"""The programme keeps other robots 10 cm away, twice the gate's stop distance."""
+
+LENGTH_S = 20.0
+"""Of a run of tracking or collision: ten seeds of this tell more than one seed of twice as much [s]."""
+
+BEFORE_THE_FINGERS_M = (0.0, 0.0, 0.04)
+"""A point that the gripper's own fingers do not hide, in the tool's frame [m]."""
+
+FIRST_ATTACK_S = 1.0
+"""By then the camera looks at its focus, and the first attack has just begun [s]."""
+
+
+def _within(angle_deg: float, distance_m: float) -> Callable[[JsonReport], bool]:
+    return lambda r: r["angle_deg"]["max"] <= angle_deg and r["distance_m"]["max"] <= distance_m
+
+
+def _reached_in(time_s: float) -> Callable[[JsonReport], bool]:
+    return lambda r: (
+        r["time_to_1_deg_s"] is not None
+        and r["time_to_1_deg_s"] <= time_s
+        and all(start["largest_rise_deg"] < 0.05 for start in r["starts"])
+    )
+
+
+def _plateaus(report: JsonReport) -> bool:
+    *in_reach, out_of_reach = report["plateaus"]
+    explained = out_of_reach["reached"] or out_of_reach["why_not"]
+    return bool(explained) and all(p["reached"] and p["largest_angle_deg"] <= 1.0 for p in in_reach)
+
+
+def _plateaus_and_view(report: JsonReport) -> bool:
+    return _plateaus(report) and bool(report["angle_deg"]["max"] <= 1.0)
+
+
+def _kept_clear(least_m: float) -> Callable[[JsonReport], bool]:
+    return lambda r: (
+        r["contacts"] == 0 and r["clearance_m"]["robots_min"] >= least_m and r["angle_deg"]["max"] <= 1.0
+    )
+
+
+def _no_contact(report: JsonReport) -> bool:
+    return bool(report["contacts"] == 0)
+
+
+_APPROACH = (q.SLOWEST, q.RISE, q.SEEN)
+_TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.ROLL, q.SEEN)
+_ZOOM = (q.IN_REACH, q.IN_REACH_ANGLE, q.ON_THE_WAY, q.OUT_OF_REACH, q.ROLL, q.SEEN)
+_COLLISION = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, q.ROLL, q.SEEN)
+
+
+def _tracking(claim: str, angle_deg: float, distance_m: float, picture: str = "", **options: Any) -> Claim:
+    holds = _within(angle_deg, distance_m)
+    return Claim("tracking", Options(duration_s=LENGTH_S, **options), claim, holds, _TRACKING, picture)
+
+
+def _attack(claim: str, picture: str = "", **options: Any) -> Claim:
+    """An attack that `qp` evades while it keeps the view."""
+    usual = Options(controller="qp", settle_s=FIRST_ATTACK_S, duration_s=LENGTH_S)
+    holds = _kept_clear(BARRIER_LESS_1_CM)
+    return Claim("collision", replace(usual, **options), claim, holds, _COLLISION, picture)
+
+
+CLAIMS = (
+    Claim(
+        "approach", Options(), "Fig. 8: monotone; below 1° in 2 s", _reached_in(2.0), _APPROACH, "fig-8-paper"
+    ),
+    Claim(
+        "approach",
+        Options(controller="qp"),
+        "monotone; below 1° in 0.6 s",
+        _reached_in(0.6),
+        _APPROACH,
+        "fig-8-qp",
+    ),
+    _tracking("Fig. 9: ±1°, ±2 cm", 1.0, 0.021, "fig-9-paper"),
+    _tracking("the paper's future work (VII-B): 0.1°, 0.3 cm", 0.1, 0.003, controller="predictive"),
+    _tracking("0.1°, 0.3 cm", 0.1, 0.003, "fig-9-qp", controller="qp"),
+    Claim(
+        "tracking",
+        Options(controller="qp", duration_s=LENGTH_S, aim_offset_m=BEFORE_THE_FINGERS_M),
+        "the same, aimed 4 cm before the fingers: seen by both eyes all the time",
+        lambda r: _within(0.1, 0.003)(r) and bool(r["seen"]["by_all_eyes"] == 1.0),
+        _TRACKING,
+    ),
+    _tracking("at 0.5 m/s: 0.1°, 0.3 cm", 0.1, 0.003, controller="qp", leader_speed_m_s=0.5),
+    _tracking("at 1 m/s: 0.2°, 1 cm", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0),
+    Claim(
+        "zoom",
+        Options(),
+        "Fig. 10: the distance is kept but where F_rep or a limit stands in the way; the angle is unaffected",
+        _plateaus,
+        _ZOOM,
+        "fig-10-paper",
+    ),
+    Claim(
+        "zoom",
+        Options(controller="predictive"),
+        "the same, the focus carried ahead: within 1 cm and 1° where it can be reached",
+        _plateaus,
+        _ZOOM,
+    ),
+    Claim(
+        "zoom",
+        Options(controller="qp"),
+        "within 1 cm where it can be reached, and said where not; within 1° on the way too",
+        _plateaus_and_view,
+        _ZOOM,
+        "fig-10-qp",
+    ),
+    Claim(
+        "collision",
+        Options(settle_s=FIRST_ATTACK_S, duration_s=LENGTH_S),
+        "Fig. 11: no contact; the distance gives way, the angle does not",
+        _kept_clear(0.0),
+        _COLLISION,
+        "fig-11-paper",
+    ),
+    _attack("no contact, 9 cm kept, 1°", picture="fig-11-qp"),
+    _attack("the same at the wrist", target="wrist"),
+    _attack("the same at the lens, 0.5 m/s", leader_speed_m_s=0.5),
+    _attack("the same at the lens, 0.75 m/s", leader_speed_m_s=0.75),
+    Claim(
+        "collision",
+        Options(
+            controller="qp",
+            leader_speed_m_s=0.75,
+            target="elbow",
+            settle_s=FIRST_ATTACK_S,
+            duration_s=LENGTH_S,
+        ),
+        "cornered: the gate stops the leader, never a contact",
+        _no_contact,
+        _COLLISION,
+    ),
+)

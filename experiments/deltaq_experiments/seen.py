@@ -1,0 +1,77 @@
+"""What the camera saw of its target in a recorded run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.visibility import Visibility, VisibilityGauge
+from deltaq_experiments.panels import Marks
+from deltaq_experiments.report import SeenShares
+from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_experiments.trace import Trace
+from deltaq_protocol.arrays import Array
+
+EVERY_S = 0.06
+"""Time between two looks: what hides a target does so for longer."""
+
+
+@dataclass(frozen=True)
+class SeenRun:
+    """Looks at the target, one after the other.
+
+    Attributes:
+        time_s: (k,) when.
+        looks: what was seen then.
+    """
+
+    time_s: Array
+    looks: Sequence[Visibility]
+
+    def shares(self, settle_s: float = 0.0) -> SeenShares:
+        """Shares of the time from `settle_s` on, or of all of it in a run that is shorter."""
+        settled = [look for time_s, look in zip(self.time_s, self.looks, strict=True) if time_s >= settle_s]
+        return shares_of(settled or self.looks)
+
+    def hidden(self) -> Marks:
+        """Where an eye does not see the target, for a figure."""
+        return Marks("target hidden", self.time_s, np.array([not look.is_seen for look in self.looks]))
+
+
+def shares_of(looks: Sequence[Visibility]) -> SeenShares:
+    """Shares of some looks, at least one."""
+    bodies: Counter[str] = Counter()
+    owners: Counter[str] = Counter()
+    for look in looks:
+        blocking = {body for line in look.blocked_by for body in line}
+        bodies.update(blocking)
+        owners.update({body.split("/")[0] for body in blocking})
+    count = len(looks)
+    return SeenShares(
+        by_all_eyes=sum(look.is_seen for look in looks) / count,
+        by_one_eye=sum(look.eyes_seeing > 0 for look in looks) / count,
+        in_picture=sum(all(look.in_picture) for look in looks) / count,
+        blocked_by={owner: number / count for owner, number in owners.most_common()},
+        bodies={body: number / count for body, number in bodies.most_common()},
+    )
+
+
+def seen(cell: CellModel, trace: Trace, target: Callable[[Array], Array]) -> SeenRun:
+    """What the camera saw in a run.
+
+    Args:
+        cell: the cell.
+        trace: of its robots.
+        target: (3,) point that is looked at, in the world, by the leader's configuration [m].
+    """
+    gauge = VisibilityGauge(cell, FOLLOWER)
+    every = max(1, round(EVERY_S / cell.description.cycle_s))
+    indices = range(0, len(trace.time_s), every)
+    looks = [
+        gauge.look({name: q[k] for name, q in trace.q.items()}, target(trace.q[LEADER][k])) for k in indices
+    ]
+    return SeenRun(trace.time_s[::every], looks)

@@ -1,0 +1,49 @@
+"""What a camera is to look at: a wish that the robot's states tell to whoever follows with it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from deltaq_protocol.messages.base import Message, Name, Secret
+
+CameraDistance = Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
+"""How far a camera may be asked to stand from its target [m]."""
+TargetCoordinate = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
+TargetPoint = tuple[TargetCoordinate, TargetCoordinate, TargetCoordinate]
+
+
+class ViewWish(Message):
+    """What a robot's camera is to look at, and from how far; whoever follows with it reads this from its states.
+
+    The target is `aim_offset_m`, a point in the frame of the tool of `leader`, or `focus_m`, one that stands still in
+    the world. What is null stays as the follower was started with.
+    """
+
+    distance_m: CameraDistance | None = None
+    leader: Name | None = None
+    aim_offset_m: TargetPoint | None = None
+    focus_m: TargetPoint | None = None
+
+
+class ViewRequest(ViewWish):
+    """Ask whoever follows with a robot's camera for another view; states tell it (`RobotState.view`).
+
+    What is null stays as it is. A `leader` or `aim_offset_m` ends an earlier `focus_m`. It needs the right to have a
+    lease, and no lease: the follower holds it. `token` is never sent, as in `LeaseRequest`.
+    """
+
+    type: Literal["view"] = "view"
+    robot: Name
+    client: str | None = Field(default=None, max_length=64)
+    token: Secret = None
+
+
+class ViewReply(Message):
+    """The view that is wished for now, all wishes together, and who holds the robot: null if nobody follows."""
+
+    type: Literal["view"] = "view"
+    robot: Name
+    view: ViewWish
+    holder: str | None = None
