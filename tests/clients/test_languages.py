@@ -119,7 +119,8 @@ def test_one_who_computes_for_longer_than_an_increment_may_be_old_is_not_refused
 
 def test_verdicts_that_never_come_are_not_waited_for(language: Language, server: Server) -> None:
     server.peer.judges = False
-    assert answers(language, server, "fr", 0.0, 40) == []
+    # what a busy machine lets come too late the HLI refuses by itself
+    assert set(answers(language, server, "fr", 0.0, 40)) <= {"refused"}
     assert server.peer.increments.qsize() >= 20
     assert server.hli.status().robots["fr"].lease.holder is None
 
