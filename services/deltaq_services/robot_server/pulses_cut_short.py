@@ -38,8 +38,7 @@ class PulsesCutShort:
 
     def sent(self, q_cmd: Array, setpoint: Array) -> None:
         """A reply: `q_cmd` (n,) was sent, which is the `setpoint` (n,) and what a probe adds to it [rad or m]."""
-        is_added_to = not np.array_equal(q_cmd, setpoint)
-        self._last = (tuple(q_cmd.tolist()), tuple(setpoint.tolist())) if is_added_to else None
+        self._last = tuple(q_cmd.tolist()), tuple(setpoint.tolist())
 
     def cut_short(self) -> None:
         """Another session begins."""
