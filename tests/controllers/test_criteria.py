@@ -12,7 +12,7 @@ import pytest
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.criteria import BY_NAME, TABLE, Category, Criterion, Normalised, Postures, RobotData
-from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, Kind
+from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind
 from deltaq_controllers.criteria.normalised import CriterionError, cost, references
 from deltaq_controllers.criteria.screen import least_gaps
 
@@ -22,9 +22,9 @@ DATA = {
     for name, cell in CELLS.items()
 }
 CLEARANCES = {
-    "obstacle_clearance": Kind.ENVIRONMENT,
-    "robot_clearance": Kind.ROBOTS,
-    "self_clearance": Kind.SELF,
+    "obstacle_clearance": PairKind.ENVIRONMENT,
+    "robot_clearance": PairKind.ROBOTS,
+    "self_clearance": PairKind.SELF,
 }
 ALL = dict.fromkeys(BY_NAME, 1.0)
 
@@ -181,7 +181,7 @@ def test_the_nearest_of_each_kind_is_the_one_that_is_found_by_measuring_all(robo
     cell, data = CELLS[robot], DATA[robot]
     for q in clear(data, 20, seed=12).q:
         told, every = data.bodies.nearest(q), all_rooms(cell, robot, data, q)
-        for kind in Kind:
+        for kind in PairKind:
             room_m, pair = min(every[kind], default=(np.inf, None))
             if room_m >= FAR_M:
                 assert kind not in told
@@ -192,7 +192,7 @@ def test_the_nearest_of_each_kind_is_the_one_that_is_found_by_measuring_all(robo
 
 def all_rooms(
     cell: CellModel, robot: str, data: RobotData, q: np.ndarray[Any, Any]
-) -> dict[Kind, list[tuple[float, frozenset[str]]]]:
+) -> dict[PairKind, list[tuple[float, frozenset[str]]]]:
     """Room and names of every pair that the gate measures and the hands leave free, by coal body by body."""
     gate, model = cell.description.gate, cell.robots[robot]
     placed = {}
@@ -206,7 +206,7 @@ def all_rooms(
         placed[body.name] = (body.geometry, body.placement, "", -1)
     never = {frozenset(pair) for pair in model.never_checked_pairs()}
     last = {joint for joint, _, _ in data.kinematics.hands}
-    found: dict[Kind, list[tuple[float, frozenset[str]]]] = {kind: [] for kind in Kind}
+    found: dict[PairKind, list[tuple[float, frozenset[str]]]] = {kind: [] for kind in PairKind}
     for one, other in combinations(placed, 2):
         owners = {placed[one][2], placed[other][2]}
         joints = [placed[name][3] if placed[name][2] == robot else -1 for name in (one, other)]
@@ -215,8 +215,10 @@ def all_rooms(
             continue
         if all(joint < 0 or joint in last for joint in joints):
             continue
-        kind = Kind.SELF if owners == {robot} else Kind.ENVIRONMENT if "" in owners else Kind.ROBOTS
-        stop_m = gate.self_stop_distance_m if kind is Kind.SELF else gate.stop_distance_m
+        kind = (
+            PairKind.SELF if owners == {robot} else PairKind.ENVIRONMENT if "" in owners else PairKind.ROBOTS
+        )
+        stop_m = gate.self_stop_distance_m if kind is PairKind.SELF else gate.stop_distance_m
         distance = coal.distance(
             placed[one][0], transform(placed[one][1]), placed[other][0], transform(placed[other][1]),
             coal.DistanceRequest(), coal.DistanceResult(),
@@ -251,7 +253,7 @@ def test_other_robots_count_where_they_are_placed() -> None:
     at_home.bodies.place({"fr": fr.home + np.array([2.5, 0, 0, 0, 0, 0])})
     assert criterion.value(Postures(at_home, q))[0] > before[before < 0.2][0]
     alone = RobotData(cell, "gr")
-    assert not (Postures(alone, q).near.kind == Kind.ROBOTS).any()
+    assert not (Postures(alone, q).near.kind == PairKind.ROBOTS).any()
 
 
 def test_one_hand_that_is_singular_is_not_hidden_by_the_other() -> None:

@@ -17,7 +17,7 @@ import deltaq_controllers
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
-COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker", "counsel"))]
+COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker"))]
 
 
 def waited(*cases: str, **environment: str) -> dict[str, dict[str, Any]]:

@@ -9,6 +9,7 @@ from driving import CYCLE_S, PlainDrive, StackDrive, model
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
+from deltaq_controllers.criteria.near_bodies import FAR_M, PairKind
 from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
 from deltaq_controllers.interface import ControllerError
@@ -19,6 +20,7 @@ from deltaq_controllers.modes.interface import Instant
 from deltaq_controllers.modes.joint_travel import travel, travel_gradient
 from deltaq_controllers.modes.motion import Frame, ModeName, Motion, OperatorCommand
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
+from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles, brake_travel
 
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
@@ -196,17 +198,23 @@ def test_weights_given_by_name_make_an_elbow_give_way_to_what_stands_about() -> 
     cell = CellModel.load("dawm")
     robot, data = cell.robots["dawm"], RobotData(cell, "dawm")
     q = np.random.default_rng(0).uniform(0.8 * robot.lower, 0.8 * robot.upper, (2000, robot.n))
-    nearest = Postures(data, q).nearest
+    near = Postures(data, q).near
     arms = [robot.joint_names.index(f"{side}_{joint}") for side in ("left", "right") for joint in (2, 3)]
-    stands = np.isin(data.field.joints[nearest.first], arms) & (nearest.second == -1)
+    stands = (near.kind == PairKind.ENVIRONMENT) & np.isin(near.first, arms)
+    starts = np.unique(near.row[stands & (near.room > 0.02) & (near.room < 0.08)])
+
+    def room_m(q: Array) -> float:
+        nearest = data.bodies.nearest(q).get(PairKind.ENVIRONMENT)
+        return FAR_M if nearest is None else nearest.room_m
+
     gained = []
-    for start in q[stands & (nearest.room > 0.02) & (nearest.room < 0.08)][:6]:
+    for start in q[starts][:6]:
         ends = []
-        for weights in (None, {"clearance": 1.0}):
+        for weights in (None, {"obstacle_clearance": 1.0}):
             run = PlainDrive("dawm", COUPLED, start)
             run.teleoperator = advised(robot, COUPLED, weights)
             run.drive(1.5, **{"left.x": 0.1})
-            ends.append(float(Postures(data, run.now).nearest.room[0]))
+            ends.append(room_m(run.now))
             assert run.violations == 0
         gained.append(ends[1] - ends[0])
     assert len(gained) == 6

@@ -17,7 +17,7 @@ from deltaq_controllers.advisor.space import HandsKept, HandsMoved
 from deltaq_controllers.advisor.trade_off import front
 from deltaq_controllers.advisor.trees import Tree
 from deltaq_controllers.criteria import TABLE, Postures
-from deltaq_controllers.criteria.near_bodies import Clearance, Kind
+from deltaq_controllers.criteria.near_bodies import Clearance, PairKind
 from deltaq_controllers.criteria.normalised import cost
 from deltaq_protocol.arrays import Array
 
@@ -64,7 +64,7 @@ class Option:
     no_path: str = NOT_LOOKED_FOR
     hands_leave: bool = False
     energy_here: float = float("nan")
-    nearest: Mapping[Kind, Clearance] = field(default_factory=dict)
+    nearest: Mapping[PairKind, Clearance] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, Kind
+from deltaq_controllers.criteria.near_bodies import FAR_M, SOFT_M, PairKind
 from deltaq_controllers.criteria.postures import Postures
 from deltaq_protocol.arrays import Array, Flags
 
@@ -26,32 +26,32 @@ def clearance_gradient(postures: Postures) -> Array:
 
 def self_clearance(postures: Postures) -> Array:
     """Of the robot from itself [m]."""
-    return _room(postures, postures.near.kind == Kind.SELF)
+    return _room(postures, postures.near.kind == PairKind.SELF)
 
 
 def self_clearance_gradient(postures: Postures) -> Array:
     """Of `self_clearance`."""
-    return _gradient(postures, postures.near.kind == Kind.SELF)
+    return _gradient(postures, postures.near.kind == PairKind.SELF)
 
 
 def obstacle_clearance(postures: Postures) -> Array:
     """Of the robot from the structure [m]."""
-    return _room(postures, postures.near.kind == Kind.ENVIRONMENT)
+    return _room(postures, postures.near.kind == PairKind.ENVIRONMENT)
 
 
 def obstacle_clearance_gradient(postures: Postures) -> Array:
     """Of `obstacle_clearance`."""
-    return _gradient(postures, postures.near.kind == Kind.ENVIRONMENT)
+    return _gradient(postures, postures.near.kind == PairKind.ENVIRONMENT)
 
 
 def robot_clearance(postures: Postures) -> Array:
     """Of the robot from other robots [m]."""
-    return _room(postures, postures.near.kind == Kind.ROBOTS)
+    return _room(postures, postures.near.kind == PairKind.ROBOTS)
 
 
 def robot_clearance_gradient(postures: Postures) -> Array:
     """Of `robot_clearance`."""
-    return _gradient(postures, postures.near.kind == Kind.ROBOTS)
+    return _gradient(postures, postures.near.kind == PairKind.ROBOTS)
 
 
 def _weights(postures: Postures, counts: Flags) -> tuple[Array, Array, Array]:

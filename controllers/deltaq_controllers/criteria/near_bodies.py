@@ -29,7 +29,7 @@ FAR_M = 0.25
 """Room beyond which nothing is gained [m]."""
 
 
-class Kind(IntEnum):
+class PairKind(IntEnum):
     """With what a robot's body is near."""
 
     SELF = 0
@@ -53,7 +53,7 @@ class Clearance:
 
 
 @dataclass(frozen=True)
-class NearPairs:
+class MeasuredPairs:
     """The nearest pairs of each kind at each of N configurations, e in all.
 
     Attributes:
@@ -119,11 +119,11 @@ class NearBodies:
         still = {i for i in range(len(bodies)) if self._joints[i] < 0 or self._joints[i] in last}
         never = {frozenset(pair) for pair in model.never_checked_pairs()}
         pairs: list[tuple[int, int]] = []
-        kinds: list[Kind] = []
+        kinds: list[PairKind] = []
         for kind, of_kind in (
-            (Kind.SELF, combinations(own, 2)),
-            (Kind.ENVIRONMENT, ((i, j) for i in own for j in standing)),
-            (Kind.ROBOTS, ((i, j) for i in own for j in foreign)),
+            (PairKind.SELF, combinations(own, 2)),
+            (PairKind.ENVIRONMENT, ((i, j) for i in own for j in standing)),
+            (PairKind.ROBOTS, ((i, j) for i in own for j in foreign)),
         ):
             for i, j in of_kind:
                 if self._joints[i] == self._joints[j] or {i, j} <= still:
@@ -134,7 +134,7 @@ class NearBodies:
         self.names = [(bodies[i].name, bodies[j].name) for i, j in pairs]
         self.kinds = np.array(kinds, dtype=np.intp)
         self._carriers = [(self._joints[i], self._joints[j]) for i, j in pairs]
-        self._stop_m = np.where(self.kinds == Kind.SELF, gate.self_stop_distance_m, gate.stop_distance_m)
+        self._stop_m = np.where(self.kinds == PairKind.SELF, gate.self_stop_distance_m, gate.stop_distance_m)
         self._stops = self._stop_m.tolist()
         for i, j in pairs:
             self._geometry.addCollisionPair(pin.CollisionPair(i, j))
@@ -144,6 +144,7 @@ class NearBodies:
         self._screen = Screen.of(bodies, pairs)
         self._views = placement_views(self._data)
         self.place(others or {})
+        self._measured(model.home)  # so that the first look that counts waits for no compiler
 
     def place(self, others: Mapping[str, Array]) -> None:
         """Place other robots, each at its configuration (n,)."""
@@ -151,7 +152,7 @@ class NearBodies:
             if name != self._robot:
                 self._q[self._slices[name]] = q
 
-    def near(self, q: Array) -> NearPairs:
+    def near(self, q: Array) -> MeasuredPairs:
         """The nearest pairs of each kind at configurations (N, n)."""
         found: list[tuple[int, int, float, Array]] = []
         for row, one in enumerate(q):
@@ -162,11 +163,11 @@ class NearBodies:
                 found.append((row, pair, room_m, points))
         if not found:
             none, index = np.empty((0, 3)), np.empty(0, dtype=np.intp)
-            return NearPairs(index, index, np.empty(0), index, index, none, none, none)
+            return MeasuredPairs(index, index, np.empty(0), index, index, none, none, none)
         rows, pairs, rooms, measured = zip(*found, strict=True)
         points = np.array(measured)
         joints = np.array([self._carriers[pair] for pair in pairs])
-        return NearPairs(
+        return MeasuredPairs(
             row=np.array(rows),
             kind=self.kinds[list(pairs)],
             room=np.array(rooms),
@@ -177,11 +178,11 @@ class NearBodies:
             away=-points[:, 2],
         )
 
-    def nearest(self, q: Array) -> dict[Kind, Clearance]:
+    def nearest(self, q: Array) -> dict[PairKind, Clearance]:
         """The nearest pair of each kind that is near at `q` (n,)."""
-        nearest: dict[Kind, Clearance] = {}
+        nearest: dict[PairKind, Clearance] = {}
         for pair, room_m in self._measured(q):
-            kind = Kind(int(self.kinds[pair]))
+            kind = PairKind(int(self.kinds[pair]))
             if kind not in nearest or room_m < nearest[kind].room_m:
                 nearest[kind] = Clearance(room_m, room_m + self._stops[pair], self.names[pair])
         return nearest
@@ -197,7 +198,7 @@ class NearBodies:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed)
         near = near[np.argsort(gaps[near], kind="stable")]
         of_near = zip(near.tolist(), gaps[near].tolist(), self.kinds[near].tolist(), strict=True)
-        within = [FAR_M] * len(Kind)
+        within = [FAR_M] * len(PairKind)
         measured: list[tuple[int, int, float]] = []
         for pair, gap, kind in of_near:
             if gap >= within[kind]:

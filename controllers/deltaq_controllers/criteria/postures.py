@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.batch import BatchKinematics, FrameBatch
-from deltaq_controllers.criteria.near_bodies import NearBodies, NearPairs
+from deltaq_controllers.criteria.near_bodies import MeasuredPairs, NearBodies
 from deltaq_protocol.arrays import Array
 
 STIFFNESS_RAD, STIFFNESS_M = 1e5, 1e7
@@ -83,7 +83,7 @@ class Postures:
         return self._frames or self.data.kinematics.frames(self.q)
 
     @cached_property
-    def near(self) -> NearPairs:
+    def near(self) -> MeasuredPairs:
         """The nearest pairs of bodies of each."""
         return self.data.bodies.near(self.q)
 
