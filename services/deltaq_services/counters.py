@@ -80,6 +80,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "stops", "stops that were requested"),
     Counted(HLI, "resets", "resets that were requested"),
     Counted(HLI, "dry_runs", "dry runs that were requested"),
+    Counted(HLI, "views_asked", "wishes for another view of a robot's camera"),
     Counted(HLI, "contacts_switched", "requests to allow or forbid a contact"),
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
     Counted(HLI, "commands_too_many", "commands refused because clients asked for too many in a second"),

@@ -131,7 +131,7 @@ def test_a_link_of_datagrams_is_there_where_both_have_it_and_messages_arrive_eit
     client = open_session(connect=[f"{connects}/{at}"], must_connect=True)
     try:
         if "udp" in has:
-            wait_for_datagrams(server)
+            wait_for_datagrams(client)
         heard = Heard(client, "deltaq/x")
         publisher = declare_publisher(server, "deltaq/x")
         heard.until(lambda: publisher.put(b"x"))

@@ -138,7 +138,8 @@ class RobotServer:
         self._settling = self._settling.sent(bool(self._motion.dq.any()))
         self._told, self._state = (measured, time_s), None
         q_cmd = self._mode.added_to(self._held_at)
-        self._pulses.sent(q_cmd, self._held_at)
+        if not self._mode.known:
+            self._pulses.sent(q_cmd, self._held_at)
         return q_cmd
 
     def take(self, message: Admission | Supervision | Measurement, time_s: float) -> list[ToRobot]:

@@ -16,14 +16,14 @@ class Measurement:
         ipoc: the KRC's stamp of this cycle.
         q: (n,) measured configuration [rad or m].
         q_start: (n,) setpoint that the KRC has in the session that begins; None while the session goes on.
-        resumes: the session that begins has the correction that was sent last in it.
         missed_last: the KRC reports that the reply to its last telegram did not reach it in time.
         inputs: digital inputs by name.
+        resumes: the session that begins has the correction that was sent last in it.
     """
 
     ipoc: int
     q: Array
     q_start: Array | None = None
-    resumes: bool = False
     missed_last: bool = False
     inputs: Mapping[str, bool] = field(default_factory=dict)
+    resumes: bool = False
