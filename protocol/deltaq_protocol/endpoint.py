@@ -45,7 +45,7 @@ class Endpoint:
         found = _FORM.fullmatch(text)
         if found is None or not 1 <= int(found[4]) <= 65535:
             raise InvalidEndpointError(
-                f"{text!r} is no endpoint; write tcp/HOST:PORT or udp/HOST:PORT with a port of 1 to 65535, "
+                f"{text!r} is no endpoint; write tcp/HOST:PORT, tls/, udp/ or tcp+udp/ with a port of 1 to 65535, "
                 "e.g. tcp/127.0.0.1:7447"
             )
         return cls(cast(Transport, found[1]), found[2] or found[3], int(found[4]))

@@ -11,9 +11,9 @@ import zenoh
 
 from deltaq_protocol.codec import InvalidMessageError, pack, unpack
 from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
+from deltaq_protocol.in_order import in_order
 from deltaq_protocol.messages import Error, Message
 from deltaq_protocol.newest import Newest
-from deltaq_protocol.overtaken import in_order
 from deltaq_protocol.served_in_loop import ServedInLoop
 from deltaq_protocol.session import declare_publisher, sending
 from deltaq_protocol.topic import Topic

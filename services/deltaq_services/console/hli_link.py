@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deltaq_protocol import topics
+from deltaq_protocol.in_order import in_order
 from deltaq_protocol.messages import Message
-from deltaq_protocol.overtaken import in_order
 from deltaq_protocol.session import open_session
 from deltaq_protocol.topic import Topic
 from deltaq_protocol.wire import Wire
