@@ -33,6 +33,7 @@ from deltaq_command import (
     up,
     watch,
 )
+from deltaq_command.verbs import Verbs
 
 RUN = "Run a cell"
 WATCH = "Look at a running cell"
@@ -41,6 +42,7 @@ STUDY = "Study and check"
 REAL = "Real robots"
 
 app = typer.Typer(
+    cls=Verbs,
     help="A networked control server for industrial manipulators: any controller, one safety gate.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

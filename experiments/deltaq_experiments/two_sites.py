@@ -8,8 +8,9 @@ delays and loses packets; with `--virtual` the same in virtual time. The figures
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
+import signal
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,20 +23,23 @@ from deltaq_experiments.live import trace_of
 from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
 from deltaq_protocol import topics
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import RobotState
+from deltaq_services.process import end_on_interrupt
 from deltaq_services.recorder.reader import Recording
-from deltaq_verification.impairment.packets import PacketLink
+from deltaq_verification.impairment.packets import packet_link
 from deltaq_verification.two_sites import Sites, sites
 
 _TO_START_S = 60.0
 """Longest time that the motion to the start of a run may take."""
 
 
-async def measure(given: argparse.Namespace) -> dict[str, Any]:
+def measure(given: argparse.Namespace) -> dict[str, Any]:
     """Run both sites and follow; the figures.
 
     Raises:
         DeltaqError: if networks of their own are not allowed here, or something did not come up.
+        KeyboardInterrupt: at Ctrl-C; programs and networks are gone by then.
     """
     faults = LinkFaults(
         delay_s=given.delay_s - given.jitter_s,
@@ -43,12 +47,15 @@ async def measure(given: argparse.Namespace) -> dict[str, Any]:
         drop=given.loss_share,
         keeps_order=True,
     )
-    with tempfile.TemporaryDirectory() as folder, sites() as made:
-        async with PacketLink(made.controller, made.office, given.seed) as link:
-            made.connect_wide_area()
-            link.impair(faults)
-            figures = await asyncio.to_thread(_follow, given, made, Path(folder))
-            carried = [dict(way.counts) for way in link.ways]
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        sites() as made,
+        packet_link(made.controller, made.office, given.seed) as link,
+    ):
+        made.connect_wide_area()
+        link.impair(faults)
+        figures = _follow(given, made, Path(folder))
+        carried = [dict(way.counts) for way in link.ways]
     return {"packets": {name: sum(way[name] for way in carried) for name in ("passed", "dropped")}, **figures}
 
 
@@ -59,6 +66,9 @@ def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, A
             "recorder", made.office, (*DELTAQ, "record", str(record), "--cell", str(running.file))
         )
         running.get_ready()
+        print(
+            f"both sites are up; the follower follows for {given.duration_s:g} s", file=sys.stderr, flush=True
+        )
         leader = running.controller(
             "leader",
             "deltaq_controllers.leader",
@@ -145,7 +155,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         "leader_speed_m_s",
         "seed",
     )
-    figures = follow_in_virtual_time(given) if given.virtual else asyncio.run(measure(given))
+    signal.signal(signal.SIGTERM, end_on_interrupt)
+    try:
+        figures = follow_in_virtual_time(given) if given.virtual else measure(given)
+    except KeyboardInterrupt:
+        sys.exit("interrupted")
+    except DeltaqError as error:
+        sys.exit(f"two_sites: {error}")
     print(json.dumps({"virtual": given.virtual} | {name: getattr(given, name) for name in asked} | figures))
 
 

@@ -94,7 +94,7 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
         (("hz", "--duration-s", "0"), "0.1"),
         (("dry-run", "--robot", "fr", "--dq", "1,x"), "finite numbers"),
         (("io", "--robot", "gr", "gripper=open"), "OUTPUT=on or OUTPUT=off, got 'gripper=open'"),
-        (("view", "--distance-m", "9"), "'--distance-m': Input should be less than or equal to 4"),
+        (("view", "--distance-m", "9"), "'--distance-m': Input should be less than or equal to 4, got '9'"),
         (("view", "--robot", "rf"), "no robot 'rf' in cell lab; it has fr, gr"),
         (("io", "--robot", "gr", "=on"), "OUTPUT=on or OUTPUT=off, got '=on'"),
         (("dry-run", "--robot", "fr", "--dq", "nan,0,0,0,0,0"), "finite numbers"),

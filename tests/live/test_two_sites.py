@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
-import threading
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,41 +13,26 @@ from networks import why_none
 
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.sites_run import SiteError, TwoSites, two_sites
-from deltaq_verification.impairment.packets import PacketLink
-from deltaq_verification.two_sites import Sites, sites
+from deltaq_verification.impairment.packets import packet_link
+from deltaq_verification.two_sites import sites
 
 pytestmark = [
     pytest.mark.live,
     pytest.mark.timeout(600),
     pytest.mark.skipif(bool(why_none()), reason=why_none()),
 ]
+NETWORKS = Path("/run/netns")
 FAR_AWAY = LinkFaults(delay_s=0.03, jitter_s=0.02, drop=0.01)
 """40 ms more or less 10 ms each way, and one packet of a hundred is lost."""
 
 
-@contextmanager
-def linked(made: Sites) -> Iterator[PacketLink]:
-    """The link between controller and office, in a loop of its own."""
-    loop = asyncio.new_event_loop()
-    thread = threading.Thread(target=loop.run_forever)
-    thread.start()
-    link = PacketLink(made.controller, made.office, seed=5)
-    try:
-        asyncio.run_coroutine_threadsafe(link.__aenter__(), loop).result(10)
-        made.connect_wide_area()
-        yield link
-        asyncio.run_coroutine_threadsafe(link.__aexit__(), loop).result(10)
-    finally:
-        loop.call_soon_threadsafe(loop.stop)
-        thread.join()
-        loop.close()
-
-
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[TwoSites]:
-    with sites() as made, linked(made) as link, two_sites(made, tmp_path) as running:
-        link.impair(FAR_AWAY)
-        yield running
+    with sites() as made, packet_link(made.controller, made.office, seed=5) as link:
+        made.connect_wide_area()
+        with two_sites(made, tmp_path) as running:
+            link.impair(FAR_AWAY)
+            yield running
         assert sum(way.counts["dropped"] for way in link.ways) > 0
 
 
@@ -105,3 +89,21 @@ def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road
         running.ask("reset", "--robot", name)
     wait_until(lambda status: {r["phase"] for r in status["robots"].values()} == {"ready"}, running)
     lead(running)
+
+
+@pytest.mark.nightly
+def test_measuring_that_is_told_to_end_leaves_neither_networks_nor_programs() -> None:
+    command = [sys.executable, "-m", "deltaq_experiments.two_sites", "--duration-s", "600"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as measuring:
+        assert measuring.stderr is not None
+        assert measuring.stderr.readline().startswith("both sites are up")
+        networks = list(NETWORKS.glob(f"deltaq-{measuring.pid}-*"))
+        assert len(networks) == 3
+        listed = [subprocess.check_output(["ip", "netns", "pids", one.name], text=True) for one in networks]
+        programs = " ".join(listed).split()
+        assert len(programs) > 5
+        measuring.terminate()
+        assert measuring.stderr.read() == "interrupted\n"
+        assert measuring.wait() == 1
+    assert not [one for one in networks if one.exists()]
+    assert not [program for program in programs if Path("/proc", program).exists()]

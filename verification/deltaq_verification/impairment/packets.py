@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Self
 
 from deltaq_emulator.faults import LinkFaults
+from deltaq_protocol.background import Background
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.impairment.pump import Pump
 
@@ -69,6 +70,17 @@ class PacketLink:
         """Set the faults from now on, in both directions."""
         for way in self.ways:
             way.impair(faults)
+
+
+@contextmanager
+def packet_link(near: str, far: str, seed: int = 0) -> Iterator[PacketLink]:
+    """A `PacketLink` in an event loop of its own, for callers that have none; arguments and errors are the same."""
+    background = Background()
+    try:
+        with background.entered(PacketLink(near, far, seed)) as link:
+            yield link
+    finally:
+        background.close()
 
 
 @contextmanager
