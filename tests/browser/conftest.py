@@ -23,6 +23,13 @@ TIMEOUT_MS = 60_000
 """For what has to happen some time; a machine may be busy, and nothing here judges how long it takes."""
 
 
+SLOW_SCREEN = """
+const screen = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (draw) => setTimeout(() => screen(draw), 80);
+"""
+"""Ten pictures a second in place of sixty: without graphics hardware a picture costs a core 20 ms."""
+
+
 class ServedCell:
     """A cell that runs, and where its console is."""
 
@@ -71,6 +78,7 @@ def opened(chromium, served_cell):
         page.set_default_timeout(TIMEOUT_MS)
         page.errors = []
         page.on("pageerror", lambda error: page.errors.append(error))
+        page.add_init_script(SLOW_SCREEN)
         prepare(page)
         page.goto(served_cell.url)
         page.wait_for_selector("[data-ready=true]", state="attached")
