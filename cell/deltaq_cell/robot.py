@@ -141,10 +141,8 @@ class RobotModel:
 
     def tool_pose(self, q: ArrayLike) -> ToolPose:
         """The tool's pose as messages carry it: position [m] and unit quaternion, w not negative."""
-        T_world_tool = self.forward(q)
-        x, y, z, w = pin.Quaternion(np.ascontiguousarray(T_world_tool[:3, :3])).coeffs().tolist()
+        px, py, pz, x, y, z, w = pin.SE3ToXYZQUAT(self._frame_placement(q, self.frame_of("tool"))).tolist()
         sign = -1.0 if w < 0 else 1.0
-        px, py, pz = T_world_tool[:3, 3].tolist()
         return ToolPose(position=(px, py, pz), quaternion_wxyz=(sign * w, sign * x, sign * y, sign * z))
 
     def jacobian(self, q: ArrayLike, point: PointName = "tool") -> Array:
@@ -245,9 +243,12 @@ class RobotModel:
                 frame.placement = self._T_world_base * frame.placement
 
     def _frame_pose(self, q: ArrayLike, frame: int) -> Array:
-        pin.forwardKinematics(self.model, self._data, self._checked(q))
-        pose: Array = pin.updateFramePlacement(self.model, self._data, frame).homogeneous
+        pose: Array = self._frame_placement(q, frame).homogeneous
         return pose
+
+    def _frame_placement(self, q: ArrayLike, frame: int) -> pin.SE3:
+        pin.forwardKinematics(self.model, self._data, self._checked(q))
+        return pin.updateFramePlacement(self.model, self._data, frame)
 
     def _checked(self, q: ArrayLike) -> Array:
         vector = np.asarray(q, dtype=np.float64)

@@ -94,11 +94,13 @@ class Tracker:
         return True
 
     def _is_displaced(self, before: ServerState, state: ServerState) -> bool:
+        if state.q_cmd == before.q_cmd:
+            return False
         travel = np.array(state.q_cmd) - np.array(before.q_cmd)
         # the increment is that of the last cycle, also where the KRC missed the reply and stands where it stood
         unexplained = np.abs(travel - np.array(state.dq))
         unseen = state.cycle - before.cycle - 1
-        return bool(travel.any() and (unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS).any())
+        return bool((unexplained > unseen * self._fastest * (1 + 1e-6) + _SUMS).any())
 
     def snapshot(self) -> TrackerMemory:
         """Snapshot for `restore`."""
