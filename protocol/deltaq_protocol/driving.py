@@ -23,6 +23,8 @@ Coordinate = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
 QuaternionPart = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 RequestId = Annotated[str, Field(min_length=1, max_length=64)]
+CriterionName = Annotated[str, Field(min_length=1, max_length=64)]
+TradeOff = tuple[CriterionName, CriterionName]
 
 
 class DrivingMode(StrEnum):
@@ -98,11 +100,15 @@ class Switch(Message):
 
 
 class Advise(Message):
-    """In mode `advisor`: look for options from where the robot rests now, or end the search and forget the choice."""
+    """In mode `advisor`: look for options from where the robot rests now, or end the search and forget the choice.
+
+    With `trade_off`, the names of two criteria, options are points of their front in place of minima of the energy.
+    """
 
     type: Literal["advise"] = "advise"
     id: RequestId
     action: Literal["ask", "cancel"]
+    trade_off: TradeOff | None = None
 
 
 class Reach(Message):
@@ -143,7 +149,8 @@ class Search(Message):
     """How far the search for ways is, and the robot on one of them.
 
     `done` is the fraction of the step `doing` that is done. `way` is the rank of the way that was begun, `driven` the
-    fraction of its duration that lies behind the robot; `arrived` says that the robot stands at its end.
+    fraction of its duration that lies behind the robot; `arrived` says that the robot stands at its end. `trade_off`
+    names the two criteria on whose front the options are; None: they are minima of the energy.
     """
 
     doing: str = ""
@@ -153,6 +160,7 @@ class Search(Message):
     way: int | None = None
     driven: Fraction = 0.0
     arrived: bool = False
+    trade_off: TradeOff | None = None
 
 
 class DriverReport(Message):

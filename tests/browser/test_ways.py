@@ -76,6 +76,20 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     page.get_by_role("button", name="Cancel").click()
     page.wait_for_function(f"{SEARCH}.way === null")
     assert page.evaluate(AT_REST)
+
+    # of two criteria that are chosen the front is shown
+    page.get_by_label("Trade off").select_option("travel")
+    page.get_by_label("against").select_option("compliance")
+    page.get_by_role("button", name="Look again").click()
+    page.wait_for_function(f"{SEARCH}.trade_off && !{SEARCH}.is_busy")
+    page.wait_for_function(
+        "document.querySelector('.advisor .doing').textContent.includes('none is joint travel better')"
+    )
+    scores = page.evaluate(
+        "deltaq.ways.of('gr', 'advisor').map(({costs}) => [costs.travel, costs.compliance])"
+    )
+    assert len(scores) > 1
+    assert scores == sorted(scores)
     page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
 
 

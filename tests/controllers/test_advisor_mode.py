@@ -137,7 +137,7 @@ class Thinking:
         self.tracker = ConstraintTracker(model("gr"))
         self.given_up = False
 
-    def ask(self, q: Array) -> None:
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None) -> None:
         self.given_up = False
 
     def seek(self, back: Array, rank: int) -> None:

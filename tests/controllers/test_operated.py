@@ -265,6 +265,42 @@ def test_the_advisor_is_asked_in_its_mode_only(bench):
         bench.pilot.advise(again=True)
 
 
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("travel", "beauty"), "trade_off: no criterion 'beauty'; there are travel, limits"),
+        (("travel", "travel"), "trade_off: two different criteria, got 'travel' twice"),
+    ],
+)
+def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, told):
+    bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
+    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.cycles(20)
+    ways = bench.pilot.ways()
+    with pytest.raises(ControllerError, match=told):
+        bench.pilot.advise(again=True, trade_off=names)
+    bench.cycles(20)
+    assert bench.pilot.ways() is ways
+
+
+def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_for_without():
+    bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
+    bench.pilot.change_mode(DrivingMode.ADVISOR, "world")
+    bench.cycles(20)
+    assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
+    names = ("travel", "compliance")
+    bench.pilot.advise(again=True, trade_off=names)
+    bench.cycles(5)
+    assert bench.pilot.report(DriverStage.LEASED).search.trade_off == names
+    first, second = ([way.costs[name] for way in bench.pilot.ways().ways] for name in names)
+    assert len(first) > 1
+    assert first == sorted(first)
+    assert second == sorted(second, reverse=True)
+    bench.pilot.advise(again=True)
+    bench.cycles(5)
+    assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
+
+
 def test_options_are_offered_driven_to_cancelled_and_asked_for_again():
     gr = CellModel.load("lab").robots["gr"]
     bench = Bench(teleoperator=advised(gr))

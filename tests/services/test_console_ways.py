@@ -66,6 +66,8 @@ def test_the_advisor_is_asked_again_and_cancelled(bench, desk):
     for action in ("ask", "cancel"):
         assert desk.send("advise", robot="fr", action=action).outcome is ASKED
         assert bench.driver_requests()[-1].action == action
+    assert desk.send("advise", robot="fr", action="ask", trade_off=("travel", "torque")).outcome is ASKED
+    assert bench.driver_requests()[-1].trade_off == ("travel", "torque")
 
 
 def test_ways_are_told_to_all_who_look_on_and_to_who_comes_later(bench, desk):

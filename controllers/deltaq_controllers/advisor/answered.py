@@ -29,7 +29,7 @@ class Answered:
     def prepare(self) -> None:
         """Nothing to prepare."""
 
-    def ask(self, _q: Array) -> None:
+    def ask(self, _q: Array, _trade_off: tuple[str, str] | None = None) -> None:
         """The answer is known already."""
 
     def seek(self, _back: Array, _rank: int) -> None:

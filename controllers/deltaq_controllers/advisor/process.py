@@ -29,6 +29,7 @@ class _Ask:
     number: int
     q: Array
     others: Mapping[str, Array]
+    trade_off: tuple[str, str] | None
 
 
 @dataclass(frozen=True)
@@ -96,10 +97,10 @@ class AdvisorProcess:
             self._line.poll(None)
             self._listen()
 
-    def ask(self, q: Array) -> None:
-        """Begin to look for options that keep the hands where they are at `q` (n,)."""
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None) -> None:
+        """Begin to look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
         self._newest = _Answer(self._newest.number + 1)
-        self._send(_Ask(self._newest.number, q, self._others()))
+        self._send(_Ask(self._newest.number, q, self._others(), trade_off))
 
     def seek(self, back: Array, rank: int) -> None:
         """Begin to search for a path to the option of a rank, if need be by `back` (P, n); see `Counsel.seek`."""
@@ -206,7 +207,7 @@ def _answer(line: Connection, counsel: AdvisorSession, question: _Ask | _Seek) -
         return True
 
     if isinstance(question, _Ask):
-        counsel.ask(question.q, question.others, go_on)
+        counsel.ask(question.q, question.others, go_on, question.trade_off)
     else:
         counsel.seek(question.back, question.rank, question.others, go_on)
     line.send(_Answer(question.number, last, is_over=True))

@@ -59,7 +59,13 @@ class AdvisorSession:
         self._first: tuple[Option, ...] = ()
         self._progress = Progress("searching", 0.0, float("inf"), 0)
 
-    def ask(self, q: Array, others: Mapping[str, Array], go_on: GoOn) -> None:
+    def ask(
+        self,
+        q: Array,
+        others: Mapping[str, Array],
+        go_on: GoOn,
+        trade_off: tuple[str, str] | None = None,
+    ) -> None:
         """Look for options that keep the hands where they are.
 
         Args:
@@ -67,6 +73,10 @@ class AdvisorSession:
             others: (n,) where each other robot is.
             go_on: called with every step, and with the options as they become known; returns whether anybody still
                 waits.
+            trade_off: names of two criteria whose front is wanted in place of minima.
+
+        Raises:
+            CriterionError: an unknown criterion.
         """
         self._problem = self._problem.at(self.tracker.hands(q), others)
         self._exact.place(others)
@@ -83,6 +93,7 @@ class AdvisorSession:
             effort=self._effort,
             exact=self._exact,
             go_on=noted,
+            trade_off=trade_off,
         )
 
     def seek(self, back: Array, rank: int, others: Mapping[str, Array], go_on: GoOn) -> None:

@@ -43,9 +43,9 @@ class SynchronousAdvisor:
     def prepare(self) -> None:
         """Nothing to prepare: the model of the cell is loaded."""
 
-    def ask(self, q: Array) -> None:
-        """Look for options that keep the hands where they are at `q` (n,)."""
-        self._counsel.ask(q, {}, self._take)
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None) -> None:
+        """Look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
+        self._counsel.ask(q, {}, self._take, trade_off)
 
     def seek(self, back: Array, rank: int) -> None:
         """Search for a path to the option of a rank; see `Counsel.seek`."""

@@ -79,8 +79,8 @@ class Advisor(Protocol):
         """What is known by now; None before anything is."""
         ...
 
-    def ask(self, q: Array, /) -> None:
-        """Begin to look for options that keep the hands where they are at `q` (n,)."""
+    def ask(self, q: Array, trade_off: tuple[str, str] | None = None, /) -> None:
+        """Begin to look for options that keep the hands where they are at `q` (n,), or for those of a trade-off."""
         ...
 
     def seek(self, back: Array, rank: int, /) -> None:
@@ -102,6 +102,9 @@ class AdvisorMode(SteppedMode):
         robot: the robot.
         cycle_s: its cycle [s].
         advisor: answers in its own time.
+
+    Attributes:
+        trade_off: names of the two criteria whose front is asked for; None: minima of the energy.
     """
 
     name = ModeName.ADVISOR
@@ -119,6 +122,7 @@ class AdvisorMode(SteppedMode):
         self._trail: Array = robot.home[None]
         self._q: Array = np.full(robot.n, np.nan)
         self._hindrance = ""
+        self.trade_off: tuple[str, str] | None = None
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -189,7 +193,7 @@ class AdvisorMode(SteppedMode):
         super().enter(q)
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
-        self._advisor.ask(q)
+        self._advisor.ask(q, self.trade_off)
 
     def forget(self) -> None:
         """At rest: end the search, and forget the choice; what is known stays known."""

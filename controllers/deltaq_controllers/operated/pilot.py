@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from deltaq_controllers.camera.in_use import CameraInUse
+from deltaq_controllers.criteria import BY_NAME
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
@@ -69,17 +70,27 @@ class Pilot:
         self._mode, self._reach = mode, None
         self._teleoperator.frame = Frame(frame)
 
-    def advise(self, *, again: bool) -> None:
+    def advise(self, *, again: bool, trade_off: tuple[str, str] | None = None) -> None:
         """Have options looked for from where the robot comes to rest, or end the search and forget the choice.
 
+        Args:
+            again: look for options.
+            trade_off: names of two criteria whose front is wanted in place of minima.
+
         Raises:
-            ControllerError: the advisor does not drive.
+            ControllerError: the advisor does not drive, or these are not two criteria.
         """
         advisor = self._advisor
         if advisor is None or self._active is not self._teleoperator:
             raise ControllerError("the advisor is asked in mode advisor: choose it first")
+        _check_trade_off(trade_off)
         self.rest()
-        self._when_still = advisor.enter if again else lambda _q: advisor.forget()
+
+        def ask(q: Array) -> None:
+            advisor.trade_off = trade_off
+            advisor.enter(q)
+
+        self._when_still = ask if again else lambda _q: advisor.forget()
 
     def check_reach(self) -> None:
         """Check that a way to a pose may be planned now.
@@ -262,6 +273,15 @@ class Pilot:
                 f"{prefix}{axis}": rate for axis, rate in zip(HAND_AXES, wish.twist, strict=True) if rate
             }
         return OperatorCommand(rates, option=wish.option)
+
+
+def _check_trade_off(names: tuple[str, str] | None) -> None:
+    first, second = names or ("", "")
+    for name in names or ():
+        if name not in BY_NAME:
+            raise ControllerError(f"trade_off: no criterion {name!r}; there are {', '.join(BY_NAME)}")
+    if names is not None and first == second:
+        raise ControllerError(f"trade_off: two different criteria, got {first!r} twice")
 
 
 def _advisor_of(teleoperator: Teleoperator) -> AdvisorMode | None:

@@ -126,7 +126,7 @@ class OperatedRobot:
                     # the robot's states tell it to whoever follows, this process or another
                     await self._cell.view(self._robot, request.distance_m)
                 case Advise():
-                    self._pilot.advise(again=request.action == "ask")
+                    self._pilot.advise(again=request.action == "ask", trade_off=request.trade_off)
                 case Reach():
                     await self._reach(request)
                 case Switch():

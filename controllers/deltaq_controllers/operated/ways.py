@@ -46,6 +46,7 @@ def search_of(mode: AdvisorMode) -> Search:
         way=mode.begun,
         driven=round(mode.driven, 3),
         arrived=mode.is_at_end,
+        trade_off=mode.trade_off,
     )
 
 

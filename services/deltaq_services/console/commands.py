@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from deltaq_protocol.driving import Axes, Coordinate, DrivingMode, QuaternionPart
+from deltaq_protocol.driving import Axes, Coordinate, DrivingMode, QuaternionPart, TradeOff
 from deltaq_protocol.messages import Joints, JointValue, Message, Name
 
 MAX_MESSAGE_BYTES = 4096
@@ -130,11 +130,15 @@ class SetOutput(ConsoleCommand):
 
 
 class AskAdvisor(ConsoleCommand):
-    """In mode `advisor`: look for options from where the robot rests, or end the search and forget the choice."""
+    """In mode `advisor`: look for options from where the robot rests, or end the search and forget the choice.
+
+    With `trade_off` they are points of the front of two criteria.
+    """
 
     type: Literal["advise"]
     robot: Name
     action: Literal["ask", "cancel"]
+    trade_off: TradeOff | None = None
 
 
 class DragPose(ConsoleCommand):

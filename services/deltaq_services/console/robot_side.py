@@ -111,7 +111,7 @@ class RobotSide:
                 raise ValueError(f"value_m: {self.name} carries no camera")
             return driving.ViewAt(id=request, distance_m=command.value_m)
         if isinstance(command, AskAdvisor):
-            return driving.Advise(id=request, action=command.action)
+            return driving.Advise(id=request, action=command.action, trade_off=command.trade_off)
         if isinstance(command, DragPose):
             return driving.Reach(
                 id=request,

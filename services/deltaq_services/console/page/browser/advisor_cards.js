@@ -7,8 +7,10 @@ const TITLES = {
   travel: "joint travel", clearance: "clearance", obstacle_clearance: "from obstacles", robot_clearance: "from other robots",
   self_clearance: "from itself", limits: "joint limits", speed: "hand speed", manipulability: "manipulability",
   condition: "condition", smallest_singular_value: "least singular value", effective_mass: "effective mass",
-  effective_mass_rate: "its change", compliance: "compliance", potential_energy_partition: "share of springs",
+  effective_mass_rate: "its change", acceleration: "hand acceleration", torque: "joint torques", compliance: "compliance", potential_energy_partition: "share of springs",
   kinetic_energy: "kinetic energy", kinetic_energy_partition: "share of inertia",
+  relative_load: "load between hands", relative_energy: "energy between hands", relative_compliance: "compliance between hands",
+  force: "hand force", deformation: "deformation", dexterity: "dexterity",
 };
 const FIRST = ["travel", "obstacle_clearance", "robot_clearance", "self_clearance"]; // what options are ranked by
 const KINDS = { environment: "obstacles", robots: "other robots", self: "itself" };
@@ -20,6 +22,30 @@ function bar(name, cost) {
   return el("li", { title: `${TITLES[name] ?? name}: ${score(cost)} of 100` },
     el("span", {}, TITLES[name] ?? name), el("i", { style: `--score: ${score(cost)}%` }), el("b", {}, String(score(cost))));
 }
+
+/** Choosing two criteria that are weighed against one another; none: options are the least of their weighted sum. */
+export function tradeOffChoice() {
+  const choice = (label) => el("select", { "aria-label": label });
+  const [first, second] = [choice("Trade off"), choice("against")];
+  const box = el("div", { class: "trade-off", hidden: true }, el("label", {}, "Trade off", first), el("label", {}, "against", second));
+  let offered = "";
+  const value = () => (first.value && second.value && first.value !== second.value ? [first.value, second.value] : null);
+
+  /** Offer these criteria, those that are chosen staying so. */
+  function offer(names) {
+    if (names.join() === offered) return;
+    offered = names.join();
+    box.hidden = false;
+    for (const select of [first, second]) {
+      const chosen = select.value;
+      select.replaceChildren(...["", ...names].map((name) => el("option", { value: name, selected: name === chosen }, name ? TITLES[name] ?? name : "nothing")));
+    }
+  }
+  return { box, value, offer };
+}
+
+/** What options are, where two criteria are weighed against one another. */
+export const frontOf = ([first, second]) => `of none is ${TITLES[first] ?? first} better without ${TITLES[second] ?? second} being worse`;
 
 function near(name, { distance_m, pair }) {
   return el("p", { class: "doing" }, `${(100 * distance_m).toFixed(1)} cm to ${name}: ${pair.join(" and ")}`);
@@ -37,10 +63,11 @@ function energy({ energy, energy_here }) {
 export function advisorCards({ live, driven, wish, ways, picture, thumbnails, views }, ask) {
   const doing = el("p", { class: "doing", role: "status" });
   const bar_ = el("progress", { max: 1 });
-  const again = el("button", { onclick: () => ask("advise", { action: "ask" }) }, "Look again");
+  const tradeOff = tradeOffChoice();
+  const again = el("button", { onclick: () => ask("advise", { action: "ask", trade_off: tradeOff.value() }) }, "Look again");
   const cancel = el("button", { onclick: cancelled }, "Cancel");
   const list = el("ol", { class: "cards" });
-  const box = el("section", { class: "advisor" }, el("h2", {}, "Options"), doing, bar_, el("div", { class: "row" }, again, cancel), list);
+  const box = el("section", { class: "advisor" }, el("h2", {}, "Options"), doing, bar_, tradeOff.box, el("div", { class: "row" }, again, cancel), list);
   let drawn = "";
   let kept = new Map(); // rank -> what changes on its card
 
@@ -56,11 +83,12 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     holds(go, () => wish.hold(source, { option: way.rank }), () => wish.release(source));
     const driven_ = el("progress", { max: 1, value: 0, "aria-label": `Way to option ${way.rank}` });
     const costs = Object.entries(way.costs);
-    const rest = costs.filter(([name]) => !FIRST.includes(name));
+    const first = [...new Set([...(live.robot(driven.name)?.search?.trade_off ?? []), ...FIRST])];
+    const rest = costs.filter(([name]) => !first.includes(name));
     const item = el("li", { class: "card-option", "data-option": way.rank, tabindex: 0 },
       el("header", {}, el("b", {}, `${way.rank}`), el("span", {}, energy(way)), el("small", {}, `${way.nearest_limit} ${Math.round(100 * way.limit_share)} % from its limit`)),
       thumbnails.of(views.find(({ name }) => name === driven.name), way.q),
-      el("ul", { class: "scores" }, ...FIRST.filter((name) => name in way.costs).map((name) => bar(name, way.costs[name]))),
+      el("ul", { class: "scores" }, ...first.filter((name) => name in way.costs).map((name) => bar(name, way.costs[name]))),
       ...Object.entries(KINDS).filter(([kind]) => kind in way.near).map(([kind, name]) => near(name, way.near[kind])),
       el("p", { class: "why", hidden: !way.hands_leave }, "The hand leaves its place on the way, and comes back."),
       el("details", {}, el("summary", {}, "All criteria"), el("ul", { class: "scores" }, ...rest.map(([name, cost]) => bar(name, cost)))),
@@ -83,6 +111,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     drawn = told;
     kept = new Map();
     picture.show(driven.name, null);
+    if (offered.length) tradeOff.offer(Object.keys(offered[0].costs));
     list.replaceChildren(...offered.map(card));
   }
 
@@ -93,7 +122,8 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     fill();
     const { search, lease } = robot;
     const cannot = live.cannotDrive(driven.name);
-    say(doing, search?.is_busy ? `${search.doing || "thinking"}, ${search.trials} configurations tried` : robot.driving);
+    const front = search?.trade_off && !search.is_busy ? `; ${frontOf(search.trade_off)}` : "";
+    say(doing, search?.is_busy ? `${search.doing || "thinking"}, ${search.trials} configurations tried` : robot.driving + front);
     bar_.hidden = !search?.is_busy;
     bar_.value = search?.done ?? 0;
     again.disabled = cancel.disabled = !!cannot || !lease.mine;
