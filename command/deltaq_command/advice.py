@@ -141,9 +141,9 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             running = stack.enter_context(connect(cell.description, "deltaq advise"))
             present |= _present(running)
         poses = _poses(tracker, present[robot], request.hands or {})
-        problem = AdvisorProblem(
-            cell, robot, poses, request.weights, tracker, present, request.hands_may_leave
-        )
+        # an arm without a joint to spare has options where its hand is to go elsewhere
+        may_leave = request.hands_may_leave or (bool(request.hands) and not len(tracker.base))
+        problem = AdvisorProblem(cell, robot, poses, request.weights, tracker, present, may_leave)
         began_s = time.perf_counter()
         options = advise_on(
             problem,

@@ -1,9 +1,9 @@
 """The inverse of any arm of six revolute joints, from its description alone.
 
-Where EAIK knows how to decompose the arm - a spherical wrist or shoulder, three parallel axes and more (Ostermeier, Kuelz
-and Althoff, "Automatic Geometric Decomposition for Analytical Inverse Kinematics", 2025) - it gives all branches in
-closed form, which are then refined to the last digit and checked. For any other arm, and where EAIK is not installed,
-Newton's method from many starts finds most branches, some forty times slower.
+Where EAIK knows how to decompose the arm - a spherical wrist or shoulder, three parallel axes and more (Ostermeier,
+Kuelz and Althoff, "Automatic Geometric Decomposition for Analytical Inverse Kinematics", 2025) - it gives all branches
+in closed form, which are then refined to the last digit and checked. For any other arm, and where EAIK is not
+installed, Newton's method from many starts finds most branches, some forty times slower.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class AnyArm:
     def __init__(self, chain: Chain, lower: Array, upper: Array, *, numeric: bool = False) -> None:
         self.chain = chain
         self._reach_m = float(np.linalg.norm(chain.offsets[1:], axis=1).sum())
-        self._robot = None if numeric else known(chain)
+        self._robot: Any = None if numeric else known(chain)
         self.family = "" if self._robot is None else str(self._robot.get_kinematic_family())
         # the same starts every time: the same question has the same answer
         self._starts = np.random.default_rng(0).uniform(lower, upper, (STARTS, JOINTS))
@@ -126,9 +126,7 @@ class AnyArm:
     def _solved(self, poses: Array, hint: Array | None) -> tuple[Array, NDArray[np.bool_]]:
         """(N, K, 6) distinct solutions, NaN where there are no more, and (N, K) whether there is one."""
         given = self._in_reach(poses)
-        starts, near = (
-            self._closed_form(poses, given) if self._robot is not None else self._everywhere(len(poses))
-        )
+        starts, near = self._closed_form(poses, given) if self.family else self._everywhere(len(poses))
         if hint is not None:
             hinted = np.broadcast_to(hint, (len(poses), 1, JOINTS))
             starts, near = np.concatenate([starts, hinted], axis=1), np.append(near, np.inf)

@@ -13,7 +13,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.batch import BatchKinematics
 from deltaq_controllers.inverse.any_arm import AnyArm
 from deltaq_controllers.inverse.branches import Branches, wrapped
-from deltaq_controllers.inverse.chain import chain_of
+from deltaq_controllers.inverse.chain import Chain, chain_of
 from deltaq_controllers.inverse.kr16 import SHOULDER_HEIGHT, T_WRIST_FLANGE, Kr16Inverse
 from deltaq_controllers.inverse.titan import TitanInverse, TitanLengths
 from deltaq_protocol.arrays import Array
@@ -66,6 +66,10 @@ class Arm:
     beyond: tuple[int, ...] = ()
     T_last_hand: Array = field(default_factory=lambda: np.eye(4))
 
+    def chain(self, robot: RobotModel) -> Chain:
+        """The arm's joints at zero, with what its inverse has for a tool."""
+        return chain_of(robot.model, self.joints, np.eye(4) if self.beyond else self.T_last_hand)
+
     def pose_of_last(self, kinematics: BatchKinematics, q: Array) -> Array:
         """(N, 4, 4) frame of the arm's last joint in that of the hand, at configurations (N, n)."""
         frames = kinematics.frames(q, list(self.beyond), carrier=int(self.joints[-1]))
@@ -106,7 +110,8 @@ def arm_of(robot: RobotModel, kinematics: BatchKinematics, hand: str) -> Arm:
         if _fits(robot, kinematics, arm):
             return arm
     limits = robot.lower[last], robot.upper[last]
-    return Arm(hand, last, AnyArm(chain_of(robot.model, last, T_last_hand), *limits, numeric=True))
+    numeric = AnyArm(chain_of(robot.model, last, T_last_hand), *limits, numeric=True)
+    return Arm(hand, last, numeric, T_last_hand=T_last_hand)
 
 
 def _of_our_own(robot: RobotModel, hand: str, joints: NDArray[np.intp], T_last_hand: Array) -> Iterator[Arm]:
@@ -114,10 +119,11 @@ def _of_our_own(robot: RobotModel, hand: str, joints: NDArray[np.intp], T_last_h
     azimuth, upper_arm, forearm, wrist = (float(place[2]) for place in places[1:5])
     if upper_arm > 0.0 and forearm > 0.0:
         lengths = TitanLengths(azimuth, upper_arm, forearm, wrist, tool=0.0)
-        yield Arm(hand, joints, TitanInverse(lengths, T_last_hand))
+        yield Arm(hand, joints, TitanInverse(lengths, T_last_hand), T_last_hand=T_last_hand)
     below = np.eye(4)
     below[2, 3] = -SHOULDER_HEIGHT
-    yield Arm(hand, joints, Kr16Inverse(np.linalg.inv(T_WRIST_FLANGE) @ T_last_hand), below)
+    kr16 = Kr16Inverse(np.linalg.inv(T_WRIST_FLANGE) @ T_last_hand)
+    yield Arm(hand, joints, kr16, below, T_last_hand=T_last_hand)
 
 
 def _in_closed_form(

@@ -35,7 +35,7 @@ LONGEST_STEP = 0.6
 """Longest step in a joint [rad]: a longer one leaves the neighbourhood that the Jacobian describes."""
 
 STUCK_ERROR, STUCK_STEP = 1e-4, 1e-2
-"""With an error above the first, a step below the second [rad] that does not halve it shows that none is less around."""
+"""With an error above the first, a step below the second [rad] that does not halve it leads nowhere."""
 
 LEAST_DAMPING = 1e-13
 """Keeps a singular Jacobian's square positive."""
