@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.inverse.any_arm import AnyArm
-from deltaq_controllers.inverse.arms import Arm, ArmInverse
+from deltaq_controllers.inverse.arms import Arm, ArmInverse, inverted
 from deltaq_controllers.inverse.branches import wrapped
 from deltaq_controllers.inverse.tracking import ConstraintTracker
 from deltaq_protocol.arrays import Array
@@ -82,7 +82,7 @@ def _inverses(robot: RobotModel, arm: Arm) -> Iterator[tuple[str, ArmInverse, Ar
     chain = arm.chain(robot)
     limits = robot.lower[arm.joints], robot.upper[arm.joints]
     if not isinstance(arm.solver, AnyArm):
-        yield "own", arm.solver, np.linalg.inv(arm.T_mount_base)
+        yield "own", arm.solver, inverted(arm.T_mount_base[None])[0]
     eaik = AnyArm(chain, *limits)
     if eaik.family:
         yield eaik.family, eaik, np.eye(4)
