@@ -1,4 +1,4 @@
-"""The peg and the valve over some seeds: what is usual, what is worst, and what of the paper's conclusions that bears."""
+"""The peg and the valve over some seeds: what is usual and worst, and which of the paper's conclusions it supports."""
 
 from __future__ import annotations
 

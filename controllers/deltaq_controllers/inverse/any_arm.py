@@ -68,6 +68,7 @@ class AnyArm:
         self.family = "" if self._robot is None else str(self._robot.get_kinematic_family())
         # the same starts every time: the same question has the same answer
         self._starts = np.random.default_rng(0).uniform(lower, upper, (STARTS, JOINTS))
+        self._compile(lower, upper)
 
     def inverse(self, poses: Array, hint: Array | None = None) -> Branches:
         """The configurations that put the tool at each pose.
@@ -115,6 +116,15 @@ class AnyArm:
     def branch(self, _pose: Array, q: Array) -> int:
         """0 or 1, by the sign of the Jacobian's determinant at `q` (6,): between the two lie singularities."""
         return int(determinant_of(placed(self.chain, np.array(q))[2]) > 0.0)
+
+    def _compile(self, lower: Array, upper: Array) -> None:
+        """Call what is compiled, so that nobody waits for it who has a robot leased."""
+        q = 0.5 * (lower + upper)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3], _ = placed(self.chain, q)
+        self.near(pose[None], q[None], lower, upper)
+        self.follow(pose[None, None], q[None])
+        self.branch(pose, q)
 
     def _in_reach(self, poses: Array) -> NDArray[np.bool_]:
         """(...) whether poses (..., 4, 4) are finite and no farther away than the links are long together."""
