@@ -8,7 +8,7 @@ virtual time, steered by operators that are programs (`peg_and_valve_operators`)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,10 @@ from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import MODES, Teleoperator
 from deltaq_experiments.peg_and_valve_operators import (
+    HAND_M_S,
+    HAND_RAD_S,
+    JOINT_M_S,
+    JOINT_RAD_S,
     AdvisedOperator,
     HandGoal,
     HandOperator,
@@ -252,13 +256,14 @@ class _Run:
                 limit = self._teleoperator.limitation
                 raise _UndoneError(f"'{goal.name}' is not done after {LONGEST_S:g} s; limited by {limit}")
 
-    def _axes(self, meant: OperatorCommand) -> Sequence[str]:
-        """The axes of the device that the operator has in hand: the hand's, or the joints'."""
+    def _axes(self, meant: OperatorCommand) -> Mapping[str, float]:
+        """The axes of the device that the operator has in hand, the hand's or the joints', and their greatest rates."""
         if not meant.rates:
-            return ()
+            return {}
         if set(meant.rates) <= set(HAND_AXES):
-            return HAND_AXES
-        return self._teleoperator.axes(meant.mode or self._teleoperator.mode)
+            return {axis: HAND_RAD_S if axis.startswith("r") else HAND_M_S for axis in HAND_AXES}
+        joints = zip(self._robot.joint_names, self._robot.revolute, strict=True)
+        return {joint: JOINT_RAD_S if turns else JOINT_M_S for joint, turns in joints}
 
     def _options(self) -> int:
         if self._teleoperator.mode is not ModeName.ADVISOR:

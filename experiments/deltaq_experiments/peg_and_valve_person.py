@@ -16,7 +16,7 @@ What is assumed, and on whose word:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -80,12 +80,12 @@ class Hand:
         self._slip_left_s = 0.0
         self.slips: Counter[Slip] = Counter()
 
-    def done(self, meant: OperatorCommand, axes: Sequence[str], options: int) -> OperatorCommand:
+    def done(self, meant: OperatorCommand, axes: Mapping[str, float], options: int) -> OperatorCommand:
         """The command that is given where another is meant.
 
         Args:
             meant: what the operator means to do in this cycle.
-            axes: all that the operator may take by mistake.
+            axes: all that the operator may take by mistake, each with its greatest rate [m/s or rad/s].
             options: how many options there are to be mistaken.
         """
         self._begin(meant, axes, options)
@@ -96,7 +96,7 @@ class Hand:
             return self._noisy(replace(given, mode=meant.mode))
         return self._noisy(meant)
 
-    def _begin(self, meant: OperatorCommand, axes: Sequence[str], options: int) -> None:
+    def _begin(self, meant: OperatorCommand, axes: Mapping[str, float], options: int) -> None:
         """Whether an action begins here, and goes wrong."""
         self._since_action_s += self._cycle_s
         moved, moves = _driven(self._meant), _driven(meant)
@@ -122,7 +122,7 @@ class Hand:
             )
 
     def _gone_wrong(
-        self, kind: Slip, meant: OperatorCommand, axes: Sequence[str], options: int
+        self, kind: Slip, meant: OperatorCommand, axes: Mapping[str, float], options: int
     ) -> OperatorCommand:
         if kind is Slip.LATE:
             return replace(meant, rates=self._meant.rates)
@@ -134,7 +134,9 @@ class Hand:
         rates = dict(meant.rates)
         taken = max(rates, key=lambda axis: abs(rates[axis]))
         other = str(self._generator.choice([axis for axis in axes if axis != taken]))
-        rates[taken], rates[other] = rates.get(other, 0.0), rates[taken]
+        # the stick is pushed as far as was meant, whatever its axis moves
+        share = axes[other] / axes[taken]
+        rates[taken], rates[other] = rates.get(other, 0.0) / share, rates[taken] * share
         return replace(meant, rates=rates)
 
     def _noisy(self, command: OperatorCommand) -> OperatorCommand:

@@ -25,7 +25,7 @@ SUPPORT = Path(published_arms.__file__).parent
 
 
 def waited(*cases: str, before: Path | None = None) -> dict[str, dict[str, Any]]:
-    """By case, what it waited for before its lease, and while it held it; with packages that come `before` all others."""
+    """By case, what it waited for before its lease, and while it held it; packages in `before` go before all others."""
     paths = [str(before)] * (before is not None) + [str(SUPPORT), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
         [sys.executable, first_cycles.__file__, *cases],

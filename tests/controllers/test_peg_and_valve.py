@@ -18,6 +18,7 @@ from deltaq_experiments.peg_and_valve_person import ACTION_S, NOISE, REACTION_S,
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, by_mode, distributions
 
 CYCLE_S = 0.012
+STICK = dict.fromkeys(HAND_AXES, 0.1)
 STEADY = Person(noise=0.0, slip=0.0)
 
 
@@ -85,7 +86,7 @@ def test_a_steady_hand_gives_what_is_meant() -> None:
     hand = Hand(STEADY, CYCLE_S, np.random.default_rng(0))
     for meant in (OperatorCommand({"x": 0.1}), OperatorCommand(option=2), OperatorCommand({})):
         for _ in range(200):
-            assert hand.done(meant, HAND_AXES, 3) == meant
+            assert hand.done(meant, STICK, 3) == meant
     assert not hand.slips
 
 
@@ -93,21 +94,21 @@ def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() 
     hand = Hand(Person(slip=0.0), CYCLE_S, np.random.default_rng(1))
     for size in (0.01, 0.1):
         meant = OperatorCommand({"x": size, "y": 0.0, "z": 0.0, "rx": 0.0})
-        given = [hand.done(meant, HAND_AXES, 0).rates for _ in range(20_000)]
+        given = [hand.done(meant, STICK, 0).rates for _ in range(20_000)]
         for axis in "xyz":
             off = np.array([rates[axis] - meant.rates[axis] for rates in given])
             assert off.std() == pytest.approx(NOISE * size, rel=0.15)
             assert abs(off.mean()) < 0.3 * NOISE * size
         assert all(rates["rx"] == 0.0 for rates in given)
     still = OperatorCommand({"x": 0.0})
-    assert hand.done(still, HAND_AXES, 0) == still
+    assert hand.done(still, STICK, 0) == still
 
 
 def test_one_action_in_fifty_goes_wrong_and_is_noticed_one_reaction_later() -> None:
     person = Person(noise=0.0)
     hand = Hand(person, CYCLE_S, np.random.default_rng(2))
     meant, seconds = OperatorCommand({"x": 0.1, "y": 0.0}, ModeName.COUPLED), 2400.0
-    wrong = [hand.done(meant, HAND_AXES, 0) != meant for _ in range(round(seconds / CYCLE_S))]
+    wrong = [hand.done(meant, STICK, 0) != meant for _ in range(round(seconds / CYCLE_S))]
     slips = sum(hand.slips.values())
     assert slips == pytest.approx(SLIP * seconds / ACTION_S, rel=0.35)
     assert set(hand.slips) == {Slip.AXIS, Slip.WAY}
@@ -119,17 +120,17 @@ def test_each_slip_is_what_it_is_called() -> None:
     seen = set()
     for seed in range(40):
         hand = Hand(always, CYCLE_S, np.random.default_rng(seed))
-        given = hand.done(OperatorCommand({"x": 0.1}), ("x", "y"), 0)
+        given = hand.done(OperatorCommand({"x": 0.1}), {"x": 0.1, "y": 0.2}, 0)
         (kind,) = hand.slips
-        assert given.rates == ({"x": -0.1} if kind is Slip.WAY else {"x": 0.0, "y": 0.1})
+        assert given.rates == ({"x": -0.1} if kind is Slip.WAY else {"x": 0.0, "y": 0.2})
         seen.add(kind)
     assert seen == {Slip.WAY, Slip.AXIS}
     hand = Hand(always, CYCLE_S, np.random.default_rng(0))
-    assert hand.done(OperatorCommand(option=1), (), 3).option in (2, 3)
+    assert hand.done(OperatorCommand(option=1), {}, 3).option in (2, 3)
     assert hand.slips == {Slip.KEY: 1}
     hand = Hand(always, CYCLE_S, np.random.default_rng(0))
     hand._meant = OperatorCommand({"x": 0.1})
-    assert hand.done(OperatorCommand({}), (), 0).rates == {"x": 0.1}
+    assert hand.done(OperatorCommand({}), {}, 0).rates == {"x": 0.1}
     assert hand.slips == {Slip.LATE: 1}
 
 

@@ -54,10 +54,10 @@ class ConstraintTracker:
         numeric = [arm.hand for arm in self.arms if isinstance(arm.solver, AnyArm) and not arm.solver.family]
         if not numeric:
             return ""
-        remedy = "" if HAS_CLOSED_FORMS else "; pip install 'deltaq[arms]' has one for most arms"
-        arms, are = ("arms", "have no closed form here and are") if len(numeric) > 1 else ("arm", "")
+        remedy = "" if HAS_CLOSED_FORMS else "; most arms have one with `pip install 'deltaq[arms]'`"
+        arms, have, are = ("arms", "have", "are") if len(numeric) > 1 else ("arm", "has", "is")
         return (
-            f"the {arms} of {' and '.join(numeric)} {are or 'has no closed form here and is'} solved numerically: "
+            f"the {arms} of {' and '.join(numeric)} {have} no closed form here and {are} solved numerically: "
             f"some branches may be missed, and answers take longer{remedy}"
         )
 
