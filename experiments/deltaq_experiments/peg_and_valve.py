@@ -35,7 +35,7 @@ from deltaq_experiments.peg_and_valve_operators import (
     ScriptedOperator,
     error_to,
 )
-from deltaq_experiments.peg_and_valve_person import Hand, Person
+from deltaq_experiments.peg_and_valve_person import OperatorHand, Person
 from deltaq_protocol.arrays import Array
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
@@ -187,7 +187,7 @@ class _Run:
         places, person, hand = (np.random.default_rng([seed, stream]) for stream in range(3))
         self._goals = goals(self._robot.forward(self._robot.home), places)
         self._person = Person.drawn(person)
-        self._hand = Hand(self._person, self._cycle_s, hand)
+        self._hand = OperatorHand(self._person, self._cycle_s, hand)
         self._operator = OPERATORS[mode](self._teleoperator, self._cycle_s, self._person.reaction_s)
         self._stack.run_until_ready()
         self._stack.acquire(robot, "operator")

@@ -59,7 +59,7 @@ class Person:
         return cls(reaction_s=REACTION_S * (1.0 + spread))
 
 
-class Hand:
+class OperatorHand:
     """What an operator's hand makes of what is meant.
 
     Args:

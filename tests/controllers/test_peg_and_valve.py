@@ -14,7 +14,15 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_experiments.peg_and_valve import OPERATORS, PEG_M, PLACED_M, TILTED_RAD, ModeFigures, goals, run
 from deltaq_experiments.peg_and_valve_page import PAGE, main, page
-from deltaq_experiments.peg_and_valve_person import ACTION_S, NOISE, REACTION_S, SLIP, Hand, Person, Slip
+from deltaq_experiments.peg_and_valve_person import (
+    ACTION_S,
+    NOISE,
+    REACTION_S,
+    SLIP,
+    OperatorHand,
+    Person,
+    Slip,
+)
 from deltaq_experiments.peg_and_valve_summary import CONCLUSIONS, by_mode, distributions
 
 CYCLE_S = 0.012
@@ -83,7 +91,7 @@ class _Middle(np.random.Generator):
 
 
 def test_a_steady_hand_gives_what_is_meant() -> None:
-    hand = Hand(STEADY, CYCLE_S, np.random.default_rng(0))
+    hand = OperatorHand(STEADY, CYCLE_S, np.random.default_rng(0))
     for meant in (OperatorCommand({"x": 0.1}), OperatorCommand(option=2), OperatorCommand({})):
         for _ in range(200):
             assert hand.done(meant, STICK, 3) == meant
@@ -91,7 +99,7 @@ def test_a_steady_hand_gives_what_is_meant() -> None:
 
 
 def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() -> None:
-    hand = Hand(Person(slip=0.0), CYCLE_S, np.random.default_rng(1))
+    hand = OperatorHand(Person(slip=0.0), CYCLE_S, np.random.default_rng(1))
     for size in (0.01, 0.1):
         meant = OperatorCommand({"x": size, "y": 0.0, "z": 0.0, "rx": 0.0})
         given = [hand.done(meant, STICK, 0).rates for _ in range(20_000)]
@@ -106,7 +114,7 @@ def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() 
 
 def test_one_action_in_fifty_goes_wrong_and_is_noticed_one_reaction_later() -> None:
     person = Person(noise=0.0)
-    hand = Hand(person, CYCLE_S, np.random.default_rng(2))
+    hand = OperatorHand(person, CYCLE_S, np.random.default_rng(2))
     meant, seconds = OperatorCommand({"x": 0.1, "y": 0.0}, ModeName.COUPLED), 2400.0
     wrong = [hand.done(meant, STICK, 0) != meant for _ in range(round(seconds / CYCLE_S))]
     slips = sum(hand.slips.values())
@@ -119,16 +127,16 @@ def test_each_slip_is_what_it_is_called() -> None:
     always = Person(noise=0.0, slip=1.0)
     seen = set()
     for seed in range(40):
-        hand = Hand(always, CYCLE_S, np.random.default_rng(seed))
+        hand = OperatorHand(always, CYCLE_S, np.random.default_rng(seed))
         given = hand.done(OperatorCommand({"x": 0.1}), {"x": 0.1, "y": 0.2}, 0)
         (kind,) = hand.slips
         assert given.rates == ({"x": -0.1} if kind is Slip.WAY else {"x": 0.0, "y": 0.2})
         seen.add(kind)
     assert seen == {Slip.WAY, Slip.AXIS}
-    hand = Hand(always, CYCLE_S, np.random.default_rng(0))
+    hand = OperatorHand(always, CYCLE_S, np.random.default_rng(0))
     assert hand.done(OperatorCommand(option=1), {}, 3).option in (2, 3)
     assert hand.slips == {Slip.KEY: 1}
-    hand = Hand(always, CYCLE_S, np.random.default_rng(0))
+    hand = OperatorHand(always, CYCLE_S, np.random.default_rng(0))
     hand._meant = OperatorCommand({"x": 0.1})
     assert hand.done(OperatorCommand({}), {}, 0).rates == {"x": 0.1}
     assert hand.slips == {Slip.LATE: 1}
