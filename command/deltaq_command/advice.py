@@ -87,6 +87,7 @@ class Advice:
         elapsed_s: from the question to the options, paths included.
         executed: how the requested option was driven to; None if none was.
         trade_off: the two criteria whose front the options are of; None for minima.
+        word: on an arm without a closed form; empty if every arm has one.
     """
 
     cell: str
@@ -101,6 +102,7 @@ class Advice:
     elapsed_s: float
     executed: Driven | None = None
     trade_off: tuple[str, str] | None = None
+    word: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """The answer as a JSON object, in SI units."""
@@ -115,6 +117,7 @@ class Advice:
             "hands": {name: pose.tolist() for name, pose in self.hands.items()},
             "trials": self.trials,
             "elapsed_s": self.elapsed_s,
+            "word": self.word or None,
             "options": [_as_dict(rank, option) for rank, option in enumerate(self.options, start=1)],
             "executed": None if self.executed is None else asdict(self.executed),
         }
@@ -138,9 +141,9 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             running = stack.enter_context(connect(cell.description, "deltaq advise"))
             present |= _present(running)
         poses = _poses(tracker, present[robot], request.hands or {})
-        problem = AdvisorProblem(
-            cell, robot, poses, request.weights, tracker, present, request.hands_may_leave
-        )
+        # an arm without a joint to spare has options where its hand is to go elsewhere
+        may_leave = request.hands_may_leave or (bool(request.hands) and not len(tracker.base))
+        problem = AdvisorProblem(cell, robot, poses, request.weights, tracker, present, may_leave)
         began_s = time.perf_counter()
         options = advise_on(
             problem,
@@ -171,6 +174,7 @@ def advice(request: AdviceRequest, go_on: Callable[[Progress], bool] = lambda _:
             elapsed_s=elapsed_s,
             executed=executed,
             trade_off=request.trade_off,
+            word=tracker.word,
         )
 
 
@@ -186,7 +190,8 @@ def _robot(cell: CellModel, name: str) -> tuple[str, ConstraintTracker]:
         if len(tracker.base):
             return candidate, tracker
     raise AdvisorError(
-        f"cell {cell.description.cell} has no redundant robot with a closed-form inverse: nothing to advise on"
+        f"cell {cell.description.cell} has no redundant robot whose hands are carried by six joints or more that turn: "
+        "nothing to advise on"
     )
 
 

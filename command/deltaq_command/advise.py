@@ -222,6 +222,8 @@ def _show(found: Advice) -> None:
         typer.echo(
             "no configuration holds the hands there clear of limits and obstacles; move them, or raise --effort"
         )
+    if found.word:
+        typer.echo(found.word)
     if found.executed is not None:
         there = "at" if found.executed.reached else "stopped on the path to"
         typer.echo(

@@ -136,39 +136,45 @@ def peg_and_valve(
     mode: Annotated[
         list[str] | None, typer.Option(help="Only this mode; may be given several times.")
     ] = None,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            min=1, max=1000, help="Runs of each mode; each places hole and valve, and is an operator."
+        ),
+    ] = 10,
     json: JsonOption = False,
 ) -> None:
     """Put in a peg and turn a valve in each mode of teleoperation, in virtual time; report time and error."""
     from deltaq_command.console import print_json, print_table
     from deltaq_command.progress import progress_bar
-    from deltaq_experiments.peg_and_valve import OPERATORS, run
+    from deltaq_experiments.peg_and_valve import OFF_MM, OPERATORS, TILT_DEG, run
+    from deltaq_experiments.peg_and_valve_summary import FIGURES, by_mode, distributions
 
     with progress_bar("peg and valve") as move:
-        figures = run(cell, robot, mode or tuple(OPERATORS), move)
+        runs = run(cell, robot, mode or tuple(OPERATORS), range(seeds), move)
     if json:
-        print_json({"robot": robot, "modes": [one.model_dump(mode="json") for one in figures]})
-        return
-    rows = [
-        (
-            one.mode,
-            f"{one.time_s:.1f}",
-            f"{one.insert_s:.1f}",
-            f"{one.turn_s:.1f}",
-            f"{one.peg_off_mm:.1f}",
-            f"{one.peg_tilt_deg:.2f}",
-            f"{one.valve_off_mm:.1f}",
-            f"{100 * one.limit_margin:.0f}",
+        print_json(
+            {
+                "robot": robot,
+                "tolerance": {"off_mm": OFF_MM, "tilt_deg": TILT_DEG},
+                "modes": distributions(runs),
+                "runs": [one.model_dump(mode="json") for one in runs],
+            }
         )
-        for one in figures
-    ]
-    columns = (
-        "mode",
-        "task s",
-        "insert s",
-        "turn s",
-        "peg off mm",
-        "peg tilt deg",
-        "valve off mm",
-        "limit margin %",
-    )
-    print_table(f"peg and valve with {robot}", columns, rows)
+    else:
+        columns = ("mode", "runs, done", *(figure.name for figure in FIGURES))
+        rows = [
+            (
+                name,
+                f"{len(ours)}, {sum(not one.undone for one in ours)}",
+                *(figure.cell(ours) for figure in FIGURES),
+            )
+            for name, ours in by_mode(runs).items()
+        ]
+        title = f"peg and valve with {robot}, seeds 0 to {seeds - 1}: median; worst (its seed)"
+        print_table(title, columns, rows)
+        for one in runs:
+            if one.undone:
+                typer.echo(f"{one.mode}, seed {one.seed}: {one.undone}")
+    if any(one.undone for one in runs):
+        raise typer.Exit(BAD)

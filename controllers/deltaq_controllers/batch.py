@@ -70,17 +70,19 @@ class BatchKinematics:
             for frame in frames
         ]
 
-    def frames(self, q: Array, joints: list[int] | None = None) -> FrameBatch:
+    def frames(self, q: Array, joints: list[int] | None = None, carrier: int = -1) -> FrameBatch:
         """Place the robot.
 
         Args:
             q: (N, n) configurations; only the columns of `joints` and of those that carry them count.
             joints: which to place, each after those that carry it; all if not given. Others stay empty.
+            carrier: joint in whose frame they are placed in place of the world's; it carries them all.
         """
         rotation: list[Array] = [np.empty(0)] * self.n
         position: list[Array] = [np.empty(0)] * self.n
         for joint in range(self.n) if joints is None else joints:
-            parent_R, parent_p = self._carrier(rotation, position, self.parents[joint], len(q))
+            parent = -1 if self.parents[joint] == carrier else self.parents[joint]
+            parent_R, parent_p = self._carrier(rotation, position, parent, len(q))
             place = self._places[joint].translation
             if self.revolute[joint]:
                 still, sine, versine = self._turns[joint]

@@ -17,9 +17,6 @@ from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
 
-REACTION_S = 0.25
-"""Reaction time of an operator."""
-
 HAND_M_S, HAND_RAD_S = 0.1, np.deg2rad(20.0)
 JOINT_M_S, JOINT_RAD_S = 0.1, np.deg2rad(10.0)
 """Greatest rates that an operator asks for."""
@@ -65,10 +62,10 @@ def is_near(error: Array) -> bool:
 
 
 class Late:
-    """What an operator sees: configurations of `REACTION_S` ago."""
+    """What an operator sees: configurations of a reaction ago."""
 
-    def __init__(self, cycle_s: float) -> None:
-        self._seen: deque[Array] = deque(maxlen=max(1, round(REACTION_S / cycle_s)))
+    def __init__(self, cycle_s: float, reaction_s: float) -> None:
+        self._seen: deque[Array] = deque(maxlen=max(1, round(reaction_s / cycle_s)))
 
     def __call__(self, q: Array) -> Array:
         """The configuration (n,) seen while the robot stands at `q` (n,)."""
@@ -93,9 +90,9 @@ class ScriptedOperator(Protocol):
 class HandOperator:
     """Steers the hand by its axes, as in decoupled and coupled mode."""
 
-    def __init__(self, robot: RobotModel, cycle_s: float, mode: ModeName) -> None:
+    def __init__(self, robot: RobotModel, cycle_s: float, reaction_s: float, mode: ModeName) -> None:
         self._robot, self._mode = robot, mode
-        self._see = Late(cycle_s)
+        self._see = Late(cycle_s, reaction_s)
 
     @property
     def stands(self) -> bool:
@@ -123,9 +120,9 @@ class PostureOperator:
 
     POSTURE_S = 3.0
 
-    def __init__(self, robot: RobotModel, cycle_s: float) -> None:
+    def __init__(self, robot: RobotModel, cycle_s: float, reaction_s: float) -> None:
         self._robot, self._cycle_s = robot, cycle_s
-        self._hand = HandOperator(robot, cycle_s, ModeName.DECOUPLED)
+        self._hand = HandOperator(robot, cycle_s, reaction_s, ModeName.DECOUPLED)
         self._base = np.flatnonzero(~Hands(robot).arms.any(axis=0))
         self._left: int | None = None
         self._command = OperatorCommand()
@@ -166,9 +163,9 @@ class AdvisedOperator:
     the next one. The advisor's thinking takes no time here.
     """
 
-    def __init__(self, teleoperator: Teleoperator, cycle_s: float) -> None:
+    def __init__(self, teleoperator: Teleoperator, cycle_s: float, reaction_s: float) -> None:
         self._teleoperator = teleoperator
-        self._hand = HandOperator(teleoperator.robot, cycle_s, ModeName.DECOUPLED)
+        self._hand = HandOperator(teleoperator.robot, cycle_s, reaction_s, ModeName.DECOUPLED)
         self._is_advised = self._is_stuck = False
         self._goal: HandGoal | None = None
         self._times_stuck = 0
@@ -210,10 +207,10 @@ class JointOperator:
     The operator knows that, as with a robot whose points have been taught: a generous assumption.
     """
 
-    def __init__(self, robot: RobotModel, cycle_s: float) -> None:
+    def __init__(self, robot: RobotModel, cycle_s: float, reaction_s: float) -> None:
         self._robot, self._cycle_s = robot, cycle_s
         self._arm = Hands(robot).arms.any(axis=0)
-        self._see = Late(cycle_s)
+        self._see = Late(cycle_s, reaction_s)
         self._rates = np.where(robot.revolute, JOINT_RAD_S, JOINT_M_S)
         self._near = np.full(robot.n, 2e-4)
         self._goal: HandGoal | None = None

@@ -21,6 +21,7 @@ from traceback import extract_stack
 from typing import Any, Self
 
 import numpy as np
+import published_arms
 from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
@@ -74,6 +75,11 @@ class Waits(event.Listener):
         return told
 
 
+def loaded(name: str) -> CellModel:
+    """A shipped cell, or `arms`, the one of the guide, whose robots nobody wrote an inverse for."""
+    return published_arms.cell() if name == "arms" else CellModel.load(name)
+
+
 @dataclass
 class Leased:
     """One robot of the quiet cell: it does as it is told, in cycles that come as fast as they are answered."""
@@ -115,7 +121,7 @@ class QuietCell(Cell):
     """A cell without a wire; while a lease is held, what Python waits for is `late`."""
 
     def __init__(self, name: str, waits: Waits) -> None:
-        cell = CellModel.load(name)
+        cell = loaded(name)
         self.description = cell.description_message()
         self.robots = self.description.robots
         self.models = cell.robots
@@ -251,7 +257,7 @@ def attacker() -> Controller:
 
 async def counsel(cell: QuietCell, robot: str) -> None:
     """What the advisor's process does, question by question."""
-    advisor = AdvisorSession(CellModel.load(cell.description.cell), robot)
+    advisor = AdvisorSession(loaded(cell.description.cell), robot)
     home = cell.models[robot].home
     async with cell.lease(robot):
         advisor.ask(home, {}, lambda _: True)
@@ -266,12 +272,16 @@ CASES: dict[str, tuple[str, Callable[[QuietCell], Coroutine[Any, Any, None]]]] =
     "modes-gr": ("lab", partial(by_hand, robot="gr", modes=MODES)),
     "criteria-gr": ("lab", partial(by_hand, robot="gr", modes=(ModeName.COUPLED,), weights=ALL)),
     "modes-fr": ("lab", partial(by_hand, robot="fr", modes=FREE)),
+    "modes-ur": ("arms", partial(by_hand, robot="ur", modes=FREE)),
+    "modes-panda": ("arms", partial(by_hand, robot="panda", modes=MODES)),
+    "criteria-panda": ("arms", partial(by_hand, robot="panda", modes=(ModeName.COUPLED,), weights=ALL)),
     "modes-dawm": ("dawm", partial(by_hand, robot="dawm", modes=MODES)),
     **{name: ("lab", partial(by_camera, name=name)) for name in NAMES},
     "leader": ("lab", partial(by_controller, robot="gr", made=leader)),
     "attacker": ("lab", partial(by_controller, robot="gr", made=attacker)),
     "counsel-gr": ("lab", partial(counsel, robot="gr")),
     "counsel-dawm": ("dawm", partial(counsel, robot="dawm")),
+    "counsel-panda": ("arms", partial(counsel, robot="panda")),
 }
 
 

@@ -1,4 +1,4 @@
-"""What comes with `deltaq[all]` may be passed on with it, under its licence."""
+"""What comes with `deltaq[all]`, or with the arms' closed forms, may be passed on with it, under its licence."""
 
 import re
 from importlib.metadata import distribution
@@ -19,13 +19,19 @@ BOUND = r"(?<!L)GPL|(?<!Lesser )General Public License"
 
 LOOKED_UP = {
     "cmeel-qhull": "says nothing of itself; Qhull's own licence is like BSD's",
+    "pyglet": "says nothing of itself; its LICENSE is that of BSD with three clauses",
     "docutils": "in the public domain but for some files, of which one, an Emacs mode, is under the GPL",
 }
 
 
-def closure(*extras):
-    """Names of what an installation with these extras needs, its own not among them."""
-    needed, waiting = {}, [("deltaq", frozenset(extras))]
+DISTRIBUTED = ("deltaq[all]", "EAIK")
+"""EAIK by its own name: it is the extra `arms`."""
+
+
+def closure(*requirements):
+    """Names of what an installation of these needs, our own not among them."""
+    roots = [Requirement(requirement) for requirement in requirements]
+    needed, waiting = {}, [(canonicalize_name(root.name), frozenset(root.extras)) for root in roots]
     while waiting:
         name, wanted = waiting.pop()
         if wanted <= needed.get(name, set()) and name in needed:
@@ -49,14 +55,15 @@ def declared(name):
 
 
 def test_all_that_is_installed_is_looked_at():
-    names = closure("all")
+    names = closure(*DISTRIBUTED)
+    assert {"eaik", "urchin", "scipy", "trimesh"} <= set(names)
     assert {"numpy", "pin", "coal", "eclipse-zenoh", "daqp", "nicegui", "numba", "llvmlite", "mcap"} <= set(
         names
     )
     assert set(LOOKED_UP) <= set(names)
 
 
-@pytest.mark.parametrize("name", closure("all"))
+@pytest.mark.parametrize("name", closure(*DISTRIBUTED))
 def test_a_licence_goes_with_ours(name):
     licence = declared(name)
     if name in LOOKED_UP:

@@ -26,7 +26,11 @@ SHORT = ("first-motion.md",)
 """What a reader does first; the other pages follow in `make nightly`."""
 
 NOT_RUN = {
-    "bring-your-own-robot.md": ["installs from a package index", "a line of a cell"],
+    "bring-your-own-robot.md": [
+        "installs from a package index",
+        "installs from a package index",
+        "a line of a cell",
+    ],
     "commission.md": [
         "tests/documents/test_commission.py runs it beside an emulated controller",
         "waits for keys",

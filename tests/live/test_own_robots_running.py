@@ -84,15 +84,19 @@ def test_the_guide_leads_from_two_published_urdfs_to_a_replayed_motion(tmp_path:
         "package://example-robot-data/robots/panda_description/urdf/panda.urdf"
     )  # the extra `dev` has it
     (tmp_path / "arms.yaml").write_text(on_other_ports(*blocks("write: arms.yaml", "yaml")))
-    (tmp_path / "wave.yaml").write_text(*blocks("write: wave.yaml", "yaml"))
-    check, move, replay = blocks("run: sh", "sh")
+    for script in ("wave.yaml", "turn.yaml"):
+        (tmp_path / script).write_text(*blocks(f"write: {script}", "yaml"))
+    check, move, ask, replay = blocks("run: sh", "sh")
     checked = shell(check, tmp_path)
     assert checked.startswith("arms.yaml: good")
     assert "panda_link6 - panda_link7" in checked
     with up(tmp_path / "arms.yaml"):
         told = shell(move, tmp_path)
+        asked = shell(ask, tmp_path)
     assert "ur was driven" in told
     assert "panda" in told
+    assert "panda is at option 1" in asked
+    assert asked.count("ur: options") == 2
     replayed = json.loads(shell(replay.strip() + " --json", tmp_path))
     assert replayed["good"]
     assert replayed["verdicts"] > 0

@@ -70,7 +70,7 @@ class AdvisorProblem:
 
     Raises:
         AdvisorError: the robot is unknown, has no free joint, or the poses are not valid.
-        TrackingError: its arms have no closed form.
+        TrackingError: its arms have no inverse.
         CriterionError: an unknown criterion.
     """
 
@@ -149,7 +149,7 @@ class AdvisorProblem:
             lower, upper = self.robot.lower[arm.joints], self.robot.upper[arm.joints]
             arms.append((arm.joints, *branches.fitted(0.5 * (lower + upper), lower, upper)))
         found_q, found_row = [], []
-        for combination in product(range(8), repeat=len(arms)):
+        for combination in product(*(range(inside.shape[1]) for _, _, inside in arms)):
             rows = np.flatnonzero(
                 np.logical_and.reduce(
                     [inside[:, b] for (_, _, inside), b in zip(arms, combination, strict=True)]

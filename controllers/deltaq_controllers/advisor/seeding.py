@@ -29,7 +29,7 @@ def feasible(
     """
     tracker, base = problem.tracker, problem.tracker.base
     moves = tracker.kinematics.moves
-    moved = np.array([[moves[int(arm.joints[0]), joint] for joint in base] for arm in tracker.arms])
+    moved = np.array([moves[carrier, base] for carrier, _, _ in tracker.kinematics.hands])
     several = moved.sum(axis=0) != 1
     drawn = generator.uniform(problem.lower, problem.upper, (shared, own, problem.free))
     drawn[:, :, several] = drawn[:, :1, several]

@@ -35,7 +35,7 @@ class AdvisorSession:
 
     Raises:
         AdvisorError: the robot is unknown or not redundant.
-        TrackingError: its arms have no closed form.
+        TrackingError: its arms have no inverse.
         CriterionError: an unknown criterion.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +27,11 @@ class InverseError(DeltaqError):
 class Branches:
     """All branches for N poses; N is missing from every shape where a single pose was asked for.
 
+    There are K of them, eight in closed form.
+
     Attributes:
-        q: (N, 8, 6) configurations in (-pi, pi] [rad]; NaN where there is none.
-        exists: (N, 8) whether the branch reaches its pose; False for all eight is out of reach.
+        q: (N, K, 6) configurations in (-pi, pi] [rad]; NaN where there is none.
+        exists: (N, K) whether the branch reaches its pose; False for all of them is out of reach.
         free: names of joints, or of sums of joints, that the pose may leave free, each with (N,) flags; the
             solutions there carry the hint's value.
     """
@@ -46,7 +49,7 @@ class Branches:
             upper: (6,) upper limits [rad].
 
         Returns:
-            (N, 8, 6) configurations, and (N, 8) whether they exist inside the limits.
+            (N, K, 6) configurations, and (N, K) whether they exist inside the limits.
         """
         turns = np.rint((reference - self.q) / TURN)
         # of the turns that the limits allow, the one nearest to the reference
@@ -61,7 +64,7 @@ class Branches:
         """The solution inside the limits whose greatest difference of a joint from a reference is least.
 
         Args:
-            reference: (6,) configuration [rad].
+            reference: (6,) or (N, 1, 6) configuration [rad].
             lower: (6,) lower limits [rad].
             upper: (6,) upper limits [rad].
 
@@ -75,6 +78,56 @@ class Branches:
         chosen = np.take_along_axis(q, best[..., None], axis=-2)[..., 0, :]
         nearest: Array = np.where(found, chosen, np.nan)
         return nearest
+
+
+class NumberedBranches(ABC):
+    """A closed form whose branches have numbers: the same branch of two poses has the same number."""
+
+    @abstractmethod
+    def inverse(self, poses: Array, hint: Array | None = None) -> Branches:
+        """All configurations that put the tool at each pose."""
+
+    def near(self, poses: Array, reference: Array, lower: Array, upper: Array) -> Array:
+        """(N, 6) solution inside the limits that is nearest to a reference (N, 6); NaN where there is none.
+
+        Args:
+            poses: (N, 4, 4) of the tool in the arm's base frame.
+            reference: of each [rad]; the first gives joints that the pose leaves free.
+            lower: (6,) lower limits [rad].
+            upper: (6,) upper limits [rad].
+        """
+        hint = reference[0] if len(reference) else None
+        return self.inverse(poses, hint).nearest(reference[:, None], lower, upper)
+
+    def follow(self, poses: Array, start: Array) -> Array:
+        """Configurations along paths, without a change of branch; limits are not checked.
+
+        Args:
+            poses: (N, P, 4, 4) of the tool in the arm's base frame.
+            start: (N, 6) configurations that have it at the first of each path [rad].
+
+        Returns:
+            (N, P, 6) configurations, joints turning on beyond (-pi, pi]; NaN from where an arm cannot reach.
+        """
+        count, pieces = poses.shape[:2]
+        branches = self.inverse(poses.reshape(-1, 4, 4), start[0] if count else None)
+        q = np.where(branches.exists[:, :, None], branches.q, np.nan).reshape(count, pieces, 8, 6)
+        # two branches touch in a singularity, where the nearest one may be the other
+        branch = _largest(wrapped(q[:, 0] - start[:, None])).argmin(axis=1)
+        followed = q[np.arange(count), :, branch]
+        followed[:, 1:] = start[:, None] + np.cumsum(wrapped(np.diff(followed, axis=1)), axis=1)
+        followed[:, 0] = start
+        return followed
+
+    def branch(self, pose: Array, q: Array) -> int:
+        """Number of the branch that `q` (6,) [rad] is on, which puts the tool at a pose (4, 4)."""
+        return int(_largest(wrapped(self.inverse(pose, q).q - q)).argmin())
+
+
+def _largest(changes: Array) -> Array:
+    """(...) largest change of a joint, of changes (..., 6); infinite where there is none."""
+    largest: Array = np.abs(changes).max(axis=-1)
+    return np.where(np.isfinite(largest), largest, np.inf)
 
 
 def checked_poses(poses: Array) -> Array:

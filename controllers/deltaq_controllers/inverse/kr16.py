@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from deltaq_controllers.inverse.branches import (
     FREE,
     Branches,
+    NumberedBranches,
     checked_hint,
     checked_poses,
     two_links,
@@ -41,7 +42,7 @@ FOREARM_LENGTH = math.hypot(*FOREARM)
 FOREARM_ANGLE = math.atan2(FOREARM[1], FOREARM[0])
 
 
-class Kr16Inverse:
+class Kr16Inverse(NumberedBranches):
     """Inverse kinematics of a KR 16, all eight branches.
 
     Branches are numbered `4 * behind + 2 * elbow + flipped`: `behind` has A1 turned by half a turn, elbow 0 has

@@ -18,6 +18,7 @@ import numpy as np
 from deltaq_controllers.inverse.branches import (
     FREE,
     Branches,
+    NumberedBranches,
     checked_hint,
     checked_poses,
     two_links,
@@ -40,7 +41,7 @@ class TitanLengths:
     tool: float = 0.31
 
 
-class TitanInverse:
+class TitanInverse(NumberedBranches):
     """Inverse kinematics of a Titan II.
 
     Branches are numbered `4 * turned + 2 * flipped + elbow`: `turned` has t1 + pi, `flipped` has Phi + pi, and elbow 0

@@ -35,7 +35,7 @@ NOTHING_FOUND = (
 
 
 def tracker_of(robot: RobotModel) -> ConstraintTracker:
-    """The closed form that the advisor needs.
+    """The inverse that the advisor needs.
 
     Raises:
         ControllerError: the robot has none, or is not redundant.

@@ -51,7 +51,7 @@ class ReachPlanner:
         robot: name of the robot.
 
     Raises:
-        ControllerError: the robot's arms have no closed form.
+        ControllerError: the robot's arms have no inverse.
     """
 
     def __init__(self, cell: CellModel, robot: str) -> None:

@@ -1,0 +1,31 @@
+"""Inverses side by side on the arms of a cell."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from deltaq_experiments.inverse_bench import main
+
+
+def test_every_arm_is_solved_by_all_roads_that_it_has(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--cell", "lab", "--poses", "20", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["robot"], row["inverse"]) for row in rows] == [
+        (robot, inverse)
+        for robot in ("fr", "gr")
+        for inverse in ("own", "6R-SPHERICAL_SECOND_TWO_PARALLEL", "numeric")
+    ]
+    for row in rows:
+        assert row["error"] < 1e-9
+        assert 0.0 < row["batch_us"] < row["single_us"]
+        assert row["missed"] <= (0.1 if row["inverse"] == "numeric" else 0.0)
+
+
+def test_a_user_s_mistake_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--cell", "nowhere"]) == 1
+    assert "nowhere" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["--poses", "0"])
+    assert "--poses 0: at least 1" in capsys.readouterr().err

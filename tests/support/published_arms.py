@@ -1,0 +1,27 @@
+"""The cell of two published arms, a UR10 and a Panda, as the how-to guide writes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pages import steps
+
+from deltaq_cell.cell_model import CellModel
+
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "bring-your-own-robot.md"
+
+
+def description() -> str:
+    """The text of the guide's cell."""
+    page = GUIDE.read_text(encoding="utf-8")
+    (text,) = (step.text for step in steps(page) if (step.kind, step.argument) == ("write", "arms.yaml"))
+    return text
+
+
+def cell() -> CellModel:
+    """Its model."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "arms.yaml"
+        file.write_text(description(), encoding="utf-8")
+        return CellModel.load(file)
