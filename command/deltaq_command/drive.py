@@ -36,7 +36,8 @@ def drive(
     frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
     criterion: CriterionOption = None,
     script: Annotated[
-        Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
+        Path | None,
+        typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option, outputs."),
     ] = None,
     gamepad: Annotated[
         bool, typer.Option("--gamepad", help="Take the first gamepad that is plugged in, not the keyboard.")
@@ -82,7 +83,7 @@ def drive(
             show(summary)
     if error is not None:
         raise error
-    if script is not None and summary["missed"]:
+    if script is not None and (summary["missed"] or any(each["error"] for each in summary["outputs"])):
         raise typer.Exit(BAD)
 
 
@@ -121,6 +122,7 @@ class _Choice:
         from deltaq_command.drive_summary import summary
         from deltaq_controllers.live_teleoperator import teleoperator_for
         from deltaq_controllers.modes.motion import Frame, ModeName
+        from deltaq_controllers.signals import SignalLog
         from deltaq_controllers.statistics import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, teleoperate
         from deltaq_launch.cell_connection import OtherCellError
@@ -139,15 +141,12 @@ class _Choice:
                 teleoperator = teleoperator_for(
                     running, self.robot, stack, *modes, self.weights, self.jerk_time_s
                 )
-                log, statistics, enough = (
-                    DriveLog(teleoperator, cycle_s),
-                    ControlStatistics(),
-                    asyncio.Event(),
-                )
+                log, statistics = DriveLog(teleoperator, cycle_s), ControlStatistics()
+                signals, enough = SignalLog(), asyncio.Event()
                 for number in _ENDING:
                     asyncio.get_running_loop().add_signal_handler(number, enough.set)
                 operator = terminal.enter_context(self._input(teleoperator))
-                display = Display(teleoperator, operator)
+                display = Display(teleoperator, operator, signals)
 
                 def watch(q: Any) -> None:
                     log.add(q)
@@ -155,12 +154,12 @@ class _Choice:
 
                 ended_by = None
                 try:
-                    await teleoperate(running, teleoperator, operator, statistics, watch, enough)
+                    await teleoperate(running, teleoperator, operator, statistics, watch, enough, signals)
                 except DeltaqError as error:
                     if not log.legs:
                         raise
                     ended_by = error
-        return summary(self.robot, log, statistics, ended_by), ended_by
+        return summary(self.robot, log, statistics, signals, ended_by), ended_by
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
         from deltaq_controllers.operator_input import gamepad, keyboard

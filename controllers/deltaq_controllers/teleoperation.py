@@ -17,6 +17,7 @@ from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.interface import OperatorInput
+from deltaq_controllers.signals import SignalLog, Signals
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
@@ -124,6 +125,7 @@ async def teleoperate(
     statistics: ControlStatistics,
     watch: Callable[[Array], None],
     enough: asyncio.Event,
+    signals: SignalLog | None = None,
 ) -> None:
     """Drive until the operator's input ends or `enough` is set, then come to rest and release the robot.
 
@@ -136,18 +138,22 @@ async def teleoperate(
         statistics: counts the verdicts.
         watch: called once a cycle with the measured configuration (n,).
         enough: set it to end the drive early.
+        signals: takes what is switched, and how outputs and inputs are.
 
     Raises:
         RefusedError: the lease was not granted or lost, or the robot is held.
         ServiceUnreachableError: the HLI is gone.
     """
-    robot = teleoperator.robot.name
+    robot, described = teleoperator.robot.name, teleoperator.robot.description
     is_over = False
     await asyncio.to_thread(practise, teleoperator)
     settle_memory()
     if enough.is_set():
         return
-    async with await lease(cell, robot) as leased:
+    async with (
+        await lease(cell, robot) as leased,
+        Signals(leased, described.outputs + described.inputs, signals or SignalLog()) as switches,
+    ):
         answers = Answers(cell, leased)
         async for state in leased.states():
             if state.phase is Phase.HELD:
@@ -157,6 +163,7 @@ async def teleoperate(
                 command is None
             )  # for good: keys pressed while the robot comes to rest do not start it again
             teleoperator.command = OperatorCommand() if command is None else command
+            switches.ask(teleoperator.command.outputs)
             for cycle in await answers.due(state):
                 increment = teleoperator.increment(answers.view(state))
                 if is_over and teleoperator.is_at_rest:

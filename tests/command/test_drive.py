@@ -27,10 +27,10 @@ pytestmark = pytest.mark.live
 
 SCRIPT = """\
 - {duration_s: 5, mode: advisor, option: 1}
-- {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}}
+- {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}, outputs: {gripper: on}}
 - {duration_s: 1.2, mode: self-motion, move: {a1_deg_s: 10}}
 - {duration_s: 0.8, mode: decoupled, frame: tool, move: {z_mm_s: 50, e2_m_s: 0.05}}
-- {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}}
+- {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}, outputs: {gripper: off}}
 """
 
 
@@ -106,6 +106,11 @@ def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: P
     assert legs["decoupled"]["moved_mm"] > 0.1
     assert 0.1 < legs["joint"]["turned_deg"] < 20
     assert summary["gate"]["admitted"] > 0
+    assert summary["outputs"] == [
+        {"output": "gripper", "on": True, "error": None},
+        {"output": "gripper", "on": False, "error": None},
+    ]
+    assert "deltaq: gripper: on" in done.stderr
     wait_for_phase(cell, "ready")
 
 

@@ -39,10 +39,13 @@ from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.signals import SignalLog
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
 from deltaq_protocol.client import Cell
-from deltaq_protocol.messages import Outcome, Phase, RobotState, ToolPose, Verdict
+from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.messages import IoReply, Outcome, Phase, RobotState, ToolPose, Verdict
+from deltaq_protocol.reasons import ReasonCode
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 CYCLES = 20
@@ -97,6 +100,13 @@ class Leased:
             phase=Phase.ENGAGED,
         )
 
+    async def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
+        refused = set(outputs or {}) & self.cell.refused_outputs
+        if refused:
+            raise RefusedError(ReasonCode.NOT_READY, f"{self.robot} does not switch {', '.join(refused)}")
+        self.cell.switched += [dict(outputs)] if outputs else []
+        return IoReply(robot=self.robot, outputs=dict(outputs or {}))
+
     async def states(self) -> AsyncIterator[RobotState]:
         while True:
             self.cycle += 1
@@ -123,6 +133,8 @@ class QuietCell(Cell):
         self.early: dict[str, list[str]] = {}
         self.late: dict[str, list[str]] = {}
         self.leased: Leased | None = None
+        self.switched: list[dict[str, bool]] = []
+        self.refused_outputs: set[str] = set()
         self.places = {name: np.array(model.home) for name, model in self.models.items()}
 
     def state(self, robot: str) -> RobotState:
@@ -195,13 +207,14 @@ async def by_hand(
         teleoperator = teleoperator_for(cell, robot, stack, weights=weights)
         teleoperator.make_modes()
         operator = everything(teleoperator, modes)
-        log, display = DriveLog(teleoperator, cell.description.cycle_s), Display(teleoperator, operator)
+        log, signals = DriveLog(teleoperator, cell.description.cycle_s), SignalLog()
+        display = Display(teleoperator, operator, signals)
 
         def watch(q: np.ndarray) -> None:
             log.add(q)
             display.show()
 
-        await teleoperate(cell, teleoperator, operator, ControlStatistics(), watch, asyncio.Event())
+        await teleoperate(cell, teleoperator, operator, ControlStatistics(), watch, asyncio.Event(), signals)
 
 
 async def by_controller(

@@ -16,7 +16,7 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.gamepad import Gamepad
-from deltaq_controllers.operator_input.pad_device import DEAD_ZONE, SETTLE_S, PadButton, StickAxis
+from deltaq_controllers.operator_input.pad_device import DEAD_ZONE, SETTLE_S, PadButton, StickAxis, Trigger
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 
@@ -130,6 +130,22 @@ def test_the_sticks_count_only_while_a_shoulder_button_is_held(pad: VirtualPad) 
         assert gamepad.look() == REST
 
 
+def test_a_trigger_that_is_pulled_as_the_drive_begins_switches_nothing_until_it_was_let_go(
+    pad: VirtualPad,
+) -> None:
+    pad.pull(Trigger.RIGHT, 1.0)
+    with Settled(teleoperator()) as gamepad:
+        assert gamepad.look() == REST
+        pad.pull(Trigger.RIGHT, 0.5)
+        assert gamepad.look() == REST
+        pad.pull(Trigger.RIGHT, 1.0)
+        assert gamepad.look() == REST, "it was not let go"
+        pad.pull(Trigger.RIGHT, 0.0)
+        assert gamepad.look() == REST
+        pad.pull(Trigger.RIGHT, 1.0)
+        assert gamepad.look() == OperatorCommand(outputs={"gripper": True})
+
+
 # --- what moves -------------------------------------------------------------------------------------------------
 
 
@@ -202,6 +218,27 @@ def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed(pad: VirtualPad)
         assert gamepad.look() == OperatorCommand(option=2)
         pad.release(TURN)
         assert gamepad.look() == REST
+
+
+def test_the_right_trigger_switches_the_chosen_output_on_and_the_left_one_off_each_once(
+    pad: VirtualPad,
+) -> None:
+    with Settled(teleoperator()) as gamepad:
+        for trigger in Trigger:
+            pad.pull(trigger, 0.0)
+        gamepad.look()
+        pad.press(MOVE)
+        pad.push(*AHEAD)
+        pad.pull(Trigger.RIGHT, 1.0)
+        command = gamepad.look()
+        assert command.outputs == {"gripper": True}
+        assert command.rates["x"] == pytest.approx(0.1), "the hand goes on"
+        pad.pull(Trigger.RIGHT, 0.9)
+        assert gamepad.look().outputs == {}, "it is still pulled"
+        pad.press(PadButton.START)
+        pad.pull(Trigger.LEFT, 1.0)
+        assert gamepad.look().outputs == {"tool_changer": False}
+        assert "output tool_changer" in gamepad.status
 
 
 @pytest.mark.parametrize("button", [PadButton.B, PadButton.BACK])

@@ -43,6 +43,10 @@ class VirtualPad:
     def push(self, axis: int, share: float) -> None:
         assert self._sdl.SDL_JoystickSetVirtualAxis(self._pad, axis, round(32767 * share)) == 0
 
+    def pull(self, axis: int, share: float) -> None:
+        # a trigger's way is all of its axis
+        assert self._sdl.SDL_JoystickSetVirtualAxis(self._pad, axis, round(65535 * share) - 32768) == 0
+
     def press(self, *buttons: int) -> None:
         for button in buttons:
             assert self._sdl.SDL_JoystickSetVirtualButton(self._pad, button, 1) == 0

@@ -41,12 +41,14 @@ class OperatorCommand:
         mode: the mode wanted from here on; None leaves it as it is.
         frame: the axes wanted from here on; None leaves them as they are.
         option: rank of the advisor's option to go to; None is rest, also on the path to it.
+        outputs: digital outputs to switch now, by name; the others stay as they are.
     """
 
     rates: Mapping[str, float] = field(default_factory=dict)
     mode: ModeName | None = None
     frame: Frame | None = None
     option: int | None = None
+    outputs: Mapping[str, bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

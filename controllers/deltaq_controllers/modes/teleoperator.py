@@ -148,9 +148,15 @@ class Teleoperator:
         """Check that a command can be followed in a mode.
 
         Raises:
-            ControllerError: the robot has no such axis, or the mode does not drive it.
+            ControllerError: the robot has no such axis or output, or the mode does not drive it.
         """
         driver = self.mode_named(mode)
+        has = self.robot.description.outputs
+        for name in command.outputs:
+            if name not in has:
+                raise ControllerError(
+                    f"output {name!r} is unknown; robot {self.robot.name} has {', '.join(has) or 'no outputs'}"
+                )
         joints = self.robot.joint_names
         if command.option is not None and mode is not ModeName.ADVISOR:
             raise ControllerError(f"option {command.option}: options are for mode advisor, not {mode.value}")

@@ -39,3 +39,29 @@ def changed_speed(speed_m_s: float, is_faster: bool) -> float:
     """The next hand speed, up or down, within its bounds [m/s]."""
     factor = SPEED_STEP if is_faster else 1.0 / SPEED_STEP
     return min(_GREATEST_SPEED_M_S, max(_LEAST_SPEED_M_S, factor * speed_m_s))
+
+
+class OutputChoice:
+    """The digital output that is switched next.
+
+    On and off are commanded apart: what is pressed twice, or without knowing how the output stands, does no harm.
+
+    Args:
+        teleoperator: of the robot that has them.
+
+    Attributes:
+        name: of the output; empty if the robot has none.
+    """
+
+    def __init__(self, teleoperator: Teleoperator) -> None:
+        self._names = teleoperator.robot.description.outputs
+        self.name = self._names[0] if self._names else ""
+
+    def next(self) -> None:
+        """Choose the one after it."""
+        if self._names:
+            self.name = self._names[(self._names.index(self.name) + 1) % len(self._names)]
+
+    def switched(self, is_on: bool) -> dict[str, bool]:
+        """The command that switches it; empty if the robot has none."""
+        return {self.name: is_on} if self.name else {}

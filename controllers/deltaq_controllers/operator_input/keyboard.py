@@ -18,7 +18,13 @@ from typing import Any, Self
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.choices import changed_speed, next_hand, next_mode, other_frame
+from deltaq_controllers.operator_input.choices import (
+    OutputChoice,
+    changed_speed,
+    next_hand,
+    next_mode,
+    other_frame,
+)
 from deltaq_controllers.operator_input.held_key import HOLD_S, TAP_S, HeldKey
 
 HAND_KEYS = {
@@ -31,7 +37,8 @@ HELP = (
     "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose\n"
     f"a tap moves as far as full speed does in {TAP_S:g} s; a held key moves slowly until it repeats, then at full\n"
     f"speed until {HOLD_S:g} s after its last repeat; space stops\n"
-    "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit"
+    "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit\n"
+    "outputs: g next, . on, , off"
 )
 
 OPTION_KEYS = "123456789"
@@ -39,6 +46,7 @@ OPTION_KEYS = "123456789"
 
 _ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
 _TURN_RAD_M = 3.5
+_SWITCH_KEYS = {".": True, ",": False}
 
 
 class Keyboard:
@@ -52,6 +60,7 @@ class Keyboard:
     Attributes:
         joint: the joint that the arrows drive.
         hand: the hand that the keys move; None for all.
+        output: the digital output that the keys switch.
     """
 
     def __init__(self, teleoperator: Teleoperator, file: int | None = None, speed_m_s: float = 0.1) -> None:
@@ -65,16 +74,19 @@ class Keyboard:
         self._text = ""
         self.joint = 0
         self.hand: str | None = None
+        self.output = OutputChoice(teleoperator)
 
     @property
     def status(self) -> str:
         """The present choice."""
         name = self._teleoperator.robot.joint_names[self.joint]
-        return f"joint {name}, hand {self.hand or 'all'}, {self._speed_m_s:.3f} m/s"
+        chosen = f"joint {name}, hand {self.hand or 'all'}, {self._speed_m_s:.3f} m/s"
+        return f"{chosen}, output {self.output.name}" if self.output.name else chosen
 
     def read(self, time_s: float) -> OperatorCommand | None:
         """The command from the keys pressed since the last call; None after q or at the end of the input."""
         mode, frame = None, None
+        outputs: dict[str, bool] = {}
         for key in self._keys():
             if key in ("q", ""):
                 return None
@@ -85,6 +97,11 @@ class Keyboard:
                 frame = other_frame(self._teleoperator)
             elif key == "h":
                 self.hand = next_hand(self._teleoperator, self.hand)
+            elif key == "g":
+                self.output.next()
+            elif key in _SWITCH_KEYS:
+                self._held.release()  # what is let go or gripped is not carried on by a key that was held
+                outputs |= self.output.switched(_SWITCH_KEYS[key])
             elif key in "+-":
                 self._speed_m_s = changed_speed(self._speed_m_s, is_faster=key == "+")
             elif key in ("left", "right"):
@@ -99,9 +116,8 @@ class Keyboard:
                 self._held.release()
         share = self._held.share(time_s)
         rates = {axis: share * rate for axis, rate in self._rates.items()} if share else {}
-        return OperatorCommand(
-            rates, mode, frame, self._option if self._teleoperator.mode is ModeName.ADVISOR else None
-        )
+        option = self._option if self._teleoperator.mode is ModeName.ADVISOR else None
+        return OperatorCommand(rates, mode, frame, option, outputs)
 
     def _press(self, key: str, time_s: float, axis: str, rate: float) -> None:
         self._held.press(key, time_s)

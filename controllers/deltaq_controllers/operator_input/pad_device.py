@@ -1,7 +1,7 @@
 """A gamepad as SDL knows it: its database of mappings gives sticks and buttons the same names on every pad.
 
 What is held or pushed when a pad is found was not meant for the robot: a button counts from its next press on, a stick
-once it has been let go. Pads come and go while one looks.
+or a trigger once it has been let go. Pads come and go while one looks.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from deltaq_controllers.interface import ControllerError
 
 DEAD_ZONE = 0.12
 """Deflection below which a stick counts as let go; from there on it grows from zero."""
+PULLED, LET_GO = 0.7, 0.3
+"""Way of a trigger from which on it is pulled, and below which it can be pulled again."""
 SETTLE_S = 0.3
 """A pad that was found tells how its buttons and sticks stand within this."""
 _FULL = 32767.0
@@ -39,6 +41,13 @@ class StickAxis(IntEnum):
     RIGHT_Y = 3
 
 
+class Trigger(IntEnum):
+    """The triggers below the shoulder buttons, as SDL counts their axes."""
+
+    LEFT = 4
+    RIGHT = 5
+
+
 class PadButton(IntEnum):
     """Buttons as SDL counts them, by their places on a pad."""
 
@@ -47,6 +56,7 @@ class PadButton(IntEnum):
     X = 2
     Y = 3
     BACK = 4
+    START = 6
     LEFT_SHOULDER = 9
     RIGHT_SHOULDER = 10
     UP = 11
@@ -63,11 +73,13 @@ class PadState:
         sticks: deflection of each, from -1 to 1, 0 in the dead zone.
         held: buttons that are held, since a press that was seen.
         pressed: buttons that went down since the last look, in their order.
+        pulled: triggers that were pulled since the last look.
     """
 
     sticks: Mapping[StickAxis, float]
     held: frozenset[PadButton] = frozenset()
     pressed: tuple[PadButton, ...] = ()
+    pulled: tuple[Trigger, ...] = ()
 
 
 class PadDevice:
@@ -86,6 +98,7 @@ class PadDevice:
         self._settled_s: float | None = None
         self._held: set[PadButton] = set()
         self._let_go: set[StickAxis] = set()
+        self._ready: set[Trigger] = set()
 
     def look(self, time_s: float) -> PadState | None:
         """How the pad stands at a time [s]; None while no pad is plugged in."""
@@ -98,12 +111,19 @@ class PadDevice:
             self._settled_s = time_s + SETTLE_S
         if time_s < self._settled_s:
             return PadState(dict.fromkeys(StickAxis, 0.0))
-        return PadState(self._sticks(), *self._buttons(events))
+        return PadState(self._sticks(), *self._buttons(events), self._pulled())
 
     def _sticks(self) -> dict[StickAxis, float]:
         sticks = {stick: beyond_dead_zone(self._pad.get_axis(stick) / _FULL) for stick in StickAxis}
         self._let_go |= {stick for stick, share in sticks.items() if not share}
         return {stick: share if stick in self._let_go else 0.0 for stick, share in sticks.items()}
+
+    def _pulled(self) -> tuple[Trigger, ...]:
+        shares = {trigger: self._pad.get_axis(trigger) / _FULL for trigger in Trigger}
+        pulled = tuple(trigger for trigger in Trigger if trigger in self._ready and shares[trigger] > PULLED)
+        self._ready -= set(pulled)
+        self._ready |= {trigger for trigger in Trigger if shares[trigger] < LET_GO}
+        return pulled
 
     def _buttons(self, events: list[Any]) -> tuple[frozenset[PadButton], tuple[PadButton, ...]]:
         downs = [
@@ -130,6 +150,7 @@ class PadDevice:
         self._pad, self.name, self._settled_s = None, "", None
         self._held.clear()
         self._let_go.clear()
+        self._ready.clear()
 
     def __enter__(self) -> Self:
         """Find a pad.

@@ -31,6 +31,8 @@ class ScriptStep(BaseModel):
     frame: Frame | None = None
     option: int | None = Field(default=None, ge=1)
     """Rank of the option to go to, in mode `advisor`."""
+    outputs: dict[str, bool] = {}
+    """Digital outputs to switch as the step begins, by name: `gripper: on`."""
 
 
 class Script:
@@ -126,7 +128,7 @@ def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, O
     for name, value in parsed.move.items():
         axis, rate = _rate(name, value, units, where)
         rates[axis] = rate
-    return parsed.duration_s, OperatorCommand(rates, parsed.mode, parsed.frame, parsed.option)
+    return parsed.duration_s, OperatorCommand(rates, parsed.mode, parsed.frame, parsed.option, parsed.outputs)
 
 
 def _axis_units(teleoperator: Teleoperator) -> dict[str, str]:
