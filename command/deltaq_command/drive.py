@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
 FRAMES = ("world", "tool")
+INPUTS = ("keyboard", "gamepad", "spacemouse")
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals that bring the robot to rest and end the drive."""
@@ -37,13 +38,16 @@ def drive(
     criterion: CriterionOption = None,
     script: Annotated[
         Path | None,
-        typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option, outputs."),
+        typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, grip, option, outputs."),
     ] = None,
-    gamepad: Annotated[
-        bool, typer.Option("--gamepad", help="Take the first gamepad that is plugged in, not the keyboard.")
-    ] = False,
+    device: Annotated[
+        str,
+        typer.Option(
+            "--input", help=f"What the operator holds: {', '.join(INPUTS)}; the first one that is plugged in."
+        ),
+    ] = "keyboard",
     speed_m_s: Annotated[
-        float, typer.Option(min=0.001, max=0.5, help="Hand speed of keyboard and gamepad.")
+        float, typer.Option(min=0.001, max=0.5, help="Hand speed to begin with, at full deflection.")
     ] = 0.1,
     jerk_time_s: Annotated[
         float,
@@ -56,7 +60,7 @@ def drive(
     ] = 0.0,
     json: JsonOption = False,
 ) -> None:
-    """Drive a robot by keyboard, gamepad or script; however the drive ends, the robot comes to rest and is released."""
+    """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
     from contextlib import ExitStack
 
     from deltaq_cell.load import load_cell
@@ -68,12 +72,16 @@ def drive(
         raise typer.BadParameter(f"no mode {mode!r}; there are {', '.join(MODES)}", param_hint="--mode")
     if frame not in FRAMES:
         raise typer.BadParameter(f"no frame {frame!r}; there are {', '.join(FRAMES)}", param_hint="--frame")
-    if script is not None and gamepad:
-        raise typer.BadParameter("choose one of --script and --gamepad")
+    if device not in INPUTS:
+        raise typer.BadParameter(f"no input {device!r}; there are {', '.join(INPUTS)}", param_hint="--input")
+    if script is not None and device != INPUTS[0]:
+        raise typer.BadParameter(
+            f"a script moves the robot alone; leave out --input {device}", param_hint="--script"
+        )
     description = load_cell(cell)
     known_robot(description, robot)
     weights = weights_of(criterion, "--criterion")
-    choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s, jerk_time_s)
+    choice = _Choice(description, robot, mode, frame, weights, script, device, speed_m_s, jerk_time_s)
     with ExitStack() as terminal:
         # a terminal is given back last: keys that are still held are not for the shell
         summary, error = choice.run(terminal)
@@ -97,7 +105,7 @@ class _Choice:
     frame: str
     weights: dict[str, float] | None
     script: Path | None
-    gamepad: bool
+    device: str
     speed_m_s: float
     jerk_time_s: float
 
@@ -162,13 +170,18 @@ class _Choice:
         return summary(self.robot, log, statistics, signals, ended_by), ended_by
 
     def _input(self, teleoperator: Teleoperator) -> OperatorInput:
-        from deltaq_controllers.operator_input import gamepad, keyboard
+        from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
         from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
         teleoperator.make_modes()  # the operator may switch to any of them
-        print(gamepad.HELP if self.gamepad else keyboard.HELP, file=sys.stderr)
-        if self.gamepad:
+        if self.device == "gamepad":
+            print(gamepad.HELP, file=sys.stderr)
             return gamepad.Gamepad(teleoperator, self.speed_m_s)
-        return keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
+        keys = keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
+        if self.device == "spacemouse":
+            print(f"{spacemouse.HELP}\n{keyboard.HELP}", file=sys.stderr)
+            return spacemouse.SpaceMouse(teleoperator, keys)
+        print(keyboard.HELP, file=sys.stderr)
+        return keys

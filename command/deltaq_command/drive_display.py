@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import ModeName
+from deltaq_controllers.modes.motion import Grip, ModeName
 
 if TYPE_CHECKING:
     from deltaq_controllers.advisor.advisor import Option
@@ -47,7 +47,8 @@ class Display:
         self._show_switched()
         teleoperator, limitation = self._teleoperator, self._teleoperator.limitation
         limit = f"limited, {limitation.limit.value}: {limitation.text}" if limitation else "free"
-        mode = f"{teleoperator.mode.value} ({teleoperator.frame.value})"
+        held = ", object held" if teleoperator.grip is Grip.OBJECT else ""
+        mode = f"{teleoperator.mode.value} ({teleoperator.frame.value}{held})"
         if self._is_terminal:
             chosen = getattr(self._operator, "status", "")
             parts = (

@@ -61,7 +61,7 @@ def show(summary: dict[str, Any]) -> None:
 
     rows = [
         (
-            leg["mode"],
+            leg["mode"] if leg["object"] is None else f"{leg['mode']}, object",
             f"{leg['seconds']:.1f}",
             hand,
             f"{figures['moved_mm']:.2f}",

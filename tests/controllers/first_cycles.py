@@ -37,7 +37,7 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import drive
 from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.signals import SignalLog
 from deltaq_controllers.statistics import ControlStatistics
@@ -48,6 +48,7 @@ from deltaq_protocol.messages import IoReply, Outcome, Phase, RobotState, ToolPo
 from deltaq_protocol.reasons import ReasonCode
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+HANDS_MODES = (ModeName.DECOUPLED, ModeName.COUPLED)
 CYCLES = 20
 """Cycles of each command: enough to speed up, and to settle into another mode."""
 
@@ -194,6 +195,10 @@ def everything(teleoperator: Teleoperator, modes: Iterable[ModeName]) -> Operato
             advisor = teleoperator.mode_named(mode)
             assert isinstance(advisor, AdvisorMode)
             commands.append((OperatorCommand(option=1), lambda _, advisor=advisor: advisor.done > 0.1))
+        if len(teleoperator.hand_names) > 1 and mode is not ModeName.JOINT:
+            commands.append((OperatorCommand(grip=Grip.OBJECT), enough))
+            commands.append((OperatorCommand({"rz": 0.2} if mode in HANDS_MODES else {}), enough))
+            commands.append((OperatorCommand(grip=Grip.FREE), enough))
         for number, axis in enumerate(teleoperator.axes(mode)):
             rate = 0.05 if axis.rpartition(".")[2] in HAND_AXES else 0.2
             commands.append((OperatorCommand({axis: rate}, frame=list(Frame)[number % 2]), enough))

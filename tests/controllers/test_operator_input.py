@@ -10,7 +10,7 @@ from advising import advised
 from driving import CYCLE_S, model
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, TAP_SHARE
 from deltaq_controllers.operator_input.keyboard import Keyboard
@@ -175,9 +175,10 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     terminal.close()
     terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))
     with terminal.keyboard:
-        assert terminal.press("h r", 1.0) == OperatorCommand({"left.z": SLOW})
-        assert terminal.press("h r", 1.0) == OperatorCommand({"right.z": SLOW})
-        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW})
+        assert terminal.press("h r", 1.0) == OperatorCommand({"left.z": SLOW}, grip=Grip.FREE)
+        assert terminal.press("h r", 1.0) == OperatorCommand({"right.z": SLOW}, grip=Grip.FREE)
+        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW}, grip=Grip.OBJECT)
+        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW}, grip=Grip.FREE)
     terminal.close()
 
 

@@ -87,9 +87,9 @@ async def test_an_output_that_cannot_be_switched_is_told_and_the_drive_goes_on()
     )
     assert abs(places[39] - places[38])[3] > 0.5 * 0.2 * CYCLE_S
     assert cell.switched == []
-    assert signals.failed[0].error == "gr does not switch tool_changer"
+    assert signals.failed[0].error == "not_ready: gr does not switch tool_changer"
     told = summary("gr", DriveLog(teleoperator, CYCLE_S), ControlStatistics(), signals, None)["outputs"]
-    assert told[0] == {"output": "tool_changer", "on": True, "error": "gr does not switch tool_changer"}
+    assert told[0] == {"output": "tool_changer", "on": True, "error": signals.failed[0].error}
 
 
 async def test_outputs_are_switched_once_each_in_their_order_while_the_robot_moves() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes import programme
 from deltaq_controllers.modes.binding import binding
+from deltaq_controllers.modes.brake_margin import kept_together_while_braked
 from deltaq_controllers.modes.conditioning import (
     GLANCE,
     LENGTH_M,
@@ -24,6 +25,7 @@ from deltaq_controllers.modes.conditioning import (
     ramp_share,
 )
 from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.increment_bounds import Box, can_rest, increment_box
 from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
 from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
@@ -86,13 +88,22 @@ class ResolvedMode(TeleoperationMode):
         )
 
     @abstractmethod
-    def _tasks(self, motion: Motion) -> DrivenTasks:
+    def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
         """The tasks of a motion where `_hands` are."""
 
     def _allowed(self, instant: Instant, motion: Motion) -> float:
         """The share of a motion that the mode's own guarantee allows."""
         del instant, motion
         return 1.0
+
+    def _kept_together(self, instant: Instant, made: Array, rates: Array) -> float:
+        """The share of `rates` (r,) up to which the gate can brake hands that go at `made` and hold an object."""
+        asked, going = float(np.linalg.norm(rates)), float(np.linalg.norm(made))
+        if instant.held is None or not asked or not going:
+            return 1.0
+        joints, most = instant.dq_last / instant.cycle_s, self._robot.max_acceleration
+        allowed = kept_together_while_braked(self._hands, instant.held, instant.q_cmd, joints, most)
+        return min(1.0, allowed * going / asked)
 
     def _drift(self, q: Array, made: Array) -> Array:
         """(n,) joint rates that are wanted besides tasks that go at rates `made` (r,) [m/s]."""
@@ -147,24 +158,25 @@ class ResolvedMode(TeleoperationMode):
         hands, line = self._hands, self._line
         hands.place(q)
         if not line.is_set:
-            line.begin(hands)
+            line.begin(hands, instant.held)
         # half a cycle ahead the Jacobian is that of the whole cycle, to second order
         middle = q + 0.5 * dq_last
         error = line.back(hands, cycle_s).ravel()
         hands.update(middle)
-        tasks = self._tasks(asked)
+        tasks = self._together(self._tasks(asked, instant.held), instant.held)
         back = np.zeros(len(tasks.rates))
         back[: len(error)] = self._units * error
         if self._going is None or len(self._going) != len(tasks.rates):
             # nothing was asked for before, or fewer tasks, or the gate did otherwise
             self._going, self._motion = tasks.rows @ dq_last / cycle_s, None
-        made = self._going
+        made = self._together(DrivenTasks(tasks.rows, self._going), instant.held).rates
         motions = least_motions(tasks.rows, self._shares, tasks.rates, made)
         share, ended = self._allowed(instant, asked), None
+        share = min(share, self._kept_together(instant, made, tasks.rates))
         if asked and (motions.lost > LOST or motions.mobility < WATCHED_M):
             direction = motions.asked / max(float(np.linalg.norm(motions.asked)), 1e-12)
             hands.update(middle + GLANCE * direction)
-            ahead = self._tasks(asked)
+            ahead = self._tasks(asked, instant.held)
             then = least_motions(ahead.rows, self._shares, ahead.rates, made).mobility
             kept = kept_share(motions.asked, motions.mobility, then, self._robot.max_acceleration)
             kept = 0.0 if motions.lost > LOST else kept
@@ -196,10 +208,18 @@ class ResolvedMode(TeleoperationMode):
             return Advance(dq_last * ((cycles - 1) / cycles))
         self._going = found.pace * way
         self._motion = found.pace * (motions.made + ramp * (share * motions.asked - motions.made))
-        line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6))
+        line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6), instant.held)
         if not asked or ended is not None or found.pace >= SLOWED:
             return Advance(found.dq, ended)
         return Advance(found.dq, binding(self._robot, instant, found, box, near))
+
+    def _together(self, tasks: DrivenTasks, held: HeldObject | None) -> DrivenTasks:
+        """The same tasks, the hands' rates without what would part them."""
+        if held is None:
+            return tasks
+        rates, hands = tasks.rates.copy(), len(self._units)
+        rates[:hands] = held.together(self._hands.positions, rates[:hands])
+        return DrivenTasks(tasks.rows, rates)
 
     def _way(self, made: Array, way: Array) -> Array:
         """(r,) rates of the tasks in this cycle, from those that were made."""

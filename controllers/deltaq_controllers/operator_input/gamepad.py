@@ -13,10 +13,13 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.choices import (
     OutputChoice,
     changed_speed,
+    grip_of,
+    hand_axis,
     next_hand,
     next_mode,
     other_frame,
 )
+from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
 from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis, Trigger
 
 HELP = (
@@ -32,7 +35,6 @@ _AXES = {
 }
 """Axes of the hand that the sticks move while a button is held; a stick pushed ahead or left is positive."""
 _SWITCHES = {Trigger.LEFT: False, Trigger.RIGHT: True}
-_TURN_RAD_M = 3.5
 _OPTIONS = 9
 _PUSHED = 0.5
 
@@ -50,7 +52,7 @@ class Gamepad:
     Attributes:
         joint: the joint that the stick drives.
         option: the advisor's option that it goes to.
-        hand: the hand that the sticks move; None for all.
+        hand: the hand that the sticks move; None for all, `object` for an object that all hold.
         output: the digital output that the triggers switch.
     """
 
@@ -111,10 +113,11 @@ class Gamepad:
             else:
                 self._choose(button)
         outputs = self.output.switched(_SWITCHES[state.pulled[-1]]) if state.pulled else {}
+        grip = grip_of(self._teleoperator, self.hand)
         if self._is_advised:
             goes = self._holding is not None and state.sticks[StickAxis.LEFT_Y] < -_PUSHED
-            return OperatorCommand({}, mode, frame, self.option if goes else None, outputs)
-        return OperatorCommand(self._rates(state), mode, frame, outputs=outputs)
+            return OperatorCommand({}, mode, frame, self.option if goes else None, outputs, grip)
+        return OperatorCommand(self._rates(state), mode, frame, None, outputs, grip)
 
     def _choose(self, button: PadButton) -> None:
         match button:
@@ -137,12 +140,11 @@ class Gamepad:
             return {}
         if not self._is_by_hand:
             robot = self._teleoperator.robot
-            factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
+            factor = TURN_RAD_M if robot.revolute[self.joint] else 1.0
             return {robot.joint_names[self.joint]: -factor * self._speed_m_s * state.sticks[StickAxis.LEFT_Y]}
-        factor = _TURN_RAD_M if holding is PadButton.RIGHT_SHOULDER else 1.0
-        prefix = f"{self.hand}." if self.hand else ""
+        factor = TURN_RAD_M if holding is PadButton.RIGHT_SHOULDER else 1.0
         return {
-            f"{prefix}{axis}": -factor * self._speed_m_s * state.sticks[stick]
+            hand_axis(self.hand, axis): -factor * self._speed_m_s * state.sticks[stick]
             for stick, axis in _AXES[holding].items()
         }
 

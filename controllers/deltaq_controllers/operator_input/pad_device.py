@@ -6,7 +6,6 @@ or a trigger once it has been let go. Pads come and go while one looks.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,9 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.operator_input.dead_zone import beyond_dead_zone
 
-DEAD_ZONE = 0.12
-"""Deflection below which a stick counts as let go; from there on it grows from zero."""
 PULLED, LET_GO = 0.7, 0.3
 """Way of a trigger from which on it is pulled, and below which it can be pulled again."""
 SETTLE_S = 0.3
@@ -188,12 +186,6 @@ class PadDevice:
             self._lose()
         self._controller.quit()
         self._pygame.display.quit()
-
-
-def beyond_dead_zone(share: float) -> float:
-    """Deflection from -1 to 1, zero in the dead zone and continuous at its edge."""
-    beyond = (abs(share) - DEAD_ZONE) / (1.0 - DEAD_ZONE)
-    return math.copysign(min(1.0, beyond), share) if beyond > 0.0 else 0.0
 
 
 def _nothing_found(others: int) -> str:
