@@ -17,12 +17,14 @@ if TYPE_CHECKING:
 
 EVERY_CYCLES = 10
 WIDTH = 150
+_BAR = 10
 
 
 class Display:
     """Shows the mode, what limits it, and the advisor's options as they become known.
 
-    On a terminal the state stays in one line; otherwise there is a line for each change.
+    On a terminal the state stays in one line, behind a bar of how much goes through; otherwise there is a line for each
+    change.
 
     Args:
         teleoperator: of the robot.
@@ -47,12 +49,15 @@ class Display:
         self._show_switched()
         teleoperator, limitation = self._teleoperator, self._teleoperator.limitation
         limit = f"limited, {limitation.limit.value}: {limitation.text}" if limitation else "free"
+        through = bar(teleoperator.reflection.share)
         held = ", object held" if teleoperator.grip is Grip.OBJECT else ""
         mode = f"{teleoperator.mode.value} ({teleoperator.frame.value}{held})"
         if self._is_terminal:
             chosen = getattr(self._operator, "status", "")
             parts = (
-                part for part in (mode, chosen, teleoperator.status, limit, self._signals.status) if part
+                part
+                for part in (through, mode, chosen, teleoperator.status, limit, self._signals.status)
+                if part
             )
             sys.stderr.write(f"\r\x1b[2K{' | '.join(parts)[:WIDTH]}")
             sys.stderr.flush()
@@ -78,6 +83,12 @@ class Display:
             if self._options.get(rank) != line:
                 print(f"{start}deltaq: {line}", file=sys.stderr, flush=True)
         self._options = lines
+
+
+def bar(share: float) -> str:
+    """The share of what is asked for that goes through, as a bar: short is near to being stopped."""
+    full = round(_BAR * share)
+    return f"[{'#' * full}{'.' * (_BAR - full)}]"
 
 
 def option_line(rank: int, option: Option) -> str:

@@ -103,6 +103,7 @@ def main() -> int:
         "--robot", default="dawm", help="robot of it with several hands (default: %(default)s)"
     )
     parser.add_argument("--seeds", type=int, default=20, help="drives of each kind (default: %(default)s)")
+    parser.add_argument("--first-seed", type=int, default=0, help="(default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     options = parser.parse_args()
     loaded = CellModel.load(options.cell)
@@ -113,7 +114,7 @@ def main() -> int:
         parser.error(f"--robot {options.robot}: it has one hand, and an object is held by two or more")
     for mode in (ModeName.DECOUPLED, ModeName.COUPLED):
         for grip, lost_share in ((Grip.OBJECT, 0.0), (Grip.OBJECT, LOST_SHARE), (Grip.FREE, 0.0)):
-            seeds = range(options.seeds)
+            seeds = range(options.first_seed, options.first_seed + options.seeds)
             found = distribution([drive(robot, mode, grip, cycle_s, seed, lost_share) for seed in seeds])
             told = {"mode": mode.value, "grip": grip.value, "lost_share": lost_share} | found
             if options.json:

@@ -292,6 +292,28 @@ def test_hands_that_are_chosen_by_the_pad_move_and_the_other_one_stays(pad: Virt
     assert moved[1][1] > 0.01
 
 
+def test_a_pad_without_motors_is_driven_all_the_same() -> None:
+    with VirtualPad(without_motors=True) as still, Settled(teleoperator()) as gamepad:
+        for _ in range(3):
+            gamepad.look()
+            gamepad.reflect(0.0)
+        assert still.rumbles == []
+
+
+def test_the_less_goes_through_the_stronger_the_pad_rumbles_and_it_ends_with_the_drive(
+    pad: VirtualPad,
+) -> None:
+    with Settled(teleoperator()) as gamepad:
+        gamepad.look()
+        gamepad.reflect(1.0)
+        assert pad.rumbles == [], "nothing limits"
+        for share in (0.5, 0.49, 0.0):
+            gamepad.look()
+            gamepad.reflect(share)
+        assert pad.rumbles == pytest.approx([0.5, 1.0], abs=1e-3), "a small change is not told again"
+    assert pad.rumbles[2:] == [0.0]
+
+
 @pytest.mark.parametrize("button", [PadButton.B, PadButton.BACK])
 def test_b_and_back_end_the_drive(pad: VirtualPad, button: PadButton) -> None:
     with Settled(teleoperator()) as gamepad:

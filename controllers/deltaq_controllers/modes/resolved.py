@@ -48,6 +48,9 @@ SWIFT_RAD_S2, LEAST_SHARE = 4.0, 0.25
 SLOWED = 0.95
 """Pace, or share of what is commanded, below which the operator is told what binds."""
 
+OFF_LINE_M = 1e-6
+"""By how much the tasks may leave their line in a cycle for a change of direction [m]."""
+
 _AS_ASKED = 1e-9
 """An increment that differs by less from what was asked for was admitted whole [rad or m]."""
 
@@ -194,20 +197,30 @@ class ResolvedMode(TeleoperationMode):
             instant.max_jerk,
         )
         way = self._way(made, made + ramp * (share * tasks.rates - made))
-        size = float(np.linalg.norm(way))
-        most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
+        motion = motions.made + ramp * (share * motions.asked - motions.made)
         near = self._near(instant, box)
         drift = programme.Drift(cycle_s * self._drift(q, made), 1.0 / self._shares)
-        found = programme.solve(
-            programme.Wanted(tasks.rows, cycle_s * way, back, most_pace), box, drift, near.barriers
-        )
+
+        def solved(way: Array) -> programme.Solution | None:
+            size = float(np.linalg.norm(way))
+            most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
+            wanted = programme.Wanted(tasks.rows, cycle_s * way, back, most_pace)
+            return programme.solve(wanted, box, drift, near.barriers)
+
+        found, cycles = solved(way), brake_cycles(dq_last, limits.max_ddq)
+        if found is not None and found.off_line > OFF_LINE_M:
+            # the joints cannot take the turn: a brake along the line that the tasks are on is always within bounds
+            remains = (cycles - 1) / cycles
+            straight = self._way(made, remains * made)
+            braked = solved(straight)
+            if braked is not None and braked.off_line < found.off_line:
+                found, way, motion = braked, straight, remains * motions.made
         if found is None:
-            cycles = brake_cycles(dq_last, limits.max_ddq)
             line.forget()
             self._going = self._motion = None
             return Advance(dq_last * ((cycles - 1) / cycles))
         self._going = found.pace * way
-        self._motion = found.pace * (motions.made + ramp * (share * motions.asked - motions.made))
+        self._motion = found.pace * motion
         line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6), instant.held)
         if not asked or ended is not None or found.pace >= SLOWED:
             return Advance(found.dq, ended)

@@ -21,6 +21,7 @@ from deltaq_controllers.modes.interface import Instant, TeleoperationMode
 from deltaq_controllers.modes.joint import JointMode
 from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_object
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.reflection import Reflection, share_of
 from deltaq_controllers.modes.self_motion import SelfMotionMode
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
@@ -60,6 +61,7 @@ class Teleoperator:
         grip: whether hands move by themselves, or hold one object together.
         held: the object that they hold.
         limitation: what limits the operator in this cycle; None if nothing does.
+        reflection: how much of what is commanded goes through.
 
     Raises:
         ControllerError: the robot cannot be driven in that mode.
@@ -100,6 +102,7 @@ class Teleoperator:
         self._next: TeleoperationMode | None = self._mode
         self._rest = Motion.rest(robot.n, len(self._hands.names))
         self._is_moving = False
+        self.reflection = Reflection(cycle_s)
         self._settle_cycles = self._still_cycles = math.ceil(SETTLE_S / cycle_s)
 
     @property
@@ -245,11 +248,16 @@ class Teleoperator:
         self._dq_before = instant.dq_last
         self._is_moving = moving or bool(dq.any())
         self.limitation = self._told(limitation) if asked else None
+        share = share_of(asked, dq / self.cycle_s, self._hands)
+        self.reflection.take(share, bool(asked), limitation is not None)
         return dq
 
     def take_verdict(self, verdict: Verdict | None) -> None:
         """Take the verdict on the increment; the gate's reason takes precedence over the mode's own."""
-        found = from_verdict(verdict) if verdict is not None else None
+        if verdict is None:
+            return
+        self.reflection.take_verdict(verdict)
+        found = from_verdict(verdict)
         if found is not None:
             self.limitation = self._told(found)
 

@@ -119,6 +119,10 @@ class Gamepad:
             return OperatorCommand({}, mode, frame, self.option if goes else None, outputs, grip)
         return OperatorCommand(self._rates(state), mode, frame, None, outputs, grip)
 
+    def reflect(self, share: float) -> None:
+        """Let the hand feel which share of what it asks for goes through: the less, the stronger."""
+        self._device.rumble(1.0 - share)
+
     def _choose(self, button: PadButton) -> None:
         match button:
             case PadButton.A:

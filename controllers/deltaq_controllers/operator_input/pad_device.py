@@ -18,6 +18,9 @@ from deltaq_controllers.operator_input.dead_zone import beyond_dead_zone
 
 PULLED, LET_GO = 0.7, 0.3
 """Way of a trigger from which on it is pulled, and below which it can be pulled again."""
+RUMBLE_S = 0.4
+"""A rumble that is not told again ends by itself after this, whatever becomes of the drive."""
+_LEVELS = 8
 SETTLE_S = 0.3
 """A pad that was found tells how its buttons and sticks stand within this."""
 _FULL = 32767.0
@@ -97,6 +100,7 @@ class PadDevice:
         self._held: set[PadButton] = set()
         self._let_go: set[StickAxis] = set()
         self._ready: set[Trigger] = set()
+        self._is_rumbling = False
 
     def look(self, time_s: float) -> PadState | None:
         """How the pad stands at a time [s]; None while no pad is plugged in."""
@@ -110,6 +114,15 @@ class PadDevice:
         if time_s < self._settled_s:
             return PadState(dict.fromkeys(StickAxis, 0.0))
         return PadState(self._sticks(), *self._buttons(events), self._pulled())
+
+    def rumble(self, strength: float) -> None:
+        """Have the pad rumble, 0 to 1, until it is told again; nothing on a pad that cannot."""
+        level = round(_LEVELS * strength) / _LEVELS
+        if self._pad is None or not (level or self._is_rumbling):
+            return
+        self._is_rumbling = level > 0.0
+        # SDL sends it on only if it changes
+        self._pad.rumble(level, 0.0, round(1000 * RUMBLE_S))
 
     def _sticks(self) -> dict[StickAxis, float]:
         sticks = {stick: beyond_dead_zone(self._pad.get_axis(stick) / _FULL) for stick in StickAxis}
@@ -149,6 +162,7 @@ class PadDevice:
         self._held.clear()
         self._let_go.clear()
         self._ready.clear()
+        self._is_rumbling = False
 
     def __enter__(self) -> Self:
         """Find a pad.
@@ -183,6 +197,7 @@ class PadDevice:
 
     def _close(self) -> None:
         if self._pad is not None:
+            self.rumble(0.0)
             self._lose()
         self._controller.quit()
         self._pygame.display.quit()
