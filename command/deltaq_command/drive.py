@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.teleoperator import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
+    from deltaq_controllers.operator_input.master import Clutch
+    from deltaq_protocol.client import Cell
     from deltaq_protocol.errors import DeltaqError
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
@@ -46,6 +48,15 @@ def drive(
             "--input", help=f"What the operator holds: {', '.join(INPUTS)}; the first one that is plugged in."
         ),
     ] = "keyboard",
+    master: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT", help="Another robot of the cell, whose tool leads the hand; --input couples it."
+        ),
+    ] = None,
+    master_scale: Annotated[
+        float, typer.Option(min=0.01, max=5.0, help="Way of the hand for each metre of the master's.")
+    ] = 1.0,
     speed_m_s: Annotated[
         float, typer.Option(min=0.001, max=0.5, help="Hand speed to begin with, at full deflection.")
     ] = 0.1,
@@ -80,8 +91,15 @@ def drive(
         )
     description = load_cell(cell)
     known_robot(description, robot)
+    if master is not None:
+        if script is not None:
+            raise typer.BadParameter(
+                "a script couples no master; leave out one of both", param_hint="--master"
+            )
+        known_robot(description, master)
     weights = weights_of(criterion, "--criterion")
-    choice = _Choice(description, robot, mode, frame, weights, script, device, speed_m_s, jerk_time_s)
+    led = None if master is None else (master, master_scale)
+    choice = _Choice(description, robot, mode, frame, weights, script, device, led, speed_m_s, jerk_time_s)
     with ExitStack() as terminal:
         # a terminal is given back last: keys that are still held are not for the shell
         summary, error = choice.run(terminal)
@@ -106,6 +124,7 @@ class _Choice:
     weights: dict[str, float] | None
     script: Path | None
     device: str
+    led: tuple[str, float] | None
     speed_m_s: float
     jerk_time_s: float
 
@@ -153,7 +172,7 @@ class _Choice:
                 signals, enough = SignalLog(), asyncio.Event()
                 for number in _ENDING:
                     asyncio.get_running_loop().add_signal_handler(number, enough.set)
-                operator = terminal.enter_context(self._input(teleoperator))
+                operator = terminal.enter_context(self._input(running, teleoperator))
                 display = Display(teleoperator, operator, signals)
 
                 reflect = getattr(operator, "reflect", lambda _: None)
@@ -172,13 +191,26 @@ class _Choice:
                     ended_by = error
         return summary(self.robot, log, statistics, signals, ended_by), ended_by
 
-    def _input(self, teleoperator: Teleoperator) -> OperatorInput:
-        from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
+    def _input(self, running: Cell, teleoperator: Teleoperator) -> OperatorInput:
+        from deltaq_controllers.live import model_of, robot_models
+        from deltaq_controllers.operator_input import master
         from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
         teleoperator.make_modes()  # the operator may switch to any of them
+        if self.led is None:
+            return self._held(teleoperator)
+        name, scale = self.led
+        model = model_of(robot_models(running.description), name)
+        print(master.HELP, file=sys.stderr)
+        look = master.looking_at(running, name, self.robot)
+        return master.Master(teleoperator, model, look, self._held(teleoperator), scale)
+
+    def _held(self, teleoperator: Teleoperator) -> Clutch:
+        """The device in the operator's hand."""
+        from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
+
         if self.device == "gamepad":
             print(gamepad.HELP, file=sys.stderr)
             return gamepad.Gamepad(teleoperator, self.speed_m_s)

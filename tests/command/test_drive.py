@@ -165,13 +165,13 @@ def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tm
 class Terminal:
     """A terminal with `deltaq drive` in it, as a shell would start it."""
 
-    def __init__(self, cell: Path) -> None:
+    def __init__(self, cell: Path, *options: str) -> None:
         self.keys, self._file = pty.openpty()
         self.before = termios.tcgetattr(self._file)
         # one that beginners have: lines, with echo
         assert self.before[3] & termios.ECHO
         assert self.before[3] & termios.ICANON
-        command = [PROGRAM, "drive", "--robot", "gr", "--mode", "joint", "--json", "--cell", str(cell)]
+        command = [PROGRAM, "drive", "--robot", "gr", *options, "--json", "--cell", str(cell)]
         self.driver = subprocess.Popen(
             command, stdin=self._file, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -212,6 +212,25 @@ def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_she
     assert status(cell).lease.holder is None
 
 
+def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Path, tmp_path: Path) -> None:
+    terminal = Terminal(cell, "--mode", "coupled", "--master", "fr", "--master-scale", "0.5")
+    terminal.press("c")
+    wait_for(cell, lambda state: status(cell).lease.holder is not None)
+    script = written(tmp_path, "- {duration_s: 1.5, mode: coupled, move: {z_m_s: 0.05}}\n")
+    led = deltaq(
+        "drive", "--robot", "fr", "--mode", "coupled", "--script", script, "--json", "--cell", str(cell)
+    )
+    assert led.returncode == 0, led.stderr
+    terminal.press("q")
+    status_, out, error = terminal.ended()
+    assert status_ == 0, error
+    (way,) = (leg["hands"]["tool"]["moved_mm"] for leg in json.loads(led.stdout)["legs"])
+    (led_way,) = (leg["hands"]["tool"]["moved_mm"] for leg in json.loads(out)["legs"])
+    assert way > 5
+    # the last of the way is made up within a second; the drive ends earlier
+    assert 0.3 * way < led_way < 0.7 * way
+
+
 @pytest.mark.parametrize(
     "number",
     [
@@ -242,6 +261,9 @@ def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, num
         (("--robot", "gr", "--input", "gamepad", "--script", "task.yaml"), "leave out --input gamepad"),
         (("--robot", "gr", "--input", "gamepad"), "no gamepad is plugged in"),
         (("--robot", "gr", "--input", "spacemouse"), "no SpaceMouse is plugged in"),
+        (("--robot", "gr", "--master", "xx"), "no robot 'xx' in cell lab; it has fr, gr"),
+        (("--robot", "gr", "--master", "gr"), "master gr: a robot cannot lead itself"),
+        (("--robot", "gr", "--master", "fr", "--script", "task.yaml"), "a script couples no master"),
         (("--robot", "gr"), "the keyboard needs a terminal"),
         (("--robot", "fr", "--mode", "advisor"), "advisor needs a redundant robot, 'fr' is not"),
         (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),

@@ -83,6 +83,11 @@ class Gamepad:
         return f"{chosen}, {self._speed_m_s:.3f} m/s, {held}"
 
     @property
+    def is_clutched(self) -> bool:
+        """Whether a shoulder button is held, by which a master leads."""
+        return self._holding is not None
+
+    @property
     def _is_advised(self) -> bool:
         return self._teleoperator.mode is ModeName.ADVISOR
 

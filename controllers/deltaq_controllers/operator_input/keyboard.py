@@ -65,6 +65,7 @@ class Keyboard:
         hand: the hand that the keys move; None for all, `object` for an object that all hold.
         output: the digital output that the keys switch.
         speed_m_s: hand speed now.
+        is_clutched: c was pressed, and no other key since: a master leads.
     """
 
     def __init__(self, teleoperator: Teleoperator, file: int | None = None, speed_m_s: float = 0.1) -> None:
@@ -79,6 +80,7 @@ class Keyboard:
         self.joint = 0
         self.hand: str | None = None
         self.output = OutputChoice(teleoperator)
+        self.is_clutched = False
 
     @property
     def status(self) -> str:
@@ -95,6 +97,7 @@ class Keyboard:
             if key in ("q", ""):
                 return None
             self._option = int(key) if key in OPTION_KEYS else None
+            self.is_clutched = key == "c"
             if key == "m":
                 mode = next_mode(self._teleoperator)
             elif key == "t":

@@ -44,6 +44,16 @@ class SpaceMouse:
         ignored = f", {self._cap.ignored} reports ignored" if self._cap.ignored else ""
         return f"{self._keyboard.status}, {'held' if self._is_held else 'hold the left button'}{ignored}"
 
+    @property
+    def hand(self) -> str | None:
+        """The hand that is moved, as the keyboard has it."""
+        return self._keyboard.hand
+
+    @property
+    def is_clutched(self) -> bool:
+        """Whether the left button is held, by which a master leads."""
+        return self._is_held
+
     def read(self, time_s: float) -> OperatorCommand | None:
         """The command at a time [s]; None after the key that ends the drive. A device that is unplugged is rest."""
         command = self._keyboard.read(time_s)
