@@ -288,3 +288,37 @@ def test_wrong_usage_is_told_in_a_line(
     assert ended.value.code == 2
     assert told in " ".join(error.replace("│", "").split())
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("switched", "code", "told"),
+    [
+        ("gripper=shut", 2, "OUTPUT=on or OUTPUT=off, got 'gripper=shut'"),
+        ("griper=on", 1, "'griper' is not an output of gr; it has gripper, tool_changer"),
+    ],
+)
+def test_an_output_that_cannot_be_switched_by_the_command_is_told_with_what_can(
+    cell: Path,
+    switched: str,
+    code: int,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["deltaq", "io", "--robot", "gr", switched, "--cell", str(cell)])
+    with pytest.raises(SystemExit) as ended:
+        deltaq_command.main()
+    assert ended.value.code == code
+    assert told in " ".join(capsys.readouterr().err.replace("│", "").split())
+
+
+def test_outputs_of_a_robot_that_is_driven_are_not_switched_by_others(
+    cell: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["deltaq", "io", "--robot", "gr", "gripper=on", "--cell", str(cell)])
+    with connect(load_cell(cell), "a driver") as running, running.lease("gr"):
+        with pytest.raises(SystemExit) as ended:
+            deltaq_command.main()
+        assert not running.io("gr").outputs["gripper"]
+    assert ended.value.code == 1
+    assert "a driver" in capsys.readouterr().err
