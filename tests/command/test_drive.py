@@ -215,7 +215,7 @@ def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_she
 def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Path, tmp_path: Path) -> None:
     terminal = Terminal(cell, "--mode", "coupled", "--master", "fr", "--master-scale", "0.5")
     terminal.press("c")
-    wait_for(cell, lambda state: status(cell).lease.holder is not None)
+    wait_for_phase(cell, "engaged")
     script = written(tmp_path, "- {duration_s: 1.5, mode: coupled, move: {z_m_s: 0.05}}\n")
     led = deltaq(
         "drive", "--robot", "fr", "--mode", "coupled", "--script", script, "--json", "--cell", str(cell)

@@ -11,7 +11,7 @@ from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, ToolPose
+from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, PlacedTool
 from deltaq_controllers.operator_input.master import MOST_M_S, STALE_S, Master
 from deltaq_protocol.arrays import Array
 
@@ -72,12 +72,12 @@ class Led:
         assert command is not None
         return command
 
-    def poses(self) -> tuple[ToolPose, ToolPose]:
+    def poses(self) -> tuple[PlacedTool, PlacedTool]:
         found = []
         for run in (self.leader, self.slave):
             hands = Hands(run.robot)
             hands.place(run.now)
-            found.append(ToolPose(hands.rotations[0], hands.positions[0]))
+            found.append(PlacedTool(hands.rotations[0], hands.positions[0]))
         return found[0], found[1]
 
 
@@ -185,8 +185,8 @@ def test_in_the_axes_of_the_tools_ahead_for_one_is_ahead_for_the_other() -> None
     assert ways[1] == pytest.approx(ways[0], abs=2e-3)
 
 
-def random_pose(random: np.random.Generator) -> ToolPose:
-    return ToolPose(pin.exp3(random.uniform(-1.0, 1.0, 3)), random.uniform(-1.0, 1.0, 3))
+def random_pose(random: np.random.Generator) -> PlacedTool:
+    return PlacedTool(pin.exp3(random.uniform(-1.0, 1.0, 3)), random.uniform(-1.0, 1.0, 3))
 
 
 def test_where_the_hand_cannot_follow_the_masters_way_back_moves_it_at_once(
@@ -199,22 +199,22 @@ def test_where_the_hand_cannot_follow_the_masters_way_back_moves_it_at_once(
         way, time_s = np.array([0.005, 0.0, 0.0]), 0.0
         for step in range(1, 101):
             time_s += CYCLE_S
-            twist = led.twist(time_s, ToolPose(master.rotation, master.position + step * way), hand)
+            twist = led.twist(time_s, PlacedTool(master.rotation, master.position + step * way), hand)
         assert twist is not None
         assert twist[0] > 0.4
         for step in range(100, 80, -1):
             time_s += CYCLE_S
-            twist = led.twist(time_s, ToolPose(master.rotation, master.position + step * way), hand)
+            twist = led.twist(time_s, PlacedTool(master.rotation, master.position + step * way), hand)
         assert twist is not None
         assert twist[0] < -0.3, f"0.1 m back, and no more than {SLACK_M} m were kept"
 
 
 def test_a_step_that_no_tool_makes_is_no_wish() -> None:
-    master = ToolPose(np.eye(3), np.zeros(3))
+    master = PlacedTool(np.eye(3), np.zeros(3))
     led = LedPose(1.0)
     led.couple(master, master, own_axes=False)
     assert led.twist(0.0, master, master) is not None
-    away = ToolPose(np.eye(3), np.array([1.1 * JUMP_M, 0.0, 0.0]))
+    away = PlacedTool(np.eye(3), np.array([1.1 * JUMP_M, 0.0, 0.0]))
     assert led.twist(CYCLE_S, away, master) is None
     assert not led.is_coupled
 

@@ -21,7 +21,7 @@ JUMP_M, JUMP_RAD = 0.1, 0.5
 """A master that is so far off from one look to the next has not moved there [m, rad]."""
 
 
-class ToolPose(NamedTuple):
+class PlacedTool(NamedTuple):
     """Where a tool is.
 
     Attributes:
@@ -41,8 +41,8 @@ class _Anchor:
         axes: (3, 3) takes the master's way and turn to those of the hand.
     """
 
-    master: ToolPose
-    hand: ToolPose
+    master: PlacedTool
+    hand: PlacedTool
     axes: Array
 
 
@@ -58,7 +58,7 @@ class LedPose:
     def __init__(self, scale: float) -> None:
         self._scale = scale
         self._anchor: _Anchor | None = None
-        self._seen: tuple[float, ToolPose] | None = None
+        self._seen: tuple[float, PlacedTool] | None = None
         self._twist: Array = np.zeros(6)
 
     @property
@@ -71,7 +71,7 @@ class LedPose:
         self._anchor = self._seen = None
         self._twist = np.zeros(6)
 
-    def couple(self, master: ToolPose, hand: ToolPose, own_axes: bool) -> None:
+    def couple(self, master: PlacedTool, hand: PlacedTool, own_axes: bool) -> None:
         """Lead the hand from where both are now.
 
         Args:
@@ -82,7 +82,7 @@ class LedPose:
         self.release()
         self._anchor = _Anchor(master, hand, hand.rotation @ master.rotation.T if own_axes else np.eye(3))
 
-    def twist(self, time_s: float, master: ToolPose, hand: ToolPose) -> Array | None:
+    def twist(self, time_s: float, master: PlacedTool, hand: PlacedTool) -> Array | None:
         """The twist (6,) that is wished of the hand, world axes [m/s, rad/s]; None if the master jumped.
 
         Args:
@@ -100,12 +100,12 @@ class LedPose:
         left = _clipped(anchor.hand.position + way - hand.position, SLACK_M)
         askew = _clipped(pin.log3(turn @ anchor.hand.rotation @ hand.rotation.T), SLACK_RAD)
         # what is beyond the slack is given up
-        anchor.hand = ToolPose(turn.T @ pin.exp3(askew) @ hand.rotation, hand.position + left - way)
+        anchor.hand = PlacedTool(turn.T @ pin.exp3(askew) @ hand.rotation, hand.position + left - way)
         ahead = np.concatenate([self._scale * (anchor.axes @ self._twist[:3]), anchor.axes @ self._twist[3:]])
         wished: Array = ahead + PULL_1_S * np.concatenate([left, askew])
         return wished
 
-    def _measure(self, time_s: float, master: ToolPose) -> bool:
+    def _measure(self, time_s: float, master: PlacedTool) -> bool:
         """Take a pose of the master into its twist; whether it can have moved there."""
         if self._seen is None:
             self._seen = time_s, master

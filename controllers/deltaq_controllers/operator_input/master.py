@@ -16,7 +16,7 @@ from deltaq_controllers.modes.motion import HAND_AXES, Frame, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.choices import hand_axis
 from deltaq_controllers.operator_input.interface import OperatorInput
-from deltaq_controllers.operator_input.led_pose import LedPose, ToolPose
+from deltaq_controllers.operator_input.led_pose import LedPose, PlacedTool
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 
@@ -26,11 +26,11 @@ STALE_S = 0.15
 MOST_M_S, MOST_RAD_S = 0.5, 1.75
 """Greatest speed that a master asks for."""
 
-Look = Callable[[], tuple[RobotView | None, RobotView | None]]
+LookAtBoth = Callable[[], tuple[RobotView | None, RobotView | None]]
 """The newest views of the master and of the robot that is driven."""
 
 
-def looking_at(cell: Cell, master: str, robot: str) -> Look:
+def looking_at(cell: Cell, master: str, robot: str) -> LookAtBoth:
     """Looks at two robots of a running cell."""
 
     def look() -> tuple[RobotView | None, RobotView | None]:
@@ -77,7 +77,7 @@ class Master:
     """
 
     def __init__(
-        self, teleoperator: Teleoperator, master: RobotModel, look: Look, clutch: Clutch, scale: float
+        self, teleoperator: Teleoperator, master: RobotModel, look: LookAtBoth, clutch: Clutch, scale: float
     ) -> None:
         if master.name == teleoperator.robot.name:
             raise ControllerError(f"master {master.name}: a robot cannot lead itself; name another one")
@@ -129,7 +129,7 @@ class Master:
             return {}
         return self._commanded(twist, hand, own_axes)
 
-    def _commanded(self, twist: Array, hand: ToolPose, own_axes: bool) -> dict[str, float]:
+    def _commanded(self, twist: Array, hand: PlacedTool, own_axes: bool) -> dict[str, float]:
         axes = hand.rotation.T if own_axes else np.eye(3)
         parts = ((axes @ twist[:3], MOST_M_S), (axes @ twist[3:], MOST_RAD_S))
         rates = [part * min(1.0, most / max(float(np.linalg.norm(part)), 1e-12)) for part, most in parts]
@@ -149,19 +149,19 @@ class Master:
             self._seen = master.cycle, time_s
         return (master, own) if time_s - self._seen[1] <= STALE_S else None
 
-    def _tool(self, q: Array) -> ToolPose:
+    def _tool(self, q: Array) -> PlacedTool:
         self._master.place(q)
-        return ToolPose(self._master.rotations[0], self._master.positions[0])
+        return PlacedTool(self._master.rotations[0], self._master.positions[0])
 
-    def _hand(self, q: Array) -> ToolPose:
+    def _hand(self, q: Array) -> PlacedTool:
         """The hand that is led; of several the middle, with the axes of the object between them or of the first."""
         hands, held = self._hands, self._teleoperator.held
         hands.place(q)
         if self._clutch.hand in hands.names:
             chosen = hands.names.index(self._clutch.hand or "")
-            return ToolPose(hands.rotations[chosen], hands.positions[chosen])
+            return PlacedTool(hands.rotations[chosen], hands.positions[chosen])
         rotation = hands.rotations[0] if held is None else held.axes(hands.rotations)
-        return ToolPose(rotation, hands.positions.mean(axis=0))
+        return PlacedTool(rotation, hands.positions.mean(axis=0))
 
     def reflect(self, share: float) -> None:
         """Hand on what goes through to a device that can tell it."""
