@@ -20,10 +20,13 @@ if TYPE_CHECKING:
     from deltaq_cell.description import CellDescription
     from deltaq_controllers.modes.teleoperator import Teleoperator
     from deltaq_controllers.operator_input.interface import OperatorInput
+    from deltaq_controllers.operator_input.master import Clutch
+    from deltaq_protocol.client import Cell
     from deltaq_protocol.errors import DeltaqError
 
 MODES = ("joint", "decoupled", "self-motion", "advisor", "coupled")
 FRAMES = ("world", "tool")
+INPUTS = ("keyboard", "gamepad", "spacemouse")
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Signals that bring the robot to rest and end the drive."""
@@ -36,13 +39,26 @@ def drive(
     frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
     criterion: CriterionOption = None,
     script: Annotated[
-        Path | None, typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, option.")
+        Path | None,
+        typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, grip, option, outputs."),
     ] = None,
-    gamepad: Annotated[
-        bool, typer.Option("--gamepad", help="Take the first gamepad that is plugged in, not the keyboard.")
-    ] = False,
+    device: Annotated[
+        str,
+        typer.Option(
+            "--input", help=f"What the operator holds: {', '.join(INPUTS)}; the first one that is plugged in."
+        ),
+    ] = "keyboard",
+    master: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT", help="Another robot of the cell, whose tool leads the hand; --input couples it."
+        ),
+    ] = None,
+    master_scale: Annotated[
+        float, typer.Option(min=0.01, max=5.0, help="Way of the hand for each metre of the master's.")
+    ] = 1.0,
     speed_m_s: Annotated[
-        float, typer.Option(min=0.001, max=0.5, help="Hand speed of keyboard and gamepad.")
+        float, typer.Option(min=0.001, max=0.5, help="Hand speed to begin with, at full deflection.")
     ] = 0.1,
     jerk_time_s: Annotated[
         float,
@@ -55,7 +71,7 @@ def drive(
     ] = 0.0,
     json: JsonOption = False,
 ) -> None:
-    """Drive a robot by keyboard, gamepad or script; however the drive ends, the robot comes to rest and is released."""
+    """Drive a robot by hand or by script; however the drive ends, the robot comes to rest and is released."""
     from contextlib import ExitStack
 
     from deltaq_cell.load import load_cell
@@ -67,12 +83,23 @@ def drive(
         raise typer.BadParameter(f"no mode {mode!r}; there are {', '.join(MODES)}", param_hint="--mode")
     if frame not in FRAMES:
         raise typer.BadParameter(f"no frame {frame!r}; there are {', '.join(FRAMES)}", param_hint="--frame")
-    if script is not None and gamepad:
-        raise typer.BadParameter("choose one of --script and --gamepad")
+    if device not in INPUTS:
+        raise typer.BadParameter(f"no input {device!r}; there are {', '.join(INPUTS)}", param_hint="--input")
+    if script is not None and device != INPUTS[0]:
+        raise typer.BadParameter(
+            f"a script moves the robot alone; leave out --input {device}", param_hint="--script"
+        )
     description = load_cell(cell)
     known_robot(description, robot)
+    if master is not None:
+        if script is not None:
+            raise typer.BadParameter(
+                "a script couples no master; leave out one of both", param_hint="--master"
+            )
+        known_robot(description, master)
     weights = weights_of(criterion, "--criterion")
-    choice = _Choice(description, robot, mode, frame, weights, script, gamepad, speed_m_s, jerk_time_s)
+    led = None if master is None else (master, master_scale)
+    choice = _Choice(description, robot, mode, frame, weights, script, device, led, speed_m_s, jerk_time_s)
     with ExitStack() as terminal:
         # a terminal is given back last: keys that are still held are not for the shell
         summary, error = choice.run(terminal)
@@ -82,7 +109,7 @@ def drive(
             show(summary)
     if error is not None:
         raise error
-    if script is not None and summary["missed"]:
+    if script is not None and (summary["missed"] or any(each["error"] for each in summary["outputs"])):
         raise typer.Exit(BAD)
 
 
@@ -96,7 +123,8 @@ class _Choice:
     frame: str
     weights: dict[str, float] | None
     script: Path | None
-    gamepad: bool
+    device: str
+    led: tuple[str, float] | None
     speed_m_s: float
     jerk_time_s: float
 
@@ -121,6 +149,7 @@ class _Choice:
         from deltaq_command.drive_summary import summary
         from deltaq_controllers.live_teleoperator import teleoperator_for
         from deltaq_controllers.modes.motion import Frame, ModeName
+        from deltaq_controllers.signals import SignalLog
         from deltaq_controllers.statistics import ControlStatistics
         from deltaq_controllers.teleoperation import DriveLog, teleoperate
         from deltaq_launch.cell_connection import OtherCellError
@@ -139,37 +168,55 @@ class _Choice:
                 teleoperator = teleoperator_for(
                     running, self.robot, stack, *modes, self.weights, self.jerk_time_s
                 )
-                log, statistics, enough = (
-                    DriveLog(teleoperator, cycle_s),
-                    ControlStatistics(),
-                    asyncio.Event(),
-                )
+                log, statistics = DriveLog(teleoperator, cycle_s), ControlStatistics()
+                signals, enough = SignalLog(), asyncio.Event()
                 for number in _ENDING:
                     asyncio.get_running_loop().add_signal_handler(number, enough.set)
-                operator = terminal.enter_context(self._input(teleoperator))
-                display = Display(teleoperator, operator)
+                operator = terminal.enter_context(self._input(running, teleoperator))
+                display = Display(teleoperator, operator, signals)
+
+                reflect = getattr(operator, "reflect", lambda _: None)
 
                 def watch(q: Any) -> None:
                     log.add(q)
+                    reflect(teleoperator.reflection.share)
                     display.show()
 
                 ended_by = None
                 try:
-                    await teleoperate(running, teleoperator, operator, statistics, watch, enough)
+                    await teleoperate(running, teleoperator, operator, statistics, watch, enough, signals)
                 except DeltaqError as error:
                     if not log.legs:
                         raise
                     ended_by = error
-        return summary(self.robot, log, statistics, ended_by), ended_by
+        return summary(self.robot, log, statistics, signals, ended_by), ended_by
 
-    def _input(self, teleoperator: Teleoperator) -> OperatorInput:
-        from deltaq_controllers.operator_input import gamepad, keyboard
+    def _input(self, running: Cell, teleoperator: Teleoperator) -> OperatorInput:
+        from deltaq_controllers.live import model_of, robot_models
+        from deltaq_controllers.operator_input import master
         from deltaq_controllers.operator_input.script import Script
 
         if self.script is not None:
             return Script.load(self.script, teleoperator)
         teleoperator.make_modes()  # the operator may switch to any of them
-        print(gamepad.HELP if self.gamepad else keyboard.HELP, file=sys.stderr)
-        if self.gamepad:
+        if self.led is None:
+            return self._held(teleoperator)
+        name, scale = self.led
+        model = model_of(robot_models(running.description), name)
+        print(master.HELP, file=sys.stderr)
+        look = master.looking_at(running, name, self.robot)
+        return master.Master(teleoperator, model, look, self._held(teleoperator), scale)
+
+    def _held(self, teleoperator: Teleoperator) -> Clutch:
+        """The device in the operator's hand."""
+        from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
+
+        if self.device == "gamepad":
+            print(gamepad.HELP, file=sys.stderr)
             return gamepad.Gamepad(teleoperator, self.speed_m_s)
-        return keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
+        keys = keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
+        if self.device == "spacemouse":
+            print(f"{spacemouse.HELP}\n{keyboard.HELP}", file=sys.stderr)
+            return spacemouse.SpaceMouse(teleoperator, keys)
+        print(keyboard.HELP, file=sys.stderr)
+        return keys

@@ -9,6 +9,7 @@ from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachable
 from deltaq_protocol.reasons import ReasonCode
 
 if TYPE_CHECKING:
+    from deltaq_controllers.signals import SignalLog
     from deltaq_controllers.statistics import ControlStatistics
     from deltaq_controllers.teleoperation import DriveLog
 
@@ -21,7 +22,7 @@ REMEDIES = {
 
 
 def summary(
-    robot: str, log: DriveLog, statistics: ControlStatistics, error: DeltaqError | None
+    robot: str, log: DriveLog, statistics: ControlStatistics, signals: SignalLog, error: DeltaqError | None
 ) -> dict[str, Any]:
     """The drive as one JSON object.
 
@@ -29,6 +30,7 @@ def summary(
         robot: name of the robot.
         log: what was driven.
         statistics: counts of the verdicts.
+        signals: what was switched.
         error: what ended the drive; None if it was ended as commanded.
     """
     return {
@@ -36,6 +38,7 @@ def summary(
         "error": None if error is None else _told(error),
         "legs": log.summary(),
         "missed": log.missed,
+        "outputs": [switched.summary() for switched in signals.switched],
         **statistics.summary(),
     }
 
@@ -58,7 +61,7 @@ def show(summary: dict[str, Any]) -> None:
 
     rows = [
         (
-            leg["mode"],
+            leg["mode"] if leg["object"] is None else f"{leg['mode']}, object",
             f"{leg['seconds']:.1f}",
             hand,
             f"{figures['moved_mm']:.2f}",
@@ -76,5 +79,8 @@ def show(summary: dict[str, Any]) -> None:
     columns = ("mode", "s", "hand", "moved mm", "turned deg", "farthest mm", "limited by", "options")
     print_table(f"{summary['robot']} was driven", columns, rows)
     print(f"gate: {counts(summary['gate'])}")
+    for switched in summary["outputs"]:
+        told = "on" if switched["on"] else "off"
+        print(f"{switched['output']}: {switched['error'] or told}")
     if summary["error"] is not None:
         print(f"ended by {summary['error']['code'] or 'an error'}: {summary['error']['hint']}")

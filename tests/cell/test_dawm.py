@@ -128,9 +128,10 @@ def test_a_robot_has_a_tool_or_hands_but_not_both(tmp_path: Path) -> None:
         load_cell(write(tmp_path, "    hands:", "    tool: {}\n    hands:"))
 
 
-def test_a_hand_cannot_take_the_name_of_another_frame(tmp_path: Path) -> None:
-    with pytest.raises(CellError, match="a hand cannot be named camera; name it otherwise"):
-        load_cell(write(tmp_path, "      left:\n", "      camera:\n"))
+@pytest.mark.parametrize("name", ["camera", "object"])
+def test_a_hand_cannot_take_the_name_of_another_frame(tmp_path: Path, name: str) -> None:
+    with pytest.raises(CellError, match=f"a hand cannot be named {name}; name it otherwise"):
+        load_cell(write(tmp_path, "      left:\n", f"      {name}:\n"))
 
 
 def test_a_tolerance_too_wide_for_the_longer_of_two_arms_is_told(tmp_path: Path) -> None:

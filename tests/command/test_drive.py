@@ -27,10 +27,10 @@ pytestmark = pytest.mark.live
 
 SCRIPT = """\
 - {duration_s: 5, mode: advisor, option: 1}
-- {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}}
+- {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}, outputs: {gripper: on}}
 - {duration_s: 1.2, mode: self-motion, move: {a1_deg_s: 10}}
 - {duration_s: 0.8, mode: decoupled, frame: tool, move: {z_mm_s: 50, e2_m_s: 0.05}}
-- {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}}
+- {duration_s: 0.8, mode: joint, move: {a6_deg_s: 20}, outputs: {gripper: off}}
 """
 
 
@@ -106,6 +106,11 @@ def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: P
     assert legs["decoupled"]["moved_mm"] > 0.1
     assert 0.1 < legs["joint"]["turned_deg"] < 20
     assert summary["gate"]["admitted"] > 0
+    assert summary["outputs"] == [
+        {"output": "gripper", "on": True, "error": None},
+        {"output": "gripper", "on": False, "error": None},
+    ]
+    assert "deltaq: gripper: on" in done.stderr
     wait_for_phase(cell, "ready")
 
 
@@ -160,13 +165,13 @@ def test_a_lease_that_is_lost_ends_the_drive_and_its_json_says_so(cell: Path, tm
 class Terminal:
     """A terminal with `deltaq drive` in it, as a shell would start it."""
 
-    def __init__(self, cell: Path) -> None:
+    def __init__(self, cell: Path, *options: str) -> None:
         self.keys, self._file = pty.openpty()
         self.before = termios.tcgetattr(self._file)
         # one that beginners have: lines, with echo
         assert self.before[3] & termios.ECHO
         assert self.before[3] & termios.ICANON
-        command = [PROGRAM, "drive", "--robot", "gr", "--mode", "joint", "--json", "--cell", str(cell)]
+        command = [PROGRAM, "drive", "--robot", "gr", *options, "--json", "--cell", str(cell)]
         self.driver = subprocess.Popen(
             command, stdin=self._file, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -207,6 +212,25 @@ def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_she
     assert status(cell).lease.holder is None
 
 
+def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Path, tmp_path: Path) -> None:
+    terminal = Terminal(cell, "--mode", "coupled", "--master", "fr", "--master-scale", "0.5")
+    wait_for_phase(cell, "engaged")  # before, keys are not for the robot
+    terminal.press("c")
+    script = written(tmp_path, "- {duration_s: 1.5, mode: coupled, move: {z_m_s: 0.05}}\n")
+    led = deltaq(
+        "drive", "--robot", "fr", "--mode", "coupled", "--script", script, "--json", "--cell", str(cell)
+    )
+    assert led.returncode == 0, led.stderr
+    terminal.press("q")
+    status_, out, error = terminal.ended()
+    assert status_ == 0, error
+    (way,) = (leg["hands"]["tool"]["moved_mm"] for leg in json.loads(led.stdout)["legs"])
+    (led_way,) = (leg["hands"]["tool"]["moved_mm"] for leg in json.loads(out)["legs"])
+    assert way > 5
+    # a busy machine may lose sight of the master, which uncouples it; tests/controllers/test_master.py holds the amount
+    assert 0.1 * way < led_way < 0.6 * way
+
+
 @pytest.mark.parametrize(
     "number",
     [
@@ -233,7 +257,13 @@ def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, num
         (("--robot", "xx"), "no robot 'xx' in cell lab; it has fr, gr"),
         (("--robot", "fr", "--mode", "self-motion"), "self-motion needs more than 6 joints"),
         (("--robot", "gr", "--script", "missing.yaml"), "missing.yaml: cannot be read"),
-        (("--robot", "gr", "--gamepad"), "no gamepad is plugged in"),
+        (("--robot", "gr", "--input", "wheel"), "no input 'wheel'; there are keyboard, gamepad, spacemouse"),
+        (("--robot", "gr", "--input", "gamepad", "--script", "task.yaml"), "leave out --input gamepad"),
+        (("--robot", "gr", "--input", "gamepad"), "no gamepad is plugged in"),
+        (("--robot", "gr", "--input", "spacemouse"), "no SpaceMouse is plugged in"),
+        (("--robot", "gr", "--master", "xx"), "no robot 'xx' in cell lab; it has fr, gr"),
+        (("--robot", "gr", "--master", "gr"), "master gr: a robot cannot lead itself"),
+        (("--robot", "gr", "--master", "fr", "--script", "task.yaml"), "a script couples no master"),
         (("--robot", "gr"), "the keyboard needs a terminal"),
         (("--robot", "fr", "--mode", "advisor"), "advisor needs a redundant robot, 'fr' is not"),
         (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),
@@ -258,3 +288,37 @@ def test_wrong_usage_is_told_in_a_line(
     assert ended.value.code == 2
     assert told in " ".join(error.replace("│", "").split())
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("switched", "code", "told"),
+    [
+        ("gripper=shut", 2, "OUTPUT=on or OUTPUT=off, got 'gripper=shut'"),
+        ("griper=on", 1, "'griper' is not an output of gr; it has gripper, tool_changer"),
+    ],
+)
+def test_an_output_that_cannot_be_switched_by_the_command_is_told_with_what_can(
+    cell: Path,
+    switched: str,
+    code: int,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["deltaq", "io", "--robot", "gr", switched, "--cell", str(cell)])
+    with pytest.raises(SystemExit) as ended:
+        deltaq_command.main()
+    assert ended.value.code == code
+    assert told in " ".join(capsys.readouterr().err.replace("│", "").split())
+
+
+def test_outputs_of_a_robot_that_is_driven_are_not_switched_by_others(
+    cell: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["deltaq", "io", "--robot", "gr", "gripper=on", "--cell", str(cell)])
+    with connect(load_cell(cell), "a driver") as running, running.lease("gr"):
+        with pytest.raises(SystemExit) as ended:
+            deltaq_command.main()
+        assert not running.io("gr").outputs["gripper"]
+    assert ended.value.code == 1
+    assert "a driver" in capsys.readouterr().err

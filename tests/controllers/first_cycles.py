@@ -38,14 +38,18 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_controllers.live import drive
 from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.signals import SignalLog
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
 from deltaq_protocol.client import Cell
-from deltaq_protocol.messages import Outcome, Phase, RobotState, ToolPose, Verdict
+from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.messages import IoReply, Outcome, Phase, RobotState, ToolPose, Verdict
+from deltaq_protocol.reasons import ReasonCode
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+HANDS_MODES = (ModeName.DECOUPLED, ModeName.COUPLED)
 CYCLES = 20
 """Cycles of each command: enough to speed up, and to settle into another mode."""
 
@@ -103,6 +107,13 @@ class Leased:
             phase=Phase.ENGAGED,
         )
 
+    async def io(self, outputs: Mapping[str, bool] | None = None) -> IoReply:
+        refused = set(outputs or {}) & self.cell.refused_outputs
+        if refused:
+            raise RefusedError(ReasonCode.NOT_READY, f"{self.robot} does not switch {', '.join(refused)}")
+        self.cell.switched += [dict(outputs)] if outputs else []
+        return IoReply(robot=self.robot, outputs=dict(outputs or {}))
+
     async def states(self) -> AsyncIterator[RobotState]:
         while True:
             self.cycle += 1
@@ -129,6 +140,8 @@ class QuietCell(Cell):
         self.early: dict[str, list[str]] = {}
         self.late: dict[str, list[str]] = {}
         self.leased: Leased | None = None
+        self.switched: list[dict[str, bool]] = []
+        self.refused_outputs: set[str] = set()
         self.places = {name: np.array(model.home) for name, model in self.models.items()}
 
     def state(self, robot: str) -> RobotState:
@@ -188,6 +201,10 @@ def everything(teleoperator: Teleoperator, modes: Iterable[ModeName]) -> Operato
             advisor = teleoperator.mode_named(mode)
             assert isinstance(advisor, AdvisorMode)
             commands.append((OperatorCommand(option=1), lambda _, advisor=advisor: advisor.done > 0.1))
+        if len(teleoperator.hand_names) > 1 and mode is not ModeName.JOINT:
+            commands.append((OperatorCommand(grip=Grip.OBJECT), enough))
+            commands.append((OperatorCommand({"rz": 0.2} if mode in HANDS_MODES else {}), enough))
+            commands.append((OperatorCommand(grip=Grip.FREE), enough))
         for number, axis in enumerate(teleoperator.axes(mode)):
             rate = 0.05 if axis.rpartition(".")[2] in HAND_AXES else 0.2
             commands.append((OperatorCommand({axis: rate}, frame=list(Frame)[number % 2]), enough))
@@ -201,13 +218,14 @@ async def by_hand(
         teleoperator = teleoperator_for(cell, robot, stack, weights=weights)
         teleoperator.make_modes()
         operator = everything(teleoperator, modes)
-        log, display = DriveLog(teleoperator, cell.description.cycle_s), Display(teleoperator, operator)
+        log, signals = DriveLog(teleoperator, cell.description.cycle_s), SignalLog()
+        display = Display(teleoperator, operator, signals)
 
         def watch(q: np.ndarray) -> None:
             log.add(q)
             display.show()
 
-        await teleoperate(cell, teleoperator, operator, ControlStatistics(), watch, asyncio.Event())
+        await teleoperate(cell, teleoperator, operator, ControlStatistics(), watch, asyncio.Event(), signals)
 
 
 async def by_controller(

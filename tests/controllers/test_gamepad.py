@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from advising import advised
-from driving import CYCLE_S, model
+from driving import CYCLE_S, PlainDrive, model
 from first_cycles import QuietCell, Waits
 from virtual_pad import VirtualPad
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.dead_zone import DEAD_ZONE
 from deltaq_controllers.operator_input.gamepad import Gamepad
-from deltaq_controllers.operator_input.pad_device import DEAD_ZONE, SETTLE_S, PadButton, StickAxis
+from deltaq_controllers.operator_input.pad_device import SETTLE_S, PadButton, StickAxis, Trigger
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 
@@ -55,9 +58,9 @@ class Settled(Gamepad):
         return self
 
     def settle(self) -> None:
-        assert self.look() == REST
+        assert replace(self.look(), grip=None) == REST
         self.time_s += SETTLE_S
-        assert self.look() == REST
+        assert replace(self.look(), grip=None) == REST
 
 
 # --- what must not move ---------------------------------------------------------------------------------------
@@ -130,6 +133,22 @@ def test_the_sticks_count_only_while_a_shoulder_button_is_held(pad: VirtualPad) 
         assert gamepad.look() == REST
 
 
+def test_a_trigger_that_is_pulled_as_the_drive_begins_switches_nothing_until_it_was_let_go(
+    pad: VirtualPad,
+) -> None:
+    pad.pull(Trigger.RIGHT, 1.0)
+    with Settled(teleoperator()) as gamepad:
+        assert gamepad.look() == REST
+        pad.pull(Trigger.RIGHT, 0.5)
+        assert gamepad.look() == REST
+        pad.pull(Trigger.RIGHT, 1.0)
+        assert gamepad.look() == REST, "it was not let go"
+        pad.pull(Trigger.RIGHT, 0.0)
+        assert gamepad.look() == REST
+        pad.pull(Trigger.RIGHT, 1.0)
+        assert gamepad.look() == OperatorCommand(outputs={"gripper": True})
+
+
 # --- what moves -------------------------------------------------------------------------------------------------
 
 
@@ -176,7 +195,7 @@ def test_the_stick_drives_the_joint_that_the_cross_chose(pad: VirtualPad) -> Non
         pad.press(TURN, PadButton.LEFT)
         pad.push(*AHEAD)
         assert gamepad.look() == OperatorCommand({"a6": pytest.approx(0.35)})
-        assert gamepad.status == "joint a6, 0.100 m/s, held"
+        assert gamepad.status == "joint a6, output gripper, 0.100 m/s, held"
 
 
 def test_buttons_choose_mode_axes_hand_and_speed(pad: VirtualPad) -> None:
@@ -197,11 +216,102 @@ def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed(pad: VirtualPad)
     with Settled(advised(model("gr"))) as gamepad:
         pad.press(TURN, PadButton.RIGHT)
         assert gamepad.look() == REST
-        assert gamepad.status == "option 2, 0.100 m/s, held"
+        assert gamepad.status == "option 2, output gripper, 0.100 m/s, held"
         pad.push(*AHEAD)
         assert gamepad.look() == OperatorCommand(option=2)
         pad.release(TURN)
         assert gamepad.look() == REST
+
+
+def test_the_right_trigger_switches_the_chosen_output_on_and_the_left_one_off_each_once(
+    pad: VirtualPad,
+) -> None:
+    with Settled(teleoperator()) as gamepad:
+        for trigger in Trigger:
+            pad.pull(trigger, 0.0)
+        gamepad.look()
+        pad.press(MOVE)
+        pad.push(*AHEAD)
+        pad.pull(Trigger.RIGHT, 1.0)
+        command = gamepad.look()
+        assert command.outputs == {"gripper": True}
+        assert command.rates["x"] == pytest.approx(0.1), "the hand goes on"
+        pad.pull(Trigger.RIGHT, 0.9)
+        assert gamepad.look().outputs == {}, "it is still pulled"
+        pad.press(PadButton.START)
+        pad.pull(Trigger.LEFT, 1.0)
+        assert gamepad.look().outputs == {"tool_changer": False}
+        assert "output tool_changer" in gamepad.status
+
+
+def test_a_button_goes_round_left_right_the_object_and_both_hands_and_each_moves_as_chosen(
+    pad: VirtualPad,
+) -> None:
+    driven = teleoperator("dawm")
+    with Settled(driven) as gamepad:
+        pad.press(MOVE)
+        pad.push(*AHEAD)
+        told = []
+        for _ in range(5):
+            command = gamepad.look()
+            told.append((gamepad.hand, [axis for axis, rate in command.rates.items() if rate], command.grip))
+            pad.press(PadButton.A)
+            pad.release(PadButton.A)
+    assert told == [
+        (None, ["x"], Grip.FREE),
+        ("left", ["left.x"], Grip.FREE),
+        ("right", ["right.x"], Grip.FREE),
+        ("object", ["x"], Grip.OBJECT),
+        (None, ["x"], Grip.FREE),
+    ]
+
+
+def test_hands_that_are_chosen_by_the_pad_move_and_the_other_one_stays(pad: VirtualPad) -> None:
+    run = PlainDrive("dawm", ModeName.COUPLED)
+    hands = Hands(run.robot)
+    hands.place(run.now)
+    start = hands.positions
+    with Settled(run.teleoperator) as gamepad:
+        moved = []
+        pad.press(PadButton.A)
+        pad.press(MOVE)
+        for _ in range(2):
+            pad.push(*AHEAD)
+            for _ in range(40):
+                run.step(gamepad.look())
+            pad.push(StickAxis.LEFT_Y, 0.0)
+            for _ in range(40):
+                run.step(gamepad.look())
+            hands.place(run.now)
+            moved.append(np.linalg.norm(hands.positions - start, axis=1))
+            pad.release(PadButton.A)
+            pad.press(PadButton.A)
+    assert moved[0][0] > 0.01
+    assert moved[0][1] == pytest.approx(0.0, abs=1e-5)
+    assert moved[1][0] == pytest.approx(moved[0][0], abs=1e-5)
+    assert moved[1][1] > 0.01
+
+
+def test_a_pad_without_motors_is_driven_all_the_same() -> None:
+    with VirtualPad(without_motors=True) as still, Settled(teleoperator()) as gamepad:
+        for _ in range(3):
+            gamepad.look()
+            gamepad.reflect(0.0)
+        assert still.rumbles == []
+
+
+def test_the_less_goes_through_the_stronger_the_pad_rumbles_and_it_ends_with_the_drive(
+    pad: VirtualPad,
+) -> None:
+    with Settled(teleoperator()) as gamepad:
+        gamepad.look()
+        gamepad.reflect(1.0)
+        assert pad.rumbles == [], "nothing limits"
+        for share in (0.5, 0.49, 0.0):
+            gamepad.look()
+            gamepad.reflect(share)
+        assert pad.rumbles == pytest.approx([0.5, 1.0], abs=1e-3), "a small change is not told again"
+    assert pad.rumbles[2:] == [0.0]
 
 
 @pytest.mark.parametrize("button", [PadButton.B, PadButton.BACK])

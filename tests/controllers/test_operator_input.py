@@ -10,7 +10,7 @@ from advising import advised
 from driving import CYCLE_S, model
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.held_key import FIRST_REPEAT_S, TAP_SHARE
 from deltaq_controllers.operator_input.keyboard import Keyboard
@@ -41,6 +41,11 @@ def script(folder: Path, text: str, mode: ModeName = ModeName.JOINT) -> Script:
         ("- {duration_s: 1, move: {a1: 3}}", "a1: not an axis with its unit; axes are e1, e2"),
         ("- {duration_s: 1, move: {a1_m_s: 3}}", "a1 is in rad; write a1_rad_s or a1_deg_s"),
         ("- {duration_s: 1, move: {e1_deg_s: 3}}", "e1 is in m; write e1_m_s or e1_mm_s"),
+        (
+            "- {duration_s: 1, outputs: {griper: on}}",
+            "task.yaml:1: output 'griper' is unknown; robot gr has gripper, tool_changer",
+        ),
+        ("- {duration_s: 1, outputs: {gripper: shut}}", r"outputs.gripper: .*boolean.*got 'shut'"),
         ("- {duration_s: 1, move: {x_m_s: 3}}", "task.yaml:1: axis 'x' is not driven in mode joint"),
         (
             "- {duration_s: 1, mode: fly}",
@@ -77,6 +82,26 @@ def test_a_script_gives_its_steps_in_si_units_one_after_the_other_from_its_first
     assert steps.read(101.0) == OperatorCommand()
     assert steps.read(101.5) == OperatorCommand({"x": 0.1}, ModeName.COUPLED, Frame.TOOL)
     assert steps.read(103.5) is None
+
+
+def test_a_step_switches_outputs_and_the_next_leaves_them_as_they_are(tmp_path: Path) -> None:
+    steps = script(
+        tmp_path,
+        "- {duration_s: 1, move: {a1_rad_s: 0.1}, outputs: {gripper: on, tool_changer: off}}\n- {duration_s: 1}",
+    )
+    assert steps.read(0.0) == OperatorCommand({"a1": 0.1}, outputs={"gripper": True, "tool_changer": False})
+    assert steps.read(1.0) == OperatorCommand()
+
+
+def test_a_robot_without_outputs_says_so() -> None:
+    operator = teleoperator("fr")
+    with pytest.raises(ControllerError, match="output 'gripper' is unknown; robot fr has no outputs"):
+        operator.check(OperatorCommand(outputs={"gripper": True}), ModeName.JOINT)
+    terminal = Terminal(operator)
+    with terminal.keyboard:
+        assert terminal.press("g.,", 1.0) == OperatorCommand()
+        assert "output" not in terminal.keyboard.status
+    terminal.close()
 
 
 def test_a_step_to_an_option_is_over_as_soon_as_the_robot_is_there_or_in_its_time() -> None:
@@ -150,9 +175,23 @@ def test_keys_go_round_the_modes_that_the_robot_has_and_its_hands() -> None:
     terminal.close()
     terminal = Terminal(teleoperator("dawm", ModeName.COUPLED))
     with terminal.keyboard:
-        assert terminal.press("h r", 1.0) == OperatorCommand({"left.z": SLOW})
-        assert terminal.press("h r", 1.0) == OperatorCommand({"right.z": SLOW})
-        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW})
+        assert terminal.press("h r", 1.0) == OperatorCommand({"left.z": SLOW}, grip=Grip.FREE)
+        assert terminal.press("h r", 1.0) == OperatorCommand({"right.z": SLOW}, grip=Grip.FREE)
+        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW}, grip=Grip.OBJECT)
+        assert terminal.press("h r", 1.0) == OperatorCommand({"z": SLOW}, grip=Grip.FREE)
+    terminal.close()
+
+
+def test_a_key_switches_the_chosen_output_on_another_one_off_and_the_hand_stops_meanwhile() -> None:
+    terminal = Terminal(teleoperator(mode=ModeName.COUPLED))
+    with terminal.keyboard:
+        assert terminal.press("w", 1.0) == OperatorCommand({"x": SLOW})
+        assert terminal.press(".", 1.1) == OperatorCommand(outputs={"gripper": True})
+        assert terminal.press("", 1.2) == OperatorCommand()
+        assert terminal.press("g,", 1.3) == OperatorCommand(outputs={"tool_changer": False})
+        assert "output tool_changer" in terminal.keyboard.status
+        assert terminal.press("g", 1.4) == OperatorCommand()
+        assert terminal.press(".,", 1.5) == OperatorCommand(outputs={"gripper": False})
     terminal.close()
 
 

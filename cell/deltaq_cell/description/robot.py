@@ -59,7 +59,7 @@ class RobotDescription(DescriptionModel):
     def _carries_tools_in_one_place(self) -> Self:
         if self.hands and "tool" in self.model_fields_set:
             raise ValueError("a robot with hands carries its tools there: leave out tool")
-        taken = {"tool", "camera"} & set(self.hands)
+        taken = {"tool", "camera", "object"} & set(self.hands)
         if taken:
             raise ValueError(f"a hand cannot be named {' or '.join(sorted(taken))}; name it otherwise")
         return self

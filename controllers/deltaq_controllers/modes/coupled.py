@@ -10,6 +10,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.joint_travel import travel_gradient
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
@@ -74,7 +75,8 @@ class CoupledMode(ResolvedMode):
             else tuple(criteria)
         )
 
-    def _tasks(self, motion: Motion) -> DrivenTasks:
+    def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
+        del held
         return DrivenTasks(self._units[:, None] * self._hands.jacobian, self._units * motion.hands.ravel())
 
     def _drift(self, q: Array, made: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.limitation import Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
@@ -27,6 +28,7 @@ class Instant:
         max_jerk: (n,) greatest change of an increment's change; infinite for no limit [rad or m].
         cycle_s: the cycle [s].
         surroundings: what the robot keeps clear of by itself; None leaves that to the gate.
+        held: the object that the hands keep between them; None for hands that are free.
     """
 
     q_cmd: Array
@@ -36,6 +38,7 @@ class Instant:
     max_jerk: Array
     cycle_s: float
     surroundings: RobotSurroundings | None = None
+    held: HeldObject | None = None
 
 
 class Advance(NamedTuple):

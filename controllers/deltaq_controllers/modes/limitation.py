@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -82,6 +82,11 @@ def of_pair(pair: tuple[str, str], distance_m: float, kept_m: float) -> Limitati
     what = " and ".join(pair)
     text = f"{what} come no nearer: {distance_m * 1000:.0f} mm, kept {kept_m * 1000:.0f} mm"
     return Limitation(Limit.CLEARANCE, what, text)
+
+
+def of_object(limitation: Limitation) -> Limitation:
+    """The same of hands that hold an object: it stops with them."""
+    return replace(limitation, text=f"the object, held by all hands: {limitation.text}")
 
 
 class Conditioning(NamedTuple):

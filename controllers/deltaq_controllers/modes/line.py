@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltaq_controllers.modes.hands import Hands, turned
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_protocol.arrays import Array
 
 TAKEN_BACK_M_S, TAKEN_BACK_RAD_S = 2e-3, 2e-3
@@ -27,9 +28,14 @@ class Line:
         """Whether there is a line."""
         return self._rotations is not None
 
-    def begin(self, hands: Hands) -> None:
-        """The line begins where the hands are."""
+    def begin(self, hands: Hands, held: HeldObject | None = None) -> None:
+        """The line begins where the hands are, or where they keep the object that they hold."""
         self._rotations, self._positions = hands.rotations.copy(), hands.positions.copy()
+        self._keep(held)
+
+    def _keep(self, held: HeldObject | None) -> None:
+        if held is not None and self._rotations is not None:
+            self._rotations, self._positions = held.placed(self._rotations, self._positions)
 
     def forget(self) -> None:
         """There is no line any more."""
@@ -44,8 +50,9 @@ class Line:
             error[:, part] *= np.minimum(1.0, time_s * rate / np.maximum(sizes, 1e-15))[:, None]
         return error
 
-    def go(self, displacement: Array) -> None:
-        """The hands are to go on by displacements (h, 6) [m, rad]."""
+    def go(self, displacement: Array, held: HeldObject | None = None) -> None:
+        """The hands are to go on by displacements (h, 6) [m, rad], and to keep the object that they hold."""
         assert self._rotations is not None  # begun
         self._rotations = turned(self._rotations, displacement[:, 3:])
         self._positions = self._positions + displacement[:, :3]
+        self._keep(held)

@@ -31,22 +31,33 @@ class Frame(StrEnum):
     TOOL = "tool"
 
 
+class Grip(StrEnum):
+    """Whether hands move by themselves, or hold one object together."""
+
+    FREE = "free"
+    OBJECT = "object"
+
+
 @dataclass(frozen=True)
 class OperatorCommand:
     """What the operator commands in this cycle; an empty command is a released stick.
 
     Attributes:
         rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several
-            hands (`left.x`) [m/s, rad/s].
+            hands (`left.x`) [m/s, rad/s]. Hands that hold an object move as it does: `x` is the object's.
         mode: the mode wanted from here on; None leaves it as it is.
         frame: the axes wanted from here on; None leaves them as they are.
         option: rank of the advisor's option to go to; None is rest, also on the path to it.
+        outputs: digital outputs to switch now, by name; the others stay as they are.
+        grip: whether all hands hold an object from here on; None leaves it as it is.
     """
 
     rates: Mapping[str, float] = field(default_factory=dict)
     mode: ModeName | None = None
     frame: Frame | None = None
     option: int | None = None
+    outputs: Mapping[str, bool] = field(default_factory=dict)
+    grip: Grip | None = None
 
 
 @dataclass(frozen=True)

@@ -92,12 +92,14 @@ class Solution(NamedTuple):
     Attributes:
         dq: (n,) increment, within its bounds [rad or m].
         pace: of the tasks along their way.
+        off_line: how far all tasks together fall short of it [m].
         joint_forces: (n,) how hard the bound of each joint presses, positive at `fastest`.
         barrier_forces: (k,) how hard each barrier presses.
     """
 
     dq: Array
     pace: float
+    off_line: float
     joint_forces: Array
     barrier_forces: Array
 
@@ -112,12 +114,13 @@ def solve(wanted: Wanted, box: Box, drift: Drift, barriers: Barriers) -> Solutio
     if found != 1 or not np.isfinite(solution).all():  # rounding made it inconsistent
         return None
     dq = np.minimum(np.maximum(solution[:n] / _MILLI, box.slowest), box.fastest)
+    off_line = float(np.linalg.norm(solution[n + 1 : n + 1 + tasks])) / _MILLI
     forces = np.asarray(told["lam"])
     first = len(solution) + tasks
     behind = first + len(barriers.least)
     joint_forces = forces[:n].copy()
     joint_forces[approaching] += np.abs(forces[behind:]) * senses
-    return Solution(dq, float(solution[n]), joint_forces, np.abs(forces[first:behind]))
+    return Solution(dq, float(solution[n]), off_line, joint_forces, np.abs(forces[first:behind]))
 
 
 @compiled

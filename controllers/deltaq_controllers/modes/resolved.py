@@ -14,6 +14,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes import programme
 from deltaq_controllers.modes.binding import binding
+from deltaq_controllers.modes.brake_margin import kept_together_while_braked
 from deltaq_controllers.modes.conditioning import (
     GLANCE,
     LENGTH_M,
@@ -24,6 +25,7 @@ from deltaq_controllers.modes.conditioning import (
     ramp_share,
 )
 from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.increment_bounds import Box, can_rest, increment_box
 from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
 from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
@@ -45,6 +47,9 @@ SWIFT_RAD_S2, LEAST_SHARE = 4.0, 0.25
 
 SLOWED = 0.95
 """Pace, or share of what is commanded, below which the operator is told what binds."""
+
+OFF_LINE_M = 1e-6
+"""By how much the tasks may leave their line in a cycle for a change of direction [m]."""
 
 _AS_ASKED = 1e-9
 """An increment that differs by less from what was asked for was admitted whole [rad or m]."""
@@ -86,13 +91,22 @@ class ResolvedMode(TeleoperationMode):
         )
 
     @abstractmethod
-    def _tasks(self, motion: Motion) -> DrivenTasks:
+    def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
         """The tasks of a motion where `_hands` are."""
 
     def _allowed(self, instant: Instant, motion: Motion) -> float:
         """The share of a motion that the mode's own guarantee allows."""
         del instant, motion
         return 1.0
+
+    def _kept_together(self, instant: Instant, made: Array, rates: Array) -> float:
+        """The share of `rates` (r,) up to which the gate can brake hands that go at `made` and hold an object."""
+        asked, going = float(np.linalg.norm(rates)), float(np.linalg.norm(made))
+        if instant.held is None or not asked or not going:
+            return 1.0
+        joints, most = instant.dq_last / instant.cycle_s, self._robot.max_acceleration
+        allowed = kept_together_while_braked(self._hands, instant.held, instant.q_cmd, joints, most)
+        return min(1.0, allowed * going / asked)
 
     def _drift(self, q: Array, made: Array) -> Array:
         """(n,) joint rates that are wanted besides tasks that go at rates `made` (r,) [m/s]."""
@@ -147,24 +161,25 @@ class ResolvedMode(TeleoperationMode):
         hands, line = self._hands, self._line
         hands.place(q)
         if not line.is_set:
-            line.begin(hands)
+            line.begin(hands, instant.held)
         # half a cycle ahead the Jacobian is that of the whole cycle, to second order
         middle = q + 0.5 * dq_last
         error = line.back(hands, cycle_s).ravel()
         hands.update(middle)
-        tasks = self._tasks(asked)
+        tasks = self._together(self._tasks(asked, instant.held), instant.held)
         back = np.zeros(len(tasks.rates))
         back[: len(error)] = self._units * error
         if self._going is None or len(self._going) != len(tasks.rates):
             # nothing was asked for before, or fewer tasks, or the gate did otherwise
             self._going, self._motion = tasks.rows @ dq_last / cycle_s, None
-        made = self._going
+        made = self._together(DrivenTasks(tasks.rows, self._going), instant.held).rates
         motions = least_motions(tasks.rows, self._shares, tasks.rates, made)
         share, ended = self._allowed(instant, asked), None
+        share = min(share, self._kept_together(instant, made, tasks.rates))
         if asked and (motions.lost > LOST or motions.mobility < WATCHED_M):
             direction = motions.asked / max(float(np.linalg.norm(motions.asked)), 1e-12)
             hands.update(middle + GLANCE * direction)
-            ahead = self._tasks(asked)
+            ahead = self._tasks(asked, instant.held)
             then = least_motions(ahead.rows, self._shares, ahead.rates, made).mobility
             kept = kept_share(motions.asked, motions.mobility, then, self._robot.max_acceleration)
             kept = 0.0 if motions.lost > LOST else kept
@@ -182,24 +197,42 @@ class ResolvedMode(TeleoperationMode):
             instant.max_jerk,
         )
         way = self._way(made, made + ramp * (share * tasks.rates - made))
-        size = float(np.linalg.norm(way))
-        most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
+        motion = motions.made + ramp * (share * motions.asked - motions.made)
         near = self._near(instant, box)
         drift = programme.Drift(cycle_s * self._drift(q, made), 1.0 / self._shares)
-        found = programme.solve(
-            programme.Wanted(tasks.rows, cycle_s * way, back, most_pace), box, drift, near.barriers
-        )
+
+        def solved(way: Array) -> programme.Solution | None:
+            size = float(np.linalg.norm(way))
+            most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
+            wanted = programme.Wanted(tasks.rows, cycle_s * way, back, most_pace)
+            return programme.solve(wanted, box, drift, near.barriers)
+
+        found, cycles = solved(way), brake_cycles(dq_last, limits.max_ddq)
+        if found is not None and found.off_line > OFF_LINE_M:
+            # the joints cannot take the turn: a brake along the line that the tasks are on is always within bounds
+            remains = (cycles - 1) / cycles
+            straight = self._way(made, remains * made)
+            braked = solved(straight)
+            if braked is not None and braked.off_line < found.off_line:
+                found, way, motion = braked, straight, remains * motions.made
         if found is None:
-            cycles = brake_cycles(dq_last, limits.max_ddq)
             line.forget()
             self._going = self._motion = None
             return Advance(dq_last * ((cycles - 1) / cycles))
         self._going = found.pace * way
-        self._motion = found.pace * (motions.made + ramp * (share * motions.asked - motions.made))
-        line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6))
+        self._motion = found.pace * motion
+        line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6), instant.held)
         if not asked or ended is not None or found.pace >= SLOWED:
             return Advance(found.dq, ended)
         return Advance(found.dq, binding(self._robot, instant, found, box, near))
+
+    def _together(self, tasks: DrivenTasks, held: HeldObject | None) -> DrivenTasks:
+        """The same tasks, the hands' rates without what would part them."""
+        if held is None:
+            return tasks
+        rates, hands = tasks.rates.copy(), len(self._units)
+        rates[:hands] = held.together(self._hands.positions, rates[:hands])
+        return DrivenTasks(tasks.rows, rates)
 
     def _way(self, made: Array, way: Array) -> Array:
         """(r,) rates of the tasks in this cycle, from those that were made."""

@@ -7,6 +7,7 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.brake_margin import allowed_while_braked
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.interface import Instant
 from deltaq_controllers.modes.limitation import Conditioning, Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
@@ -61,7 +62,8 @@ class SelfMotionMode(ResolvedMode):
         asked = float(np.abs(motion.joints).max())
         return min(1.0, allowed / asked) if going > 0.0 and asked > 0.0 else 1.0
 
-    def _tasks(self, motion: Motion) -> DrivenTasks:
+    def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
+        del held  # it stays as the hands do
         driven = motion.joints != 0.0
         if (driven != self._driven).any():
             # other tasks than before: how they go is read off the joints

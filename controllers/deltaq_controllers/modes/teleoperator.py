@@ -12,13 +12,16 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, LastIncrement, View
 from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.modes.commanded import commanded
 from deltaq_controllers.modes.coupled import CoupledMode
 from deltaq_controllers.modes.decoupled import DecoupledMode
 from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.interface import Instant, TeleoperationMode
 from deltaq_controllers.modes.joint import JointMode
-from deltaq_controllers.modes.limitation import Limitation, from_verdict
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.limitation import Limitation, from_verdict, of_object
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, Motion, OperatorCommand
+from deltaq_controllers.modes.reflection import Reflection, share_of
 from deltaq_controllers.modes.self_motion import SelfMotionMode
 from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
@@ -39,7 +42,8 @@ class Teleoperator:
     """Drives a robot as its operator commands.
 
     Set `command` and ask for the increment, once a cycle; an empty command brings the robot to rest. Another mode
-    takes over when the robot has come to rest in the one before, a fraction of a second after it was commanded.
+    takes over when the robot has come to rest in the one before, a fraction of a second after it was commanded; so does
+    another grip.
 
     Args:
         robot: the robot.
@@ -54,7 +58,10 @@ class Teleoperator:
         robot, cycle_s, surroundings, jerk_time_s: as given.
         command: what the operator commands now.
         frame: the axes in which hands are moved.
+        grip: whether hands move by themselves, or hold one object together.
+        held: the object that they hold.
         limitation: what limits the operator in this cycle; None if nothing does.
+        reflection: how much of what is commanded goes through.
 
     Raises:
         ControllerError: the robot cannot be driven in that mode.
@@ -78,6 +85,8 @@ class Teleoperator:
         self._table = modes
         self.command = OperatorCommand()
         self.frame = frame
+        self.grip = self._next_grip = Grip.FREE
+        self.held: HeldObject | None = None
         self.limitation: Limitation | None = None
         self.limits = IncrementLimits.of(robot, cycle_s)
         self._hands = Hands(robot)
@@ -93,6 +102,7 @@ class Teleoperator:
         self._next: TeleoperationMode | None = self._mode
         self._rest = Motion.rest(robot.n, len(self._hands.names))
         self._is_moving = False
+        self.reflection = Reflection(cycle_s)
         self._settle_cycles = self._still_cycles = math.ceil(SETTLE_S / cycle_s)
 
     @property
@@ -144,19 +154,49 @@ class Teleoperator:
             with suppress(ControllerError):  # the robot is not redundant
                 self.mode_named(name)
 
-    def check(self, command: OperatorCommand, mode: ModeName) -> None:
-        """Check that a command can be followed in a mode.
+    def check_grip(self, grip: Grip, mode: ModeName) -> None:
+        """Check that the robot can grip in a mode.
 
         Raises:
-            ControllerError: the robot has no such axis, or the mode does not drive it.
+            ControllerError: it has one hand, or the mode would part the hands.
+        """
+        if grip is Grip.FREE:
+            return
+        if len(self.hand_names) < 2:
+            raise ControllerError(
+                f"grip {grip.value}: robot {self.robot.name} has one hand, and an object is held by two or more"
+            )
+        if mode is ModeName.JOINT:
+            raise ControllerError(
+                f"mode {mode.value} moves each joint by itself and would part hands that hold an object; "
+                f"choose grip {Grip.FREE.value} first, or another mode"
+            )
+
+    def check(self, command: OperatorCommand, mode: ModeName, grip: Grip = Grip.FREE) -> None:
+        """Check that a command can be followed in a mode and with a grip.
+
+        Raises:
+            ControllerError: the robot has no such axis or output, or the mode does not drive it.
         """
         driver = self.mode_named(mode)
+        self.check_grip(grip, mode)
+        has = self.robot.description.outputs
+        for name in command.outputs:
+            if name not in has:
+                raise ControllerError(
+                    f"output {name!r} is unknown; robot {self.robot.name} has {', '.join(has) or 'no outputs'}"
+                )
         joints = self.robot.joint_names
         if command.option is not None and mode is not ModeName.ADVISOR:
             raise ControllerError(f"option {command.option}: options are for mode advisor, not {mode.value}")
         for axis in command.rates:
             hand, _, plain = axis.rpartition(".")
             is_hand = plain in HAND_AXES and (not hand or hand in self.hand_names)
+            if is_hand and hand and grip is Grip.OBJECT:
+                raise ControllerError(
+                    f"axis {axis!r} moves one hand alone, and the hands hold an object: {plain} moves it, "
+                    f"or choose grip {Grip.FREE.value} first"
+                )
             driven = driver.drives_hands if is_hand else axis in joints
             if not is_hand and driven:
                 driven = bool(driver.drives_joints[joints.index(axis)])
@@ -190,7 +230,10 @@ class Teleoperator:
             self._mode.leave()
             self._mode, self._next = self._next, None
             self._mode.enter(q_cmd)
-        asked = self._rest if self._next else self._commanded(q_cmd)
+        if self._next_grip is not self.grip and self._still_cycles >= self._settle_cycles:
+            self._grip_at(q_cmd)
+        is_settling = self._next is not None or self._next_grip is not self.grip
+        asked = self._rest if is_settling else self._commanded(q_cmd)
         instant = Instant(
             q_cmd,
             np.array(dq_last, dtype=np.float64),
@@ -199,18 +242,33 @@ class Teleoperator:
             self._max_jerk,
             self.cycle_s,
             self.surroundings,
+            self.held,
         )
         dq, limitation = self._mode.advance(instant, asked)
         self._dq_before = instant.dq_last
         self._is_moving = moving or bool(dq.any())
-        self.limitation = limitation if asked else None
+        self.limitation = self._told(limitation) if asked else None
+        share = share_of(asked, dq / self.cycle_s, self._hands)
+        self.reflection.take(share, bool(asked), limitation is not None)
         return dq
 
     def take_verdict(self, verdict: Verdict | None) -> None:
         """Take the verdict on the increment; the gate's reason takes precedence over the mode's own."""
-        found = from_verdict(verdict) if verdict is not None else None
+        if verdict is None:
+            return
+        self.reflection.take_verdict(verdict)
+        found = from_verdict(verdict)
         if found is not None:
-            self.limitation = found
+            self.limitation = self._told(found)
+
+    def _told(self, limitation: Limitation | None) -> Limitation | None:
+        return limitation if limitation is None or self.held is None else of_object(limitation)
+
+    def _grip_at(self, q: Array) -> None:
+        self.grip, self.held = self._next_grip, None
+        if self.grip is Grip.OBJECT:
+            self._hands.update(q)
+            self.held = HeldObject(self._hands.rotations, self._hands.positions)
 
     def _take_command(self) -> None:
         if self.command.frame is not None:
@@ -219,6 +277,9 @@ class Teleoperator:
             wanted = self.mode_named(self.command.mode)
             if wanted is not (self._next or self._mode):
                 self._next = wanted
+        if self.command.grip is not None:
+            self._next_grip = self.command.grip
+        self.check_grip(self._next_grip, (self._next or self._mode).name)
         self._mode.choose(self.command.option)
 
     def _commanded(self, q: Array) -> Motion:
@@ -226,23 +287,7 @@ class Teleoperator:
         rest = Motion.rest(self.robot.n, len(self.hand_names))
         if self.mode is ModeName.ADVISOR:
             return rest if self.command.option is None else replace(rest, along=1.0)
-        motion = rest
-        joints = self.robot.joint_names
-        for axis, rate in self.command.rates.items():
-            hand, _, plain = axis.rpartition(".")
-            if axis in joints:
-                motion.joints[joints.index(axis)] = rate
-            elif plain in HAND_AXES and (not hand or hand in self.hand_names):
-                rows = self.hand_names.index(hand) if hand else slice(None)
-                motion.hands[rows, HAND_AXES.index(plain)] = rate
-        motion.joints[~self._mode.drives_joints] = 0.0
-        if not self._mode.drives_hands:
-            motion.hands[:] = 0.0
-        elif self.frame is Frame.TOOL:
-            self._hands.update(q)
-            for hand, rotation in zip(motion.hands, self._hands.rotations, strict=True):
-                hand[:3], hand[3:] = rotation @ hand[:3], rotation @ hand[3:]
-        return motion
+        return commanded(self.command, self.robot, self._hands, self._mode, self.frame, self.held, q)
 
 
 SETTLE_S = 0.12

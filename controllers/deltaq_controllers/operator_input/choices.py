@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import Frame, ModeName
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName
 from deltaq_controllers.modes.teleoperator import Teleoperator
 
+OBJECT = Grip.OBJECT.value
+"""In the place of a hand's name: all hands, which hold one object."""
 SPEED_STEP = 1.5
 _LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
 
@@ -18,16 +20,31 @@ def next_mode(teleoperator: Teleoperator) -> ModeName:
         mode = modes[(place + offset) % len(modes)]
         try:
             teleoperator.mode_named(mode)
+            teleoperator.check_grip(teleoperator.grip, mode)
         except ControllerError:
-            continue  # this robot is not redundant
+            continue  # this robot is not redundant, or holds an object
         return mode
     return teleoperator.mode
 
 
 def next_hand(teleoperator: Teleoperator, hand: str | None) -> str | None:
-    """The hand after this one; None is all of them."""
-    hands = (None, *teleoperator.hand_names)
-    return hands[(hands.index(hand) + 1) % len(hands)]
+    """The hand after this one; None is all of them, `OBJECT` all of them with an object between them."""
+    hands: tuple[str | None, ...] = (None, *teleoperator.hand_names)
+    if len(hands) > 2 and teleoperator.mode is not ModeName.JOINT:
+        hands += (OBJECT,)
+    return hands[(hands.index(hand) + 1) % len(hands)] if hand in hands else None
+
+
+def grip_of(teleoperator: Teleoperator, hand: str | None) -> Grip | None:
+    """The grip of a choice of hand; None for a robot that has one."""
+    if len(teleoperator.hand_names) < 2:
+        return None
+    return Grip.OBJECT if hand == OBJECT else Grip.FREE
+
+
+def hand_axis(hand: str | None, axis: str) -> str:
+    """The axis of a choice of hand, as it is commanded."""
+    return axis if hand in (None, OBJECT) else f"{hand}.{axis}"
 
 
 def other_frame(teleoperator: Teleoperator) -> Frame:
@@ -39,3 +56,29 @@ def changed_speed(speed_m_s: float, is_faster: bool) -> float:
     """The next hand speed, up or down, within its bounds [m/s]."""
     factor = SPEED_STEP if is_faster else 1.0 / SPEED_STEP
     return min(_GREATEST_SPEED_M_S, max(_LEAST_SPEED_M_S, factor * speed_m_s))
+
+
+class OutputChoice:
+    """The digital output that is switched next.
+
+    On and off are commanded apart: what is pressed twice, or without knowing how the output stands, does no harm.
+
+    Args:
+        teleoperator: of the robot that has them.
+
+    Attributes:
+        name: of the output; empty if the robot has none.
+    """
+
+    def __init__(self, teleoperator: Teleoperator) -> None:
+        self._names = teleoperator.robot.description.outputs
+        self.name = self._names[0] if self._names else ""
+
+    def next(self) -> None:
+        """Choose the one after it."""
+        if self._names:
+            self.name = self._names[(self._names.index(self.name) + 1) % len(self._names)]
+
+    def switched(self, is_on: bool) -> dict[str, bool]:
+        """The command that switches it; empty if the robot has none."""
+        return {self.name: is_on} if self.name else {}

@@ -10,12 +10,22 @@ from typing import Self
 
 from deltaq_controllers.modes.motion import Frame, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.choices import changed_speed, next_hand, next_mode, other_frame
-from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis
+from deltaq_controllers.operator_input.choices import (
+    OutputChoice,
+    changed_speed,
+    grip_of,
+    hand_axis,
+    next_hand,
+    next_mode,
+    other_frame,
+)
+from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
+from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis, Trigger
 
 HELP = (
     "hold the left shoulder button to move, the right one to turn: left stick x and y, right stick z\n"
-    "Y next mode, X world/tool, A next hand; cross left/right: joint or option, up/down: speed; B or back ends"
+    "Y next mode, X world/tool, A next hand; cross left/right: joint or option, up/down: speed; B or back ends\n"
+    "outputs: start next, right trigger on, left trigger off"
 )
 ENDING = {PadButton.B, PadButton.BACK}
 
@@ -24,7 +34,7 @@ _AXES = {
     PadButton.RIGHT_SHOULDER: {StickAxis.LEFT_Y: "rx", StickAxis.LEFT_X: "ry", StickAxis.RIGHT_Y: "rz"},
 }
 """Axes of the hand that the sticks move while a button is held; a stick pushed ahead or left is positive."""
-_TURN_RAD_M = 3.5
+_SWITCHES = {Trigger.LEFT: False, Trigger.RIGHT: True}
 _OPTIONS = 9
 _PUSHED = 0.5
 
@@ -42,7 +52,8 @@ class Gamepad:
     Attributes:
         joint: the joint that the stick drives.
         option: the advisor's option that it goes to.
-        hand: the hand that the sticks move; None for all.
+        hand: the hand that the sticks move; None for all, `object` for an object that all hold.
+        output: the digital output that the triggers switch.
     """
 
     def __init__(self, teleoperator: Teleoperator, speed_m_s: float = 0.1) -> None:
@@ -53,6 +64,7 @@ class Gamepad:
         self.joint = 0
         self.option = 1
         self.hand: str | None = None
+        self.output = OutputChoice(teleoperator)
 
     @property
     def status(self) -> str:
@@ -65,8 +77,15 @@ class Gamepad:
             chosen = f"hand {self.hand or 'all'}"
         else:
             chosen = f"joint {self._teleoperator.robot.joint_names[self.joint]}"
+        if self.output.name:
+            chosen += f", output {self.output.name}"
         held = "held" if self._holding else "hold a shoulder button to move"
         return f"{chosen}, {self._speed_m_s:.3f} m/s, {held}"
+
+    @property
+    def is_clutched(self) -> bool:
+        """Whether a shoulder button is held, by which a master leads."""
+        return self._holding is not None
 
     @property
     def _is_advised(self) -> bool:
@@ -98,15 +117,23 @@ class Gamepad:
                 frame = other_frame(self._teleoperator)
             else:
                 self._choose(button)
+        outputs = self.output.switched(_SWITCHES[state.pulled[-1]]) if state.pulled else {}
+        grip = grip_of(self._teleoperator, self.hand)
         if self._is_advised:
             goes = self._holding is not None and state.sticks[StickAxis.LEFT_Y] < -_PUSHED
-            return OperatorCommand({}, mode, frame, self.option if goes else None)
-        return OperatorCommand(self._rates(state), mode, frame)
+            return OperatorCommand({}, mode, frame, self.option if goes else None, outputs, grip)
+        return OperatorCommand(self._rates(state), mode, frame, None, outputs, grip)
+
+    def reflect(self, share: float) -> None:
+        """Let the hand feel which share of what it asks for goes through: the less, the stronger."""
+        self._device.rumble(1.0 - share)
 
     def _choose(self, button: PadButton) -> None:
         match button:
             case PadButton.A:
                 self.hand = next_hand(self._teleoperator, self.hand)
+            case PadButton.START:
+                self.output.next()
             case PadButton.UP | PadButton.DOWN:
                 self._speed_m_s = changed_speed(self._speed_m_s, is_faster=button is PadButton.UP)
             case PadButton.LEFT | PadButton.RIGHT:
@@ -122,12 +149,11 @@ class Gamepad:
             return {}
         if not self._is_by_hand:
             robot = self._teleoperator.robot
-            factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
+            factor = TURN_RAD_M if robot.revolute[self.joint] else 1.0
             return {robot.joint_names[self.joint]: -factor * self._speed_m_s * state.sticks[StickAxis.LEFT_Y]}
-        factor = _TURN_RAD_M if holding is PadButton.RIGHT_SHOULDER else 1.0
-        prefix = f"{self.hand}." if self.hand else ""
+        factor = TURN_RAD_M if holding is PadButton.RIGHT_SHOULDER else 1.0
         return {
-            f"{prefix}{axis}": -factor * self._speed_m_s * state.sticks[stick]
+            hand_axis(self.hand, axis): -factor * self._speed_m_s * state.sticks[stick]
             for stick, axis in _AXES[holding].items()
         }
 

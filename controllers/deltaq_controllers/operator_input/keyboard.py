@@ -18,7 +18,15 @@ from typing import Any, Self
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
-from deltaq_controllers.operator_input.choices import changed_speed, next_hand, next_mode, other_frame
+from deltaq_controllers.operator_input.choices import (
+    OutputChoice,
+    changed_speed,
+    grip_of,
+    hand_axis,
+    next_hand,
+    next_mode,
+    other_frame,
+)
 from deltaq_controllers.operator_input.held_key import HOLD_S, TAP_S, HeldKey
 
 HAND_KEYS = {
@@ -31,14 +39,17 @@ HELP = (
     "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose\n"
     f"a tap moves as far as full speed does in {TAP_S:g} s; a held key moves slowly until it repeats, then at full\n"
     f"speed until {HOLD_S:g} s after its last repeat; space stops\n"
-    "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit"
+    "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit\n"
+    "outputs: g next, . on, , off"
 )
 
 OPTION_KEYS = "123456789"
 """Keys of the advisor's options; a choice holds until another key is pressed."""
 
 _ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
-_TURN_RAD_M = 3.5
+TURN_RAD_M = 3.5
+"""Turning rate for a m/s of hand speed [rad/m]."""
+_SWITCH_KEYS = {".": True, ",": False}
 
 
 class Keyboard:
@@ -51,13 +62,16 @@ class Keyboard:
 
     Attributes:
         joint: the joint that the arrows drive.
-        hand: the hand that the keys move; None for all.
+        hand: the hand that the keys move; None for all, `object` for an object that all hold.
+        output: the digital output that the keys switch.
+        speed_m_s: hand speed now.
+        is_clutched: c was pressed, and no other key since: a master leads.
     """
 
     def __init__(self, teleoperator: Teleoperator, file: int | None = None, speed_m_s: float = 0.1) -> None:
         self._teleoperator = teleoperator
         self._file = sys.stdin.fileno() if file is None else file
-        self._speed_m_s = speed_m_s
+        self.speed_m_s = speed_m_s
         self._held = HeldKey()
         self._option: int | None = None
         self._rates: dict[str, float] = {}
@@ -65,52 +79,64 @@ class Keyboard:
         self._text = ""
         self.joint = 0
         self.hand: str | None = None
+        self.output = OutputChoice(teleoperator)
+        self.is_clutched = False
 
     @property
     def status(self) -> str:
         """The present choice."""
         name = self._teleoperator.robot.joint_names[self.joint]
-        return f"joint {name}, hand {self.hand or 'all'}, {self._speed_m_s:.3f} m/s"
+        chosen = f"joint {name}, hand {self.hand or 'all'}, {self.speed_m_s:.3f} m/s"
+        return f"{chosen}, output {self.output.name}" if self.output.name else chosen
 
     def read(self, time_s: float) -> OperatorCommand | None:
         """The command from the keys pressed since the last call; None after q or at the end of the input."""
         mode, frame = None, None
+        outputs: dict[str, bool] = {}
         for key in self._keys():
             if key in ("q", ""):
                 return None
             self._option = int(key) if key in OPTION_KEYS else None
+            self.is_clutched = key == "c"
             if key == "m":
                 mode = next_mode(self._teleoperator)
             elif key == "t":
                 frame = other_frame(self._teleoperator)
             elif key == "h":
+                self._held.release()  # what moves now is not what a key was held for
                 self.hand = next_hand(self._teleoperator, self.hand)
+            elif key == "g":
+                self.output.next()
+            elif key in _SWITCH_KEYS:
+                self._held.release()  # what is let go or gripped is not carried on by a key that was held
+                outputs |= self.output.switched(_SWITCH_KEYS[key])
             elif key in "+-":
-                self._speed_m_s = changed_speed(self._speed_m_s, is_faster=key == "+")
+                self.speed_m_s = changed_speed(self.speed_m_s, is_faster=key == "+")
             elif key in ("left", "right"):
                 self.joint = (self.joint + (1 if key == "right" else -1)) % self._teleoperator.robot.n
             elif key in ("up", "down"):
-                self._press(key, time_s, *self._joint_rate(1.0 if key == "up" else -1.0))
+                self._press(key, time_s, *self.joint_rate(1.0 if key == "up" else -1.0))
             elif key in HAND_KEYS:
                 axis, sign = HAND_KEYS[key]
-                rate = sign * self._speed_m_s * (_TURN_RAD_M if axis.startswith("r") else 1.0)
-                self._press(key, time_s, f"{self.hand}.{axis}" if self.hand else axis, rate)
+                rate = sign * self.speed_m_s * (TURN_RAD_M if axis.startswith("r") else 1.0)
+                self._press(key, time_s, hand_axis(self.hand, axis), rate)
             else:
                 self._held.release()
         share = self._held.share(time_s)
         rates = {axis: share * rate for axis, rate in self._rates.items()} if share else {}
-        return OperatorCommand(
-            rates, mode, frame, self._option if self._teleoperator.mode is ModeName.ADVISOR else None
-        )
+        option = self._option if self._teleoperator.mode is ModeName.ADVISOR else None
+        grip = grip_of(self._teleoperator, self.hand)
+        return OperatorCommand(rates, mode, frame, option, outputs, grip)
 
     def _press(self, key: str, time_s: float, axis: str, rate: float) -> None:
         self._held.press(key, time_s)
         self._rates = {axis: rate}
 
-    def _joint_rate(self, sign: float) -> tuple[str, float]:
+    def joint_rate(self, sign: float) -> tuple[str, float]:
+        """The joint that is chosen and its rate at a share of full speed, -1 to 1 [rad/s or m/s]."""
         robot = self._teleoperator.robot
-        factor = _TURN_RAD_M if robot.revolute[self.joint] else 1.0
-        return robot.joint_names[self.joint], sign * factor * self._speed_m_s
+        factor = TURN_RAD_M if robot.revolute[self.joint] else 1.0
+        return robot.joint_names[self.joint], sign * factor * self.speed_m_s
 
     def _keys(self) -> list[str]:
         """Keys pressed, arrows by name; an empty one is the end of the input."""

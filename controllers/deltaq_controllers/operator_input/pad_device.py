@@ -1,12 +1,11 @@
 """A gamepad as SDL knows it: its database of mappings gives sticks and buttons the same names on every pad.
 
 What is held or pushed when a pad is found was not meant for the robot: a button counts from its next press on, a stick
-once it has been let go. Pads come and go while one looks.
+or a trigger once it has been let go. Pads come and go while one looks.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,9 +14,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.operator_input.dead_zone import beyond_dead_zone
 
-DEAD_ZONE = 0.12
-"""Deflection below which a stick counts as let go; from there on it grows from zero."""
+PULLED, LET_GO = 0.7, 0.3
+"""Way of a trigger from which on it is pulled, and below which it can be pulled again."""
+RUMBLE_S = 0.4
+"""A rumble that is not told again ends by itself after this, whatever becomes of the drive."""
+_LEVELS = 8
 SETTLE_S = 0.3
 """A pad that was found tells how its buttons and sticks stand within this."""
 _FULL = 32767.0
@@ -39,6 +42,13 @@ class StickAxis(IntEnum):
     RIGHT_Y = 3
 
 
+class Trigger(IntEnum):
+    """The triggers below the shoulder buttons, as SDL counts their axes."""
+
+    LEFT = 4
+    RIGHT = 5
+
+
 class PadButton(IntEnum):
     """Buttons as SDL counts them, by their places on a pad."""
 
@@ -47,6 +57,7 @@ class PadButton(IntEnum):
     X = 2
     Y = 3
     BACK = 4
+    START = 6
     LEFT_SHOULDER = 9
     RIGHT_SHOULDER = 10
     UP = 11
@@ -63,11 +74,13 @@ class PadState:
         sticks: deflection of each, from -1 to 1, 0 in the dead zone.
         held: buttons that are held, since a press that was seen.
         pressed: buttons that went down since the last look, in their order.
+        pulled: triggers that were pulled since the last look.
     """
 
     sticks: Mapping[StickAxis, float]
     held: frozenset[PadButton] = frozenset()
     pressed: tuple[PadButton, ...] = ()
+    pulled: tuple[Trigger, ...] = ()
 
 
 class PadDevice:
@@ -86,6 +99,8 @@ class PadDevice:
         self._settled_s: float | None = None
         self._held: set[PadButton] = set()
         self._let_go: set[StickAxis] = set()
+        self._ready: set[Trigger] = set()
+        self._is_rumbling = False
 
     def look(self, time_s: float) -> PadState | None:
         """How the pad stands at a time [s]; None while no pad is plugged in."""
@@ -98,12 +113,28 @@ class PadDevice:
             self._settled_s = time_s + SETTLE_S
         if time_s < self._settled_s:
             return PadState(dict.fromkeys(StickAxis, 0.0))
-        return PadState(self._sticks(), *self._buttons(events))
+        return PadState(self._sticks(), *self._buttons(events), self._pulled())
+
+    def rumble(self, strength: float) -> None:
+        """Have the pad rumble, 0 to 1, until it is told again; nothing on a pad that cannot."""
+        level = round(_LEVELS * strength) / _LEVELS
+        if self._pad is None or not (level or self._is_rumbling):
+            return
+        self._is_rumbling = level > 0.0
+        # SDL sends it on only if it changes
+        self._pad.rumble(level, 0.0, round(1000 * RUMBLE_S))
 
     def _sticks(self) -> dict[StickAxis, float]:
         sticks = {stick: beyond_dead_zone(self._pad.get_axis(stick) / _FULL) for stick in StickAxis}
         self._let_go |= {stick for stick, share in sticks.items() if not share}
         return {stick: share if stick in self._let_go else 0.0 for stick, share in sticks.items()}
+
+    def _pulled(self) -> tuple[Trigger, ...]:
+        shares = {trigger: self._pad.get_axis(trigger) / _FULL for trigger in Trigger}
+        pulled = tuple(trigger for trigger in Trigger if trigger in self._ready and shares[trigger] > PULLED)
+        self._ready -= set(pulled)
+        self._ready |= {trigger for trigger in Trigger if shares[trigger] < LET_GO}
+        return pulled
 
     def _buttons(self, events: list[Any]) -> tuple[frozenset[PadButton], tuple[PadButton, ...]]:
         downs = [
@@ -130,6 +161,8 @@ class PadDevice:
         self._pad, self.name, self._settled_s = None, "", None
         self._held.clear()
         self._let_go.clear()
+        self._ready.clear()
+        self._is_rumbling = False
 
     def __enter__(self) -> Self:
         """Find a pad.
@@ -164,15 +197,10 @@ class PadDevice:
 
     def _close(self) -> None:
         if self._pad is not None:
+            self.rumble(0.0)
             self._lose()
         self._controller.quit()
         self._pygame.display.quit()
-
-
-def beyond_dead_zone(share: float) -> float:
-    """Deflection from -1 to 1, zero in the dead zone and continuous at its edge."""
-    beyond = (abs(share) - DEAD_ZONE) / (1.0 - DEAD_ZONE)
-    return math.copysign(min(1.0, beyond), share) if beyond > 0.0 else 0.0
 
 
 def _nothing_found(others: int) -> str:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from deltaq_cell.problems import CellError
 from deltaq_cell.yaml_tree import parse
 from deltaq_controllers.interface import ControllerError
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 
 _UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
@@ -29,8 +29,12 @@ class ScriptStep(BaseModel):
     """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
     mode: ModeName | None = None
     frame: Frame | None = None
+    grip: Grip | None = None
+    """Of a robot with several hands: `object` if they hold one together, `free` if they do not."""
     option: int | None = Field(default=None, ge=1)
     """Rank of the option to go to, in mode `advisor`."""
+    outputs: dict[str, bool] = {}
+    """Digital outputs to switch as the step begins, by name: `gripper: on`."""
 
 
 class Script:
@@ -64,12 +68,12 @@ class Script:
             ControllerError: the file cannot be read, a step is not well formed, or it names something that the robot or
                 the mode does not have.
         """
-        mode, timed = teleoperator.mode, []
+        mode, grip, timed = teleoperator.mode, teleoperator.grip, []
         for where, step in _read(path):
             duration_s, command = _parsed(where, step, teleoperator)
-            mode = command.mode or mode
+            mode, grip = command.mode or mode, command.grip or grip
             try:
-                teleoperator.check(command, mode)
+                teleoperator.check(command, mode, grip)
             except ControllerError as error:
                 raise ControllerError(f"{where}: {error}") from None
             timed.append((duration_s, command))
@@ -126,7 +130,9 @@ def _parsed(where: str, step: Any, teleoperator: Teleoperator) -> tuple[float, O
     for name, value in parsed.move.items():
         axis, rate = _rate(name, value, units, where)
         rates[axis] = rate
-    return parsed.duration_s, OperatorCommand(rates, parsed.mode, parsed.frame, parsed.option)
+    return parsed.duration_s, OperatorCommand(
+        rates, parsed.mode, parsed.frame, parsed.option, parsed.outputs, parsed.grip
+    )
 
 
 def _axis_units(teleoperator: Teleoperator) -> dict[str, str]:

@@ -1,0 +1,177 @@
+"""Another robot of the cell, whoever drives it, as what an operator holds: its tool leads a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from deltaq_cell.robot import RobotModel
+from deltaq_controllers.interface import ControllerError, RobotView
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.motion import HAND_AXES, Frame, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.choices import hand_axis
+from deltaq_controllers.operator_input.interface import OperatorInput
+from deltaq_controllers.operator_input.led_pose import LedPose, PlacedTool
+from deltaq_protocol.arrays import Array
+from deltaq_protocol.client import Cell
+
+HELP = "the master leads the hand while c was the last key, or while a button that moves is held"
+STALE_S = 0.15
+"""A master of which nothing new was seen for so long is lost; it is coupled anew [s]."""
+MOST_M_S, MOST_RAD_S = 0.5, 1.75
+"""Greatest speed that a master asks for."""
+
+LookAtBoth = Callable[[], tuple[RobotView | None, RobotView | None]]
+"""The newest views of the master and of the robot that is driven."""
+
+
+def looking_at(cell: Cell, master: str, robot: str) -> LookAtBoth:
+    """Looks at two robots of a running cell."""
+
+    def look() -> tuple[RobotView | None, RobotView | None]:
+        states = (cell.state(master), cell.state(robot))
+        first, second = (None if state is None else RobotView.from_state(state) for state in states)
+        return first, second
+
+    return look
+
+
+class Clutch(OperatorInput, Protocol):
+    """The device by which an operator couples the master, and chooses everything else."""
+
+    @property
+    def hand(self) -> str | None:
+        """The hand that is moved; None for all."""
+        ...
+
+    @property
+    def is_clutched(self) -> bool:
+        """Whether the master leads."""
+        ...
+
+    @property
+    def status(self) -> str:
+        """The present choice."""
+        ...
+
+
+class Master:
+    """Commands from the measured motion of another robot's tool.
+
+    A master that is not seen any more, or that jumped, is uncoupled until the operator couples it again.
+
+    Args:
+        teleoperator: the robot that is driven.
+        master: the robot that leads.
+        look: returns what is seen of both.
+        clutch: couples and uncouples, and chooses mode, axes, hand and outputs.
+        scale: way of the hand for each metre of the master's.
+
+    Raises:
+        ControllerError: a robot cannot lead itself.
+    """
+
+    def __init__(
+        self, teleoperator: Teleoperator, master: RobotModel, look: LookAtBoth, clutch: Clutch, scale: float
+    ) -> None:
+        if master.name == teleoperator.robot.name:
+            raise ControllerError(f"master {master.name}: a robot cannot lead itself; name another one")
+        self._teleoperator, self._clutch, self._look = teleoperator, clutch, look
+        self._name, self._master, self._hands = master.name, Hands(master), Hands(teleoperator.robot)
+        self._led = LedPose(scale)
+        self._choice: tuple[object, ...] = ()
+        self._must_release = False
+        self._seen: tuple[int, float] | None = None
+        self._trouble = ""
+
+    @property
+    def status(self) -> str:
+        """The present choice."""
+        led = "leads" if self._led.is_coupled else self._trouble or "is not coupled"
+        return f"{self._clutch.status}, {self._name} {led}"
+
+    def read(self, time_s: float) -> OperatorCommand | None:
+        """The command at a time of the driven robot's clock [s]; None when the operator ends the drive."""
+        command = self._clutch.read(time_s)
+        if command is None:
+            return None
+        if not self._clutch.is_clutched:
+            self._must_release, self._trouble = False, ""
+            self._led.release()
+            self._watch(time_s)
+            return command
+        return replace(command, rates=self._rates(time_s))
+
+    def _rates(self, time_s: float) -> dict[str, float]:
+        seen = self._watch(time_s)
+        teleoperator = self._teleoperator
+        if not teleoperator.mode_named(teleoperator.mode).drives_hands:
+            self._uncouple(f"leads no hand in mode {teleoperator.mode.value}")
+        elif seen is None:
+            self._uncouple("is not seen: couple it again")
+        if seen is None or self._must_release:
+            return {}
+        master, own = seen
+        hand, poses = self._hand(own.q_cmd), self._tool(master.q)
+        own_axes = teleoperator.frame is Frame.TOOL
+        choice = (self._clutch.hand, teleoperator.mode, teleoperator.frame, teleoperator.grip)
+        if not self._led.is_coupled or choice != self._choice:
+            self._choice = choice
+            self._led.couple(poses, hand, own_axes)
+        twist = self._led.twist(master.time_s, poses, hand)
+        if twist is None:
+            self._uncouple("jumped: couple it again")
+            return {}
+        return self._commanded(twist, hand, own_axes)
+
+    def _commanded(self, twist: Array, hand: PlacedTool, own_axes: bool) -> dict[str, float]:
+        axes = hand.rotation.T if own_axes else np.eye(3)
+        parts = ((axes @ twist[:3], MOST_M_S), (axes @ twist[3:], MOST_RAD_S))
+        rates = [part * min(1.0, most / max(float(np.linalg.norm(part)), 1e-12)) for part, most in parts]
+        named = zip(HAND_AXES, np.concatenate(rates).tolist(), strict=True)
+        return {hand_axis(self._clutch.hand, axis): rate for axis, rate in named}
+
+    def _uncouple(self, trouble: str) -> None:
+        self._led.release()
+        self._must_release, self._trouble = True, trouble
+
+    def _watch(self, time_s: float) -> tuple[RobotView, RobotView] | None:
+        """What is seen of both robots; None if the master's states have ceased."""
+        master, own = self._look()
+        if master is None or own is None:
+            return None
+        if self._seen is None or self._seen[0] != master.cycle:
+            self._seen = master.cycle, time_s
+        return (master, own) if time_s - self._seen[1] <= STALE_S else None
+
+    def _tool(self, q: Array) -> PlacedTool:
+        self._master.place(q)
+        return PlacedTool(self._master.rotations[0], self._master.positions[0])
+
+    def _hand(self, q: Array) -> PlacedTool:
+        """The hand that is led; of several the middle, with the axes of the object between them or of the first."""
+        hands, held = self._hands, self._teleoperator.held
+        hands.place(q)
+        if self._clutch.hand in hands.names:
+            chosen = hands.names.index(self._clutch.hand or "")
+            return PlacedTool(hands.rotations[chosen], hands.positions[chosen])
+        rotation = hands.rotations[0] if held is None else held.axes(hands.rotations)
+        return PlacedTool(rotation, hands.positions.mean(axis=0))
+
+    def reflect(self, share: float) -> None:
+        """Hand on what goes through to a device that can tell it."""
+        getattr(self._clutch, "reflect", lambda _: None)(share)
+
+    def __enter__(self) -> Self:
+        self._clutch.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._clutch.__exit__(kind, error, trace)

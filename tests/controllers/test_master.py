@@ -1,0 +1,264 @@
+"""`deltaq drive --master`: another robot's tool leads a hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from driving import CYCLE_S, PlainDrive, StackDrive, model
+
+from deltaq_controllers.interface import ControllerError, RobotView, View
+from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, PlacedTool
+from deltaq_controllers.operator_input.master import MOST_M_S, STALE_S, Master
+from deltaq_protocol.arrays import Array
+
+
+class Clutch:
+    """A device on which an operator holds a button, or not."""
+
+    status = "a button"
+
+    def __init__(self) -> None:
+        self.hand: str | None = None
+        self.is_clutched = True
+        self.command: OperatorCommand | None = OperatorCommand()
+
+    def read(self, time_s: float) -> OperatorCommand | None:
+        return self.command
+
+    def __enter__(self) -> Clutch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held."""
+
+
+class Led:
+    """`gr` led by `fr`, which somebody else drives, both in plain kinematics."""
+
+    def __init__(
+        self, scale: float = 0.5, frame: Frame = Frame.WORLD, robot: str = "gr", master: str = "fr"
+    ) -> None:
+        self.slave = PlainDrive(robot, ModeName.COUPLED, frame=frame)
+        self.leader = PlainDrive(master, ModeName.COUPLED)
+        self.clutch = Clutch()
+        self.is_seen = True
+        self._cycle = 0
+        self.input = Master(self.slave.teleoperator, self.leader.robot, self._look, self.clutch, scale)
+        self.time_s = 0.0
+
+    def _look(self) -> tuple[RobotView | None, RobotView | None]:
+        self._cycle += self.is_seen
+        return (
+            RobotView(self._cycle, self._cycle * CYCLE_S, self.leader.now, self.leader.now),
+            RobotView(1, self.time_s, self.slave.now, self.slave.now),
+        )
+
+    def drive(self, duration_s: float, **rates: float) -> OperatorCommand:
+        """The master is driven by somebody; returns the last command."""
+        command = OperatorCommand()
+        for _ in range(round(duration_s / CYCLE_S)):
+            self.leader.step(OperatorCommand(rates))
+            command = self.read()
+            self.slave.step(command)
+        return command
+
+    def read(self) -> OperatorCommand:
+        self.time_s += CYCLE_S
+        command = self.input.read(self.time_s)
+        assert command is not None
+        return command
+
+    def poses(self) -> tuple[PlacedTool, PlacedTool]:
+        found = []
+        for run in (self.leader, self.slave):
+            hands = Hands(run.robot)
+            hands.place(run.now)
+            found.append(PlacedTool(hands.rotations[0], hands.positions[0]))
+        return found[0], found[1]
+
+
+# --- what must not move ---------------------------------------------------------------------------------------
+
+
+def test_a_robot_cannot_lead_itself() -> None:
+    operator = Teleoperator(model("gr"), CYCLE_S, ModeName.COUPLED)
+    with pytest.raises(ControllerError, match="master gr: a robot cannot lead itself"):
+        Master(operator, model("gr"), lambda: (None, None), Clutch(), 1.0)
+
+
+def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
+    led = Led()
+    led.clutch.is_clutched = False
+    assert led.drive(0.5, x=0.1) == OperatorCommand()
+    assert "fr is not coupled" in led.input.status
+    unseen = Master(led.slave.teleoperator, model("fr"), lambda: (None, None), Clutch(), 1.0)
+    assert unseen.read(0.0) == OperatorCommand()
+    assert "is not seen" in unseen.status
+
+
+def test_a_master_that_falls_silent_is_rest_until_it_is_coupled_anew() -> None:
+    led = Led()
+    assert led.drive(0.5, x=0.1).rates["x"] > 0.03
+    led.is_seen = False
+    led.drive(STALE_S + 0.1, x=0.1)
+    assert led.read().rates == {}
+    assert "is not seen: couple it again" in led.input.status
+    led.is_seen = True
+    assert led.drive(0.3, x=0.1).rates == {}, "what it did meanwhile is not made up"
+    led.clutch.is_clutched = False
+    led.drive(CYCLE_S)
+    led.clutch.is_clutched = True
+    assert led.drive(0.5, x=0.1).rates["x"] > 0.03
+
+
+def test_a_master_that_jumps_is_uncoupled() -> None:
+    led = Led()
+    led.drive(0.3, x=0.1)
+    led.leader.now = led.leader.now + 0.5
+    assert led.read().rates == {}
+    assert "jumped: couple it again" in led.input.status
+
+
+def test_a_mode_without_hands_is_not_led() -> None:
+    led = Led()
+    led.slave = PlainDrive("gr", ModeName.JOINT)
+    led.input = Master(led.slave.teleoperator, led.leader.robot, led._look, led.clutch, 1.0)
+    assert led.drive(0.2, x=0.1) == OperatorCommand()
+    assert "leads no hand in mode joint" in led.input.status
+
+
+def test_the_end_of_the_drive_is_the_devices() -> None:
+    led = Led()
+    led.clutch.command = None
+    assert led.input.read(0.0) is None
+
+
+# --- what moves -----------------------------------------------------------------------------------------------
+
+
+def test_the_hand_goes_the_masters_way_scaled_and_turns_as_it_does() -> None:
+    led = Led(scale=0.5)
+    led.drive(0.05)
+    master, hand = led.poses()
+    led.drive(1.0, x=0.1, rz=0.2)
+    led.drive(1.0, y=0.1)
+    led.drive(1.5)
+    master_now, hand_now = led.poses()
+    way = master_now.position - master.position
+    assert np.linalg.norm(way) > 0.1
+    assert hand_now.position - hand.position == pytest.approx(0.5 * way, abs=1e-3)
+    turn = pin.log3(master_now.rotation @ master.rotation.T)
+    assert np.linalg.norm(turn) > 0.1
+    assert pin.log3(hand_now.rotation @ hand.rotation.T) == pytest.approx(turn, abs=2e-3)
+    assert led.slave.violations == 0
+
+
+def test_uncoupled_the_master_is_brought_back_and_the_hand_stays() -> None:
+    led = Led(scale=1.0)
+    led.drive(1.0, x=0.1)
+    led.clutch.is_clutched = False
+    led.drive(0.5)
+    before = led.poses()[1].position
+    led.drive(1.0, x=-0.1)
+    assert led.poses()[1].position == pytest.approx(before, abs=1e-6)
+    led.clutch.is_clutched = True
+    led.drive(1.0, x=0.05)
+    led.drive(0.5)
+    assert led.poses()[1].position[0] - before[0] > 0.03
+
+
+def test_in_the_axes_of_the_tools_ahead_for_one_is_ahead_for_the_other() -> None:
+    led = Led(scale=1.0, frame=Frame.TOOL)
+    led.leader.teleoperator.frame = Frame.TOOL
+    led.drive(0.05)
+    start = led.poses()
+    led.drive(0.8, z=-0.1)
+    led.drive(0.8)
+    ways = [
+        now.rotation.T @ (now.position - then.position) for now, then in zip(led.poses(), start, strict=True)
+    ]
+    assert ways[0][2] < -0.05
+    assert ways[1] == pytest.approx(ways[0], abs=2e-3)
+
+
+def random_pose(random: np.random.Generator) -> PlacedTool:
+    return PlacedTool(pin.exp3(random.uniform(-1.0, 1.0, 3)), random.uniform(-1.0, 1.0, 3))
+
+
+def test_where_the_hand_cannot_follow_the_masters_way_back_moves_it_at_once(
+    random: np.random.Generator,
+) -> None:
+    for _ in range(10):
+        master, hand = random_pose(random), random_pose(random)
+        led = LedPose(1.0)
+        led.couple(master, hand, own_axes=False)
+        way, time_s = np.array([0.005, 0.0, 0.0]), 0.0
+        for step in range(1, 101):
+            time_s += CYCLE_S
+            twist = led.twist(time_s, PlacedTool(master.rotation, master.position + step * way), hand)
+        assert twist is not None
+        assert twist[0] > 0.4
+        for step in range(100, 80, -1):
+            time_s += CYCLE_S
+            twist = led.twist(time_s, PlacedTool(master.rotation, master.position + step * way), hand)
+        assert twist is not None
+        assert twist[0] < -0.3, f"0.1 m back, and no more than {SLACK_M} m were kept"
+
+
+def test_a_step_that_no_tool_makes_is_no_wish() -> None:
+    master = PlacedTool(np.eye(3), np.zeros(3))
+    led = LedPose(1.0)
+    led.couple(master, master, own_axes=False)
+    assert led.twist(0.0, master, master) is not None
+    away = PlacedTool(np.eye(3), np.array([1.1 * JUMP_M, 0.0, 0.0]))
+    assert led.twist(CYCLE_S, away, master) is None
+    assert not led.is_coupled
+
+
+def test_an_object_between_two_hands_is_led_as_one() -> None:
+    led = Led(scale=0.5, robot="dawm")
+    led.clutch.hand, led.clutch.command = "object", OperatorCommand(grip=Grip.OBJECT)
+    led.drive(0.1)
+    hands = Hands(led.slave.robot)
+    hands.place(led.slave.now)
+    start = hands.positions.mean(axis=0)
+    master = led.poses()[0].position
+    led.drive(0.8, z=0.1, rz=0.2)
+    led.drive(1.6)
+    hands.place(led.slave.now)
+    held = led.slave.teleoperator.held
+    assert held is not None
+    assert max(held.parted(hands.rotations, hands.positions)) < 5e-6
+    way = led.poses()[0].position - master
+    assert hands.positions.mean(axis=0) - start == pytest.approx(0.5 * way, abs=1e-3)
+
+
+def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
+    drive, clutch = StackDrive("gr", ModeName.COUPLED), Clutch()
+    stack, leader = drive.stack, Teleoperator(model("fr"), CYCLE_S, ModeName.COUPLED)
+    stack.acquire("fr", "somebody")
+
+    def view(name: str) -> RobotView:
+        return RobotView.from_state(stack.states[name])
+
+    def tool(name: str) -> Array:
+        return stack.cell.robots[name].forward(np.array(stack.states[name].q))[:3, 3]
+
+    master = Master(drive.teleoperator, model("fr"), lambda: (view("fr"), view("gr")), clutch, 0.5)
+    start = tool("fr"), tool("gr")
+    for cycle in range(150):
+        stack.cycle()
+        leader.command = OperatorCommand({"z": 0.15} if cycle < 80 else {})
+        stack.ask("fr", leader.increment(View(view("fr"))))
+        command = master.read(view("gr").time_s)
+        assert command is not None
+        assert np.linalg.norm([command.rates.get(axis, 0.0) for axis in "xyz"]) <= MOST_M_S + 1e-9
+        drive.teleoperator.command = command
+        stack.ask("gr", drive.teleoperator.increment(View(view("gr"))))
+    ways = tool("fr") - start[0], tool("gr") - start[1]
+    assert ways[0][2] > 0.08
+    assert ways[1] == pytest.approx(0.5 * ways[0], abs=2e-3)
