@@ -142,8 +142,8 @@ CONCLUSIONS = (
     Conclusion("with limited information on where obstacles are", ""),
     Conclusion(
         "coupled control is the most efficient mode",
-        "is `coupled` done first of all modes?",
-        tuple(OPERATORS),
+        "is `coupled` done sooner than `decoupled`, `self-motion` and `advisor`?",
+        ("decoupled", "self-motion", "advisor", "coupled"),
         lambda *runs: min(runs, key=lambda run: run.time_s).mode == "coupled",
     ),
     Conclusion(
