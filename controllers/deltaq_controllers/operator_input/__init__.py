@@ -1,1 +1,1 @@
-"""An operator's commands, cycle by cycle: from a keyboard, a gamepad, a script, or on the path to an option."""
+"""An operator's commands, cycle by cycle: from a device, a script, a master arm, or on the path to an option."""

@@ -1,4 +1,4 @@
-"""The interface behind keyboard, gamepad, script and options."""
+"""The interface behind keyboard, gamepad, SpaceMouse, master arm, script and options."""
 
 from __future__ import annotations
 
