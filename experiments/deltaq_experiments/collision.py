@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,10 +69,8 @@ def run(options: Options) -> ExperimentOutcome:
     _refuse_without_a_gate(options)
     began_s = time.perf_counter()
     attacker = _attacker(options, cell)
-    if options.live:
-        recording = _run_live(options, cell, focus)
-    else:
-        recording = _run_virtual(options, cell, camera, attacker)
+    run_live, run_virtual = partial(_run_live, options, cell, focus), partial(_run_virtual, options, cell)
+    recording = run_live() if options.live else run_virtual(camera, attacker)
     elapsed_s = time.perf_counter() - began_s
     trace = recording.trace
     views = trace.views(camera, FOLLOWER, LEADER)
@@ -109,9 +108,7 @@ def _attacker(options: Options, cell: CellModel) -> Pressing:
     return Pressing(leader, model, cycle_s)
 
 
-def _run_virtual(
-    options: Options, cell: CellModel, camera: FocusController, attacker: Pressing
-) -> RunRecord:
+def _run_virtual(options: Options, cell: CellModel, camera: FocusController, attacker: Pressing) -> RunRecord:
     start = attack_start(cell, camera, options.seed)
     if options.gated:
         return record(options, camera, attacker, start)

@@ -33,7 +33,11 @@ class Pressing:
         """The attacker's increment for this cycle, (n,) [rad or m]."""
         self._tool.update(view.own.q_cmd)
         tip, asked_m_s = self._tool.position, float(np.linalg.norm(self._leader.asked_m_s))
-        if self._last is not None and self._leader.attacking and asked_m_s > HELD_BELOW * self._leader.speed_m_s:
+        if (
+            self._last is not None
+            and self._leader.attacking
+            and asked_m_s > HELD_BELOW * self._leader.speed_m_s
+        ):
             self._attacked += 1
             self._moved += bool(np.linalg.norm(tip - self._last) >= HELD_BELOW * asked_m_s * self._cycle_s)
         self._last = tip

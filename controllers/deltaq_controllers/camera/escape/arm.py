@@ -92,7 +92,8 @@ def _boxed(scene: Scene, leads: Array) -> BoxedArm:
     robot, structure = scene.robot, scene.cell.structure
     anatomy = anatomy_of(robot.model, structure, [Bodies(robot, JointRange(0, 0))])
     spheres = Spheres.of(robot)
-    outer = spheres.joints > np.flatnonzero(leads).max()
+    # joints count from 1 here: the bodies that the view moves, beyond those that a course leads
+    outer = spheres.joints > np.flatnonzero(leads).max() + 1
     balls = Spheres(spheres.joints[outer] - 1, spheres.centres[outer], spheres.radii[outer])
     own = np.flatnonzero(anatomy.robot >= 0)
     every = np.array([(ball, body) for ball in range(len(balls.radii)) for body in range(len(anatomy.robot))])

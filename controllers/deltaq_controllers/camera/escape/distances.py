@@ -76,9 +76,7 @@ def gaps(arm: BoxedArm, placed: Placed) -> Array:
     for pair in range(len(arm.pairs)):
         ball, body = arm.pairs[pair]
         at = _ball_at(arm, placed, ball)
-        distances[pair] = gap(
-            arm.anatomy, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], math.inf
-        )
+        distances[pair] = gap(arm.anatomy, placed, body, at[0], at[1], at[2], arm.balls.radii[ball], math.inf)
     return distances
 
 

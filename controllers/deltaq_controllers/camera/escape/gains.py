@@ -40,7 +40,7 @@ class EscapeGains(NamedTuple):
     contact: float = 30.0
     view_rad: float = 0.012
     askew: float = 10.0
-    own_m: float = 0.05
+    own_m: float = 0.02
     own: float = 10.0
     margin: float = 0.12
     limit: float = 0.6

@@ -73,7 +73,8 @@ class EscapePlan:
             self._arm, attacker, gains, start, self._courses, self._placed, self._paths
         )
         self._held, self._rival = self._aged(self._course(best)), self._course(rival)
-        return (self._paths[0, _AHEAD - 1] - q) / (_AHEAD * gains.step_s)
+        rates: Array = (self._paths[0, _AHEAD - 1] - q) / (_AHEAD * gains.step_s)
+        return rates
 
     def _goal(self, q: Array, held: Array) -> Array:
         """(n,) a goal anywhere, or about the first one of the held course, or about `q`."""
@@ -81,9 +82,11 @@ class EscapePlan:
         self._drawn = (number + 1) % _TABLE
         kind = self._kind[number]
         if kind < 0.5:
-            return self._anywhere[number]
+            anywhere: Array = self._anywhere[number]
+            return anywhere
         about = held if kind < 0.8 else q
-        return np.clip(about + self._nearby[number], self._low, self._high)
+        nearby: Array = np.clip(about + self._nearby[number], self._low, self._high)
+        return nearby
 
     def _put(self, place: int, course: tuple[Array, int, Array]) -> None:
         self._courses.first[place], self._courses.until[place], self._courses.then[place] = course
