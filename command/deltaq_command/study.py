@@ -22,7 +22,10 @@ class Experiment(StrEnum):
     ATTACK = "attack"
 
 
-CONTROLLERS = "paper, predictive, qp, escape, a printed variant (printed, printed-decay, …), or package.module:function."
+CONTROLLERS = (
+    "paper, predictive, qp, escape, a printed variant (printed, "
+    "printed-decay, …), or package.module:function."
+)
 
 
 def experiment(
