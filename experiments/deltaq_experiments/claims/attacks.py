@@ -44,17 +44,22 @@ def _attack(claim: str, holds: Callable[[JsonReport], bool], picture: str = "", 
     return Claim("collision", chosen, claim, holds, _COLLISION if chosen.gated else _UNGATED, picture)
 
 
-def _fast(controller: str, cell: str) -> tuple[Claim, ...]:
-    """Fast attacks in a cell: three that no gate stops, and one that a gate does."""
+def _ungated(controller: str, cell: str) -> tuple[Claim, ...]:
+    """Fast attacks that no gate stops; the structure does not stop them either."""
     free: dict[str, Any] = {"controller": controller, "cell": cell, "gated": False}
-    lens: dict[str, Any] = {"leader_speed_m_s": 0.75}
-    seen = "no contact, below 1° in 98 % of cycles"
+    claim = "no gate: no contact"
     return (
-        _attack("no gate: no contact", _no_contact, **free, **lens),
-        _attack("no gate: no contact", _no_contact, **free, leader_speed_m_s=0.5, target="elbow"),
-        _attack("no gate: no contact", _no_contact, **free, leader_speed_m_s=0.5, target="wrist"),
-        _attack(seen, _no_contact_and_seen, controller=controller, cell=cell, **lens),
+        _attack(claim, _no_contact, **free, leader_speed_m_s=0.75),
+        _attack(claim, _no_contact, **free, leader_speed_m_s=0.5, target="elbow"),
+        _attack(claim, _no_contact, **free, leader_speed_m_s=0.5, target="wrist"),
     )
+
+
+def _gated(controller: str, cell: str) -> Claim:
+    """A fast attack on the lens that the gate stops."""
+    seen = "no contact, below 1° in 98 % of cycles"
+    options: dict[str, Any] = {"controller": controller, "cell": cell, "leader_speed_m_s": 0.75}
+    return _attack(seen, _no_contact_and_seen, **options)
 
 
 _KEPT_9_CM = _kept_clear(BARRIER_LESS_1_CM)
@@ -69,6 +74,9 @@ ATTACKS = (
     _attack("no contact, 9 cm kept, 1°", _KEPT_9_CM, picture="fig-11-qp"),
     _attack("the same at the wrist", _KEPT_9_CM, target="wrist"),
     _attack("the same at the lens, 0.5 m/s", _KEPT_9_CM, leader_speed_m_s=0.5),
-    *_fast("qp", "lab-open"),
-    *(claim for cell in CELLS for claim in _fast("escape", cell)),
+    *_ungated("qp", "lab-open"),
+    *_ungated("escape", "lab-open"),
+    *_ungated("escape", "lab-aside"),
+    *(_gated("qp", cell) for cell in CELLS[:2]),
+    *(_gated("escape", cell) for cell in CELLS),
 )

@@ -49,11 +49,11 @@ ATTACK = Sheet(
     (
         "Virtual time, 12 ms cycle, 60 ms latency, leader at 0.25 m/s unless said otherwise. Where both robots stand",
         "at the beginning, and where the leader comes from after each attack, is drawn from the seed; figures begin",
-        "after `--settle-s`. `attacker free` is the share of the attacking cycles in which the leader's tool moved as it",
-        "wanted to, and was not held by the gate or by its own limits; `follower held` that of the follower's verdicts",
-        "that held or refused it. `lab-open` is the lab without the plant's panel, on which the leader jams in the",
-        "lab; `lab-aside` has the follower elsewhere besides. [The camera follower](camera-follower.md#where-it-ends)",
-        "says what limits them.",
+        "after `--settle-s`. `attacker free` is the share of the attacking cycles in which the leader's tool moved",
+        "as it wanted to, and was not held by the gate or by its own limits; `follower held` that of the follower's",
+        "verdicts that held or refused it. `lab-open` is the lab without the plant's panel, on which the leader jams",
+        "in the lab; `lab-aside` has the follower elsewhere besides.",
+        "[The camera follower](camera-follower.md#where-it-ends) says what limits them.",
     ),
     ATTACKS,
 )
