@@ -97,7 +97,7 @@ site-version: $(INSTALLED) ## commit the site to the branch gh-pages as a versio
 	PATH="$(CURDIR)/$(BIN):$$PATH" NO_MKDOCS_2_WARNING=1 $(BIN)/mike deploy --update-aliases \
 	  "$$($(BIN)/deltaq --version | cut -d' ' -f2)" latest
 
-figures: $(INSTALLED) ## run the paper's experiments and write docs/explanation/camera-figures.md anew; takes half an hour
+figures: $(INSTALLED) ## run the paper's experiments and write camera-figures.md and attack-figures.md anew; takes hours
 	$(BIN)/python -m deltaq_experiments.claims
 
 wheels: $(INSTALLED) ## the wheels that the image installs, so that its build needs no Python package index

@@ -23,7 +23,7 @@ def follow(
     aim_offset_m: Annotated[_Point | None, _OFFSET] = None,
     focus_m: Annotated[_Point | None, _FOCUS] = None,
     controller: Annotated[
-        str, typer.Option(help="paper, predictive, qp, or package.module:function of your own.")
+        str, typer.Option(help="paper, predictive, qp, escape, or package.module:function of your own.")
     ] = "paper",
     duration_s: Annotated[
         float | None, typer.Option(min=0.1, help="How long; until Ctrl-C if not given.")

@@ -23,7 +23,8 @@ class Experiment(StrEnum):
 
 
 CONTROLLERS = (
-    "paper, predictive, qp, a printed variant (printed, printed-decay, …), or package.module:function."
+    "paper, predictive, qp, escape, a printed variant (printed, "
+    "printed-decay, …), or package.module:function."
 )
 
 
@@ -48,6 +49,9 @@ def experiment(
         tuple[float, float, float],
         typer.Option(help="Point of the leader's tool to look at, in the tool's frame."),
     ] = (0.0, 0.0, 0.0),
+    no_gate: Annotated[
+        bool, typer.Option("--no-gate", help="A collision without a gate: what the follower alone is worth.")
+    ] = False,
     live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
     figure: Annotated[Path | None, typer.Option(help="Picture to write, laid out as in the paper.")] = None,
@@ -71,6 +75,8 @@ def experiment(
             )
         _attack(cell, seed, duration_s or 60.0, json)
         return
+    if no_gate and name is not Experiment.COLLISION:
+        raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
     if record is not None and record.exists():
         raise RecordingError(
             f"{record} is there already; a recording is never written over, name another file"
@@ -86,6 +92,7 @@ def experiment(
         live=live,
         target=target,
         aim_offset_m=aim_offset_m,
+        gated=not no_gate,
         record=record,
     )
     with shown_compiled_ahead([controller]):

@@ -66,6 +66,10 @@ class Kinematics:
         """(4 n, 3) where the joints are, as `Spheres.placed` takes them."""
         return np.concatenate(self._placements)
 
+    def origins(self) -> Array:
+        """(n, 3) origins of the joints in the world [m]."""
+        return np.concatenate(self._placements[1::2])
+
     def jacobian(self) -> Array:
         """(6, n) Jacobian of the frame's origin, linear over angular, world axes."""
         return np.vstack([self.at_point(self.position), self.angular])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +11,19 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
+from deltaq_experiments.attack_starts import attack_start
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
+from deltaq_experiments.pressure import Pressing
 from deltaq_experiments.report import ExperimentOutcome, Report
 from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
+from deltaq_experiments.ungated import record_ungated
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
+from deltaq_verification.counts import GateCounts
 
 DURATION_S = 40.0
 
@@ -30,13 +35,21 @@ class CollisionReport(Report):
         target: the part that they homed in on.
         contacts: cycles in which bodies of the two robots touched.
         evading_share: fraction of the cycles in which the follower got out of the way.
-        angle_below_1_deg_share: fraction of the cycles in which the focus was kept within a degree.
+        angle_below_1_deg_share: fraction of the cycles, after the settling time, in which the focus was kept within a
+            degree.
+        gated: whether a gate stopped the robots.
+        gate_by_robot: verdicts of each robot by outcome; empty over real processes, and without a gate.
+        attack_pressure: share of the attacking cycles in which the attacker's tool moved as it wanted to, and was not
+            held by the gate or by its own limits; None over real processes.
     """
 
     target: str
     contacts: int
     evading_share: float
     angle_below_1_deg_share: float
+    gated: bool
+    gate_by_robot: dict[str, GateCounts]
+    attack_pressure: float | None
 
 
 def run(options: Options) -> ExperimentOutcome:
@@ -53,8 +66,11 @@ def run(options: Options) -> ExperimentOutcome:
     leader_model = cell.robots[LEADER]
     focus = leader_model.forward(leader_model.home)[:3, 3]
     camera = camera_controller(cell, options.controller, focus=focus)
+    _refuse_without_a_gate(options)
     began_s = time.perf_counter()
-    recording = _run_live(options, cell, focus) if options.live else _run_virtual(options, cell, camera)
+    attacker = _attacker(options, cell)
+    run_live, run_virtual = partial(_run_live, options, cell, focus), partial(_run_virtual, options, cell)
+    recording = run_live() if options.live else run_virtual(camera, attacker)
     elapsed_s = time.perf_counter() - began_s
     trace = recording.trace
     views = trace.views(camera, FOLLOWER, LEADER)
@@ -67,21 +83,36 @@ def run(options: Options) -> ExperimentOutcome:
         target=options.target,
         contacts=int((between <= 0.0).sum()),
         evading_share=float(evading.mean()),
-        angle_below_1_deg_share=float((views[:, 0] < 1.0).mean()),
+        angle_below_1_deg_share=_share_below_1_deg(options, trace.time_s, views[:, 0]),
+        gated=options.gated,
+        gate_by_robot=recording.gate_by_robot,
+        attack_pressure=attacker.share,
     )
     return ExperimentOutcome(report, _panels(recording, views, between, evading, looks.hidden()))
 
 
-def _run_virtual(options: Options, cell: CellModel, camera: FocusController) -> RunRecord:
-    leader = AttackingLeader(
-        cell.robots[LEADER],
-        cell.robots[FOLLOWER],
-        cell.description.cycle_s,
-        options.leader_speed_m_s,
-        options.seed,
-        options.target,
-    )
-    return record(options, camera, leader)
+def _share_below_1_deg(options: Options, time_s: Array, angle_deg: Array) -> float:
+    settled = angle_deg[time_s >= options.settle_s]
+    return float(((settled if settled.size else angle_deg) < 1.0).mean())
+
+
+def _refuse_without_a_gate(options: Options) -> None:
+    if not options.gated and (options.live or options.record is not None):
+        raise DeltaqError("--no-gate runs without services: neither --live nor --record goes with it")
+
+
+def _attacker(options: Options, cell: CellModel) -> Pressing:
+    model, cycle_s = cell.robots[LEADER], cell.description.cycle_s
+    speed_m_s, seed, target = options.leader_speed_m_s, options.seed, options.target
+    leader = AttackingLeader(model, cell.robots[FOLLOWER], cycle_s, speed_m_s, seed, target)
+    return Pressing(leader, model, cycle_s)
+
+
+def _run_virtual(options: Options, cell: CellModel, camera: FocusController, attacker: Pressing) -> RunRecord:
+    start = attack_start(cell, camera, options.seed)
+    if options.gated:
+        return record(options, camera, attacker, start)
+    return record_ungated(options, cell, camera, attacker, start)
 
 
 def _run_live(options: Options, cell: CellModel, focus: Array) -> RunRecord:

@@ -23,6 +23,7 @@ class Options:
         live: real processes, zenoh and UDP.
         target: the part that a collision's attacks home in on; other experiments do not use it.
         aim_offset_m: point of the leader's tool that is looked at, in the tool's frame; a collision does not use it.
+        gated: whether a gate stops the robots; without one a collision shows what the follower alone is worth.
         record: MCAP file to record to; of several runs in one experiment the later ones are numbered.
     """
 
@@ -36,6 +37,7 @@ class Options:
     live: bool = False
     target: str = "lens"
     aim_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gated: bool = True
     record: Path | None = None
 
     def lasting(self, default_s: float) -> Self:

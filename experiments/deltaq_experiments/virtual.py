@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,11 +27,13 @@ class RunRecord:
         trace: where the robots were.
         gate: verdicts by outcome.
         reasons: reasons by code.
+        gate_by_robot: verdicts by outcome, of each robot whose verdicts were listened to.
     """
 
     trace: Trace
     gate: GateCounts
     reasons: dict[str, int]
+    gate_by_robot: dict[str, GateCounts] = field(default_factory=dict)
 
 
 def record(
@@ -74,15 +77,20 @@ def _run(
         stack.acquire(LEADER, "scripted-leader")
     q: dict[str, list[Array]] = {name: [] for name in stack.arms}
     setpoints: dict[str, list[Array]] = {name: [] for name in stack.arms}
+    verdicts: dict[str, Counter[str]] = defaultdict(Counter)
     cycles = max(1, round(options.length_s / cycle_s))
     for cycle in range(cycles):
         stack.cycle()
         if before_cycle is not None:
             before_cycle(cycle * cycle_s)
         own, other = (RobotView.from_state(stack.states[name]) for name in (FOLLOWER, LEADER))
+        asked = {FOLLOWER: late_camera.increment(View(own, {LEADER: other}))}
         if leader is not None:
-            stack.ask(LEADER, leader.increment(View(other, {FOLLOWER: own})))
-        stack.ask(FOLLOWER, late_camera.increment(View(own, {LEADER: other})))
+            asked = {LEADER: leader.increment(View(other, {FOLLOWER: own})), **asked}
+        for name, dq in asked.items():
+            verdict = stack.ask(name, dq)
+            if verdict is not None:
+                verdicts[name][verdict.outcome] += 1
         for name, arm in stack.krc_arms.items():
             q[name].append(arm.krc.sample.q)
             setpoints[name].append(arm.krc.sample.q_setpoint)
@@ -93,4 +101,5 @@ def _run(
     )
     counters = stack.sim.counters
     reasons = {k.removeprefix("reason_"): v for k, v in counters.items() if k.startswith("reason_")}
-    return RunRecord(trace, GateCounts.of(counters), reasons)
+    by_robot = {name: GateCounts.of(counts) for name, counts in verdicts.items()}
+    return RunRecord(trace, GateCounts.of(counters), reasons, by_robot)

@@ -12,6 +12,7 @@ PAGE = (ROOT / "docs/explanation/camera-follower.md").read_text(encoding="utf-8"
 SOURCES = {
     path.name: path.read_text(encoding="utf-8")
     for path in (
+        *(CAMERA / "escape").glob("*.py"),
         *CAMERA.parent.glob("*.py"),
         *CAMERA.glob("*.py"),
         *(CAMERA.parent / "surroundings").glob("*.py"),

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from deltaq_controllers.camera.controller import CameraController
+from deltaq_controllers.camera.escape.follower import EscapingFollower
 from deltaq_controllers.camera.follower import CameraFollower
 from deltaq_controllers.camera.gains import BY_NAME
 from deltaq_controllers.camera.qp_follower import QpFollower
@@ -69,7 +70,7 @@ class Seeing(Protocol):
 Maker = Callable[[Scene, float, Array | None], FocusController]
 """Makes a controller for a scene, a desired view distance [m] and a fixed focus (3,), None for the leader's tool."""
 
-NAMES = (*BY_NAME, "qp")
+NAMES = (*BY_NAME, "qp", "escape")
 """The controllers that come with the project."""
 
 
@@ -92,6 +93,8 @@ def camera_controller_named(
         return CameraController(follower, scene.leader, distance_m, focus, scene.aim_offset_m)
     if name == "qp":
         return QpFollower(scene, distance_m, focus)
+    if name == "escape":
+        return EscapingFollower(scene, distance_m, focus)
     return _imported(name)(scene, distance_m, focus)
 
 

@@ -17,6 +17,8 @@ more than leaves room to brake with the acceleration that the joints have in tha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from deltaq_controllers.camera.aim import focus_of
@@ -40,6 +42,14 @@ from deltaq_protocol.brake import brake_cycles
 
 MOST_PAIRS = 16
 """Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""
+
+
+class Retreat(NamedTuple):
+    """How to get out of the way: rates (n,) of `evasion`, and of `room` to limits [rad/s or m/s], and the weights."""
+
+    evasion: Array
+    room: Array
+    gains: TaskGains
 
 
 class QpFollower:
@@ -116,7 +126,7 @@ class QpFollower:
         self._others.update(View(at_home[own], at_home))
         q = np.array(robots[own].home)
         near = self._neighbours.near(self._others.joined(q, {}), np.full_like(self._ranges, 1e3))
-        tasks = self._tasks(q, *self._focus_ahead(), evade=True)
+        tasks = self._tasks(q, np.zeros_like(q), *self._focus_ahead(), evade=True)
         reach = bounds(self.limits, q, np.zeros_like(q), 1)
         self._program.solve(tasks, *reach, self._barriers(near, np.zeros_like(q), 1, *reach))
         self._others = OtherRobots(self._scene.cell, self._scene.robot_name)
@@ -135,7 +145,7 @@ class QpFollower:
         others = self._others.ahead()
         near = self._neighbours.near(self._others.joined(q + travel, others), self._ranges)
         foreign = self._neighbours.foreign[near.pairs]
-        tasks = self._tasks(q, focus, velocity, evade=True in foreign)
+        tasks = self._tasks(q, dq_last, focus, velocity, evade=True in foreign)
         slowest, fastest = bounds(self.limits, q, dq_last, cycles)
         barriers = self._barriers(near, travel, cycles, slowest, fastest)
         solution = self._program.solve(tasks, slowest, fastest, barriers)
@@ -178,21 +188,30 @@ class QpFollower:
         focus = self._leader.position + self._leader.rotation @ self.aim_offset_m
         return focus, self._leader.at_point(focus) @ leader.velocity
 
-    def _tasks(self, q: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
+    def _tasks(self, q: Array, dq_last: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
         """What the increment is for, at configuration `q` (n,)."""
         camera = self._camera
         camera.update(q)
+        retreat = self._retreat(q, dq_last, focus, evade)
         return view_tasks(
             CameraPose(camera.rotation, camera.position, camera.twists),
             q,
             Aim(focus, velocity, float(self.desired_distance_m)),
+            retreat.evasion,
+            retreat.room,
+            retreat.gains,
+            self._roll_joint,
+            self.limits.max_ddq,
+            self._cycle_s,
+        )
+
+    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Retreat:
+        """How to get out of the way at `q` (n,) while somebody is near, to which `_dq_last` (n,) has led."""
+        return Retreat(
             self._evasion(q) if evade else np.zeros_like(q),
             # a target that stands still moves nothing: what it leaves free does not drift
             self._room(q) if evade or self.focus is None else np.zeros_like(q),
             self._gains_near if evade else self._gains_alone,
-            self._roll_joint,
-            self.limits.max_ddq,
-            self._cycle_s,
         )
 
     def _barriers(

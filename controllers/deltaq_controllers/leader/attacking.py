@@ -57,6 +57,11 @@ class HomingStick:
         self.velocity = np.zeros(3)
 
 
+def staging_box(model: RobotModel) -> Workspace:
+    """The box that a robot's tool withdraws to, to attack from there."""
+    return Workspace.around(Kinematics(model, "tool").position, (0.25, 0.25, 0.15))
+
+
 class AttackingLeader:
     """Moves a robot's tool at another robot, withdraws, and comes again.
 
@@ -67,6 +72,10 @@ class AttackingLeader:
         speed_m_s: speed of the tool [m/s].
         seed: of the points that the attacks come from.
         target: one of `TARGETS`; `lens` needs a victim with a camera.
+
+    Attributes:
+        attacking: whether it attacks; else it withdraws.
+        speed_m_s: as given.
     """
 
     def __init__(
@@ -80,15 +89,14 @@ class AttackingLeader:
     ) -> None:
         if target not in TARGETS:
             raise ControllerError(f"target must be one of {', '.join(TARGETS)}, got {target!r}")
-        self._victim, self._cycle_s = victim, cycle_s
+        self._victim, self._cycle_s, self.speed_m_s = victim, cycle_s, speed_m_s
         self._stick = HomingStick(speed_m_s, cycle_s)
         self._leader = ScriptedLeader(model, cycle_s, speed_m_s, seed, stick=self._stick)
         self._random = np.random.default_rng(seed)
         self._targets = cycle(TARGETS[:3] if target == "all" else (target,))
         self._target = next(self._targets)
-        home = Kinematics(model, "tool").position
-        self._staging = Workspace.around(home, (0.25, 0.25, 0.15))
-        self._from = home
+        self._staging = staging_box(model)
+        self._from = Kinematics(model, "tool").position
         self._left_s = ATTACK_S
         self.attacking = True
 
@@ -103,6 +111,11 @@ class AttackingLeader:
         else:
             self._stick.point = self._from
         return self._leader.increment(view)
+
+    @property
+    def asked_m_s(self) -> Array:
+        """(3,) velocity that the tool was last asked for [m/s]."""
+        return self._stick.velocity
 
     def _turn(self) -> None:
         self.attacking = not self.attacking

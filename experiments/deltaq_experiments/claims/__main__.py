@@ -1,4 +1,4 @@
-"""Run every claim over some seeds and write the page: `python -m deltaq_experiments.claims --seeds 10`."""
+"""Run every claim over some seeds and write the pages: `python -m deltaq_experiments.claims --seeds 10`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from pathlib import Path
 from deltaq_experiments.claims.claim import Claim, ClaimOutcome, JsonReport
 from deltaq_experiments.claims.kept import KeptReports
 from deltaq_experiments.claims.page import ENOUGH, page
-from deltaq_experiments.claims.table import CLAIMS
+from deltaq_experiments.claims.sheets import SHEETS, Sheet
 from deltaq_experiments.figures import draw
 from deltaq_experiments.report import ExperimentOutcome
 
-PAGE = Path("docs/explanation/camera-figures.md")
 PICTURES = Path("docs/explanation/pictures")
 
 
@@ -33,8 +32,8 @@ def run(claim: Claim, seed: int, picture: Path | None) -> JsonReport:
     return report
 
 
-def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIMS) -> int:
-    """Run all of them and write the page; returns 1 if a joint passed a limit."""
+def main(arguments: Sequence[str] | None = None, sheets: Sequence[Sheet] = SHEETS) -> int:
+    """Run all of them and write the pages; returns 1 if a joint passed a limit."""
     parser = argparse.ArgumentParser(prog="python -m deltaq_experiments.claims", description=__doc__)
     parser.add_argument("--root", type=Path, default=Path(), help="where docs/ lies (default: here)")
     parser.add_argument(
@@ -50,21 +49,27 @@ def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIM
         help="folder in which each run's report is kept; those that are there, of the same code, are not run again",
     )
     parser.add_argument("--only", default="", help="run only what has this in its command")
+    names = [sheet.name for sheet in sheets]
+    parser.add_argument("--page", choices=names, default=None, help="write only this page (default: all)")
     options = parser.parse_args(arguments)
-    seeds: int = options.seeds
-    root: Path = options.root
-    if seeds < 1:
-        parser.error(f"--seeds {seeds}: at least 1")
-    pictures = root / PICTURES
-    pictures.mkdir(parents=True, exist_ok=True)
+    if options.seeds < 1:
+        parser.error(f"--seeds {options.seeds}: at least 1")
+    (options.root / PICTURES).mkdir(parents=True, exist_ok=True)
     kept = KeptReports(options.reports)
-    outcomes = [ClaimOutcome(claim, []) for claim in claims]
+    chosen = [sheet for sheet in sheets if options.page in (None, sheet.name)]
+    passed = [_write(sheet, kept, options.root, options.seeds, options.only) for sheet in chosen]
+    return int(not all(passed))
+
+
+def _write(sheet: Sheet, kept: KeptReports, root: Path, seeds: int, only: str) -> bool:
+    """Run a page's claims, and write it after each run; tells whether no joint passed a limit."""
+    outcomes = [ClaimOutcome(claim, []) for claim in sheet.claims]
     for seed in range(seeds):
         for outcome in outcomes:
             claim = outcome.claim
             report = kept.get(claim, seed)
-            if report is None and options.only in claim.command:
-                picture = pictures / f"{claim.picture}.png" if claim.picture and not seed else None
+            if report is None and only in claim.command:
+                picture = root / PICTURES / f"{claim.picture}.png" if claim.picture and not seed else None
                 report = kept.put(claim, seed, run(claim, seed, picture))
             if report is None:
                 continue
@@ -73,8 +78,8 @@ def main(arguments: Sequence[str] | None = None, claims: Sequence[Claim] = CLAIM
             print(f"{claim.command} --seed {seed}: {this.medians()}; {this.share()}", flush=True)
             # after each run: who has less time has a page of fewer
             there = [outcome for outcome in outcomes if outcome.reports]
-            (root / PAGE).write_text(page(there), encoding="utf-8")
-    return int(any(any(report["limits"].values()) for outcome in outcomes for report in outcome.reports))
+            (root / sheet.file).write_text(page(sheet, there), encoding="utf-8")
+    return not any(any(report["limits"].values()) for outcome in outcomes for report in outcome.reports)
 
 
 if __name__ == "__main__":

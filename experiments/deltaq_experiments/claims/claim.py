@@ -65,13 +65,18 @@ class Claim:
     def command(self) -> str:
         """How to run it by hand, but for the seed."""
         options = self.options
-        words = ["deltaq experiment", self.experiment, "--controller", options.controller]
+        words = ["deltaq experiment", self.experiment]
+        if options.cell != Options.cell:
+            words += ["--cell", f"{options.cell}"]
+        words += ["--controller", options.controller]
         if options.leader_speed_m_s != Options.leader_speed_m_s:
             words += ["--leader-speed-m-s", f"{options.leader_speed_m_s:g}"]
         if options.target != Options.target:
             words += ["--target", options.target]
         if options.aim_offset_m != Options.aim_offset_m:
             words += ["--aim-offset-m", *(f"{part:g}" for part in options.aim_offset_m)]
+        if not options.gated:
+            words.append("--no-gate")
         if options.settle_s != Options.settle_s:
             words += ["--settle-s", f"{options.settle_s:g}"]
         if options.duration_s is not None:

@@ -5,25 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deltaq_experiments.claims.claim import ClaimOutcome
+from deltaq_experiments.claims.sheets import Sheet
 
 ENOUGH = 10
 """Runs that tell what is usual from what one seed does."""
 
 
-def page(outcomes: Sequence[ClaimOutcome]) -> str:
-    """The page of some outcomes, each of one run or more."""
+def page(sheet: Sheet, outcomes: Sequence[ClaimOutcome]) -> str:
+    """A page of some outcomes, each of one run or more."""
     counts = sorted({len(outcome.reports) for outcome in outcomes})
     runs = (
         f"{counts[0]} to {counts[-1]} runs" if len(counts) > 1 else f"{counts[0]} run{'s'[: counts[0] - 1]}"
     )
     lines = [
-        "# The paper's figures, and ours",
+        f"# {sheet.title}",
         "",
         f"Written by `make figures`, `python -m deltaq_experiments.claims`. Each row has {runs}, from `--seed 0` on:",
-        "their median, the worst with its seed, and in how many of them the claim holds. Virtual time, 12 ms cycle,",
-        "60 ms latency, leader at 0.25 m/s unless said otherwise; each figure is the largest of its run after",
-        "`--settle-s`, 5 s if it is not there. The pictures are of seed 0.",
-        "[The camera follower](camera-follower.md) explains what the controllers do.",
+        "their median, the worst with its seed, and in how many of them the claim holds.",
+        *sheet.about,
         "",
         "| run | claimed | median | worst (seed) | holds |",
         "| --- | --- | --- | --- | --- |",

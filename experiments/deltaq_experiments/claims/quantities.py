@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from deltaq_experiments.claims.claim import JsonReport, Quantity
+from deltaq_experiments.scene import FOLLOWER
 
 
 def _slowest_s(report: JsonReport) -> float:
@@ -24,6 +25,11 @@ def _plateau_angle(report: JsonReport) -> float:
     return max(float(plateau["largest_angle_deg"]) for plateau in report["plateaus"][:-1])
 
 
+def _followers_held_share(report: JsonReport) -> float:
+    counts: dict[str, int] = report["gate_by_robot"][FOLLOWER]
+    return float(counts["held"] + counts["refused"]) / max(sum(counts.values()), 1)
+
+
 ANGLE = Quantity("angle", lambda r: float(r["angle_deg"]["max"]), "°")
 ANGLE_RMS = Quantity("angle rms", lambda r: float(r["angle_deg"]["rms"]), "°")
 DISTANCE = Quantity("distance", lambda r: float(r["distance_m"]["max"]), " cm", 100.0, 1)
@@ -36,6 +42,10 @@ CONTACTS = Quantity("contacts", lambda r: float(r["contacts"]), "", decimals=0)
 BELOW_1_DEG = Quantity(
     "below 1°", lambda r: float(r["angle_below_1_deg_share"]), " % of cycles", 100.0, 0, least_is_worst=True
 )
+PRESSURE = Quantity(
+    "attacker free", lambda r: float(r["attack_pressure"]), " %", 100.0, 0, least_is_worst=True
+)
+HELD = Quantity("follower held", _followers_held_share, " %", 100.0, 0)
 SLOWEST = Quantity("slowest start", _slowest_s, " s")
 RISE = Quantity("rise on the way", _greatest_rise, "°")
 IN_REACH = Quantity("distances in reach", _plateau_error, " cm", 100.0, 1)

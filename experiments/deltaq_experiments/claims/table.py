@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from deltaq_experiments.claims import quantities as q
 from deltaq_experiments.claims.claim import Claim, JsonReport
 from deltaq_experiments.options import Options
 
-BARRIER_LESS_1_CM = 0.09
-"""The programme keeps other robots 10 cm away, twice the gate's stop distance."""
-
 LENGTH_S = 20.0
 """Of a run of tracking or collision: ten seeds of this tell more than one seed of twice as much [s]."""
 
 BEFORE_THE_FINGERS_M = (0.0, 0.0, 0.04)
 """A point that the gripper's own fingers do not hide, in the tool's frame [m]."""
-
-FIRST_ATTACK_S = 1.0
-"""By then the camera looks at its focus, and the first attack has just begun [s]."""
 
 
 def _within(angle_deg: float, distance_m: float) -> Callable[[JsonReport], bool]:
@@ -45,32 +38,14 @@ def _plateaus_and_view(report: JsonReport) -> bool:
     return _plateaus(report) and bool(report["angle_deg"]["max"] <= 1.0)
 
 
-def _kept_clear(least_m: float) -> Callable[[JsonReport], bool]:
-    return lambda r: (
-        r["contacts"] == 0 and r["clearance_m"]["robots_min"] >= least_m and r["angle_deg"]["max"] <= 1.0
-    )
-
-
-def _no_contact(report: JsonReport) -> bool:
-    return bool(report["contacts"] == 0)
-
-
 _APPROACH = (q.SLOWEST, q.RISE, q.SEEN)
 _TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.ROLL, q.SEEN)
 _ZOOM = (q.IN_REACH, q.IN_REACH_ANGLE, q.ON_THE_WAY, q.OUT_OF_REACH, q.ROLL, q.SEEN)
-_COLLISION = (q.CONTACTS, q.CLEARANCE, q.ANGLE, q.BELOW_1_DEG, q.ROLL, q.SEEN)
 
 
 def _tracking(claim: str, angle_deg: float, distance_m: float, picture: str = "", **options: Any) -> Claim:
     holds = _within(angle_deg, distance_m)
     return Claim("tracking", Options(duration_s=LENGTH_S, **options), claim, holds, _TRACKING, picture)
-
-
-def _attack(claim: str, picture: str = "", **options: Any) -> Claim:
-    """An attack that `qp` evades while it keeps the view."""
-    usual = Options(controller="qp", settle_s=FIRST_ATTACK_S, duration_s=LENGTH_S)
-    holds = _kept_clear(BARRIER_LESS_1_CM)
-    return Claim("collision", replace(usual, **options), claim, holds, _COLLISION, picture)
 
 
 CLAIMS = (
@@ -119,30 +94,5 @@ CLAIMS = (
         _plateaus_and_view,
         _ZOOM,
         "fig-10-qp",
-    ),
-    Claim(
-        "collision",
-        Options(settle_s=FIRST_ATTACK_S, duration_s=LENGTH_S),
-        "Fig. 11: no contact; the distance gives way, the angle does not",
-        _kept_clear(0.0),
-        _COLLISION,
-        "fig-11-paper",
-    ),
-    _attack("no contact, 9 cm kept, 1°", picture="fig-11-qp"),
-    _attack("the same at the wrist", target="wrist"),
-    _attack("the same at the lens, 0.5 m/s", leader_speed_m_s=0.5),
-    _attack("the same at the lens, 0.75 m/s", leader_speed_m_s=0.75),
-    Claim(
-        "collision",
-        Options(
-            controller="qp",
-            leader_speed_m_s=0.75,
-            target="elbow",
-            settle_s=FIRST_ATTACK_S,
-            duration_s=LENGTH_S,
-        ),
-        "cornered: the gate stops the leader, never a contact",
-        _no_contact,
-        _COLLISION,
     ),
 )

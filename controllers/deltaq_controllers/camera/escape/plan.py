@@ -1,0 +1,105 @@
+"""The course that leads the arm away: a few new ones are tried in each cycle against the one that is held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltaq_cell.anatomy import placed_at_first
+from deltaq_controllers.camera.escape.arm import EscapingArm
+from deltaq_controllers.camera.escape.gains import EscapeGains
+from deltaq_controllers.camera.escape.rollout import Attacker, Courses, Start, best_course
+from deltaq_protocol.arrays import Array
+
+_TABLE = 4096
+"""Goals that are drawn in advance and tried in turn; what is tried depends on nothing but the cycle."""
+
+_FREE = 0.05
+"""Goals are this part of a joint's range away from its limits."""
+
+_NEARBY_RAD = 0.35
+"""Spread of goals that are drawn about another one."""
+
+_FIRST_STEPS = 3
+"""Least time at a course's first goal, in steps."""
+
+_AHEAD = 2
+"""Steps over which the way along a course gives the rates that lead."""
+
+
+class EscapePlan:
+    """Holds a course, and looks for a better one; every cycle costs the same time at most.
+
+    Args:
+        arm: the robot.
+        gains: horizon and costs.
+        cycle_s: time between two calls [s].
+
+    Attributes:
+        cost: of the course that is held, in the last cycle.
+    """
+
+    def __init__(self, arm: EscapingArm, gains: EscapeGains, cycle_s: float) -> None:
+        n, random = len(arm.lower), np.random.default_rng(0)
+        margin = _FREE * (arm.upper - arm.lower)
+        self._low, self._high = arm.lower + margin, arm.upper - margin
+        self._anywhere = random.uniform(self._low, self._high, (_TABLE, n))
+        self._nearby = random.normal(0.0, _NEARBY_RAD, (_TABLE, n))
+        self._kind = random.random(_TABLE)
+        self._until = random.integers(_FIRST_STEPS, gains.steps + 1, _TABLE)
+        self._drawn = 0
+        self._arm, self._gains, self._cycle_s = arm, gains, cycle_s
+        self._placed = placed_at_first(arm.boxed.anatomy)
+        self._paths = np.zeros((2, gains.steps, n))
+        # the held one, the best rival of the last cycle, staying where one is, and new ones
+        count = 3 + gains.rivals
+        self._courses = Courses(np.zeros((count, n)), np.zeros(count, dtype=np.intp), np.zeros((count, n)))
+        self._held: tuple[Array, int, Array] | None = None
+        self._rival: tuple[Array, int, Array] | None = None
+        self._since_s = 0.0
+        self.cost = 0.0
+
+    def rates(self, attacker: Attacker, start: Start) -> Array:
+        """(n,) rates along the best course that is known [rad/s or m/s]."""
+        q, gains = start.q, self._gains
+        stay = (q, gains.steps, q)
+        held = self._held or stay
+        self._put(0, held)
+        self._put(1, self._rival or stay)
+        self._put(2, stay)
+        for place in range(3, len(self._courses.until)):
+            first, until, then = self._goal(q, held[0]), int(self._until[self._drawn]), self._goal(q, held[0])
+            self._put(place, (first, until, then))
+        best, rival, self.cost = best_course(
+            self._arm, attacker, gains, start, self._courses, self._placed, self._paths
+        )
+        self._held, self._rival = self._aged(self._course(best)), self._course(rival)
+        rates: Array = (self._paths[0, _AHEAD - 1] - q) / (_AHEAD * gains.step_s)
+        return rates
+
+    def _goal(self, q: Array, held: Array) -> Array:
+        """(n,) a goal anywhere, or about the first one of the held course, or about `q`."""
+        number = self._drawn
+        self._drawn = (number + 1) % _TABLE
+        kind = self._kind[number]
+        if kind < 0.5:
+            anywhere: Array = self._anywhere[number]
+            return anywhere
+        about = held if kind < 0.8 else q
+        nearby: Array = np.clip(about + self._nearby[number], self._low, self._high)
+        return nearby
+
+    def _put(self, place: int, course: tuple[Array, int, Array]) -> None:
+        self._courses.first[place], self._courses.until[place], self._courses.then[place] = course
+
+    def _course(self, place: int) -> tuple[Array, int, Array]:
+        first, until, then = self._courses
+        return first[place].copy(), int(until[place]), then[place].copy()
+
+    def _aged(self, course: tuple[Array, int, Array]) -> tuple[Array, int, Array]:
+        """The course as it is a cycle later."""
+        first, until, then = course
+        self._since_s += self._cycle_s
+        if self._since_s < self._gains.step_s:
+            return course
+        self._since_s -= self._gains.step_s
+        return (first, until - 1, then) if until > 1 else (then, self._gains.steps, then)

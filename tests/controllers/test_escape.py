@@ -1,0 +1,182 @@
+"""The escape from an attacker: its model of both robots, what an attacker is after, and what comes of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from deltaq_cell.anatomy import placed_at_first
+from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.escape.arm import EscapingArm, arm_of
+from deltaq_controllers.camera.escape.distances import clearance, place_boxes
+from deltaq_controllers.camera.escape.follower import EscapingFollower
+from deltaq_controllers.camera.escape.gains import EscapeGains
+from deltaq_controllers.camera.escape.plan import EscapePlan
+from deltaq_controllers.camera.escape.pursuit import Pursuit
+from deltaq_controllers.camera.escape.rollout import (
+    LENS,
+    NOTHING,
+    Attacker,
+    Courses,
+    Start,
+    best_course,
+    course_cost,
+)
+from deltaq_controllers.camera.qp_follower import QpFollower
+from deltaq_controllers.camera.scene import Scene
+from deltaq_controllers.interface import RobotView, View
+from deltaq_experiments import collision
+from deltaq_experiments.options import Options
+from deltaq_protocol.arrays import Array
+
+LAB = CellModel.load("lab")
+SCENE = Scene(LAB, "fr", "gr")
+FR, GR = LAB.robots["fr"], LAB.robots["gr"]
+FOCUS = np.array(GR.forward(GR.home)[:3, 3])
+GAINS = EscapeGains()
+CYCLE_S = 0.012
+
+
+@pytest.fixture(scope="module")
+def arm() -> EscapingArm:
+    return arm_of(SCENE)
+
+
+def at_the_lens() -> Attacker:
+    """Balls before the lens, on their way to it."""
+    lens = FR.camera_pose(FR.home)[:3, 3]
+    tip = lens + 0.5 * (FOCUS - lens)
+    toward = 0.75 * (lens - tip) / np.linalg.norm(lens - tip)
+    above = np.array([0.0, 0.0, 0.3])
+    return Attacker(np.array([tip, tip + above]), np.array([0.1, 0.2]), tip, toward, 0.75, LENS)
+
+
+def start() -> Start:
+    return Start(np.array(FR.home), np.zeros(FR.n), FOCUS, 1.25)
+
+
+def test_a_course_leads_the_joints_that_carry_the_camera_about(arm: EscapingArm) -> None:
+    assert arm.leads.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    assert arm.sees.all()
+
+
+def test_the_model_places_joints_where_the_robot_has_them(arm: EscapingArm) -> None:
+    placed, random = placed_at_first(arm.boxed.anatomy), np.random.default_rng(3)
+    for _ in range(5):
+        q = random.uniform(FR.lower, FR.upper)
+        place_boxes(arm.boxed, placed, q)
+        assert placed.translation == pytest.approx(FR.joint_origins(q), abs=1e-9)
+
+
+def test_no_clearance_is_greater_than_that_of_the_bodies(arm: EscapingArm) -> None:
+    placed, random = placed_at_first(arm.boxed.anatomy), np.random.default_rng(4)
+    geometry, data = FR.geometry, FR.model.createData()
+    ball = pin.hppfcl.Sphere(0.1)
+    for _ in range(10):
+        q = random.uniform(FR.lower, FR.upper)
+        centre = random.uniform((-1.5, -1.0, 0.0), (1.5, 2.0, 3.0))
+        place_boxes(arm.boxed, placed, q)
+        told = clearance(arm.boxed, placed, centre[None], np.array([0.1]), np.zeros(3), 5.0)
+        pin.forwardKinematics(FR.model, data, q)
+        at = pin.hppfcl.Transform3s(np.eye(3), centre)
+        least = math.inf
+        for body in geometry.geometryObjects:
+            where = data.oMi[body.parentJoint] * body.placement
+            result = pin.hppfcl.DistanceResult()
+            body_at = pin.hppfcl.Transform3s(where.rotation, where.translation)
+            least = min(
+                least,
+                pin.hppfcl.distance(body.geometry, body_at, ball, at, pin.hppfcl.DistanceRequest(), result),
+            )
+        assert told <= max(least, 0.0) + 1e-6
+        assert told > least - 0.5, "and not without bound less"
+
+
+def test_the_best_of_some_courses_costs_what_it_costs_alone_and_less_than_the_others(
+    arm: EscapingArm,
+) -> None:
+    random = np.random.default_rng(5)
+    goals = random.uniform(FR.lower, FR.upper, (6, FR.n))
+    goals[0] = FR.home
+    courses = Courses(goals, np.full(6, 10), goals[::-1].copy())
+    placed, paths = placed_at_first(arm.boxed.anatomy), np.zeros((2, GAINS.steps, FR.n))
+    best, _, cost = best_course(arm, at_the_lens(), GAINS, start(), courses, placed, paths)
+    path = np.zeros((GAINS.steps, FR.n))
+    alone = [
+        course_cost(arm, at_the_lens(), GAINS, start(), courses, k, placed, path, math.inf) for k in range(6)
+    ]
+    assert cost == alone[best]
+    assert cost <= min(alone) / GAINS.better + 0.05
+    assert (paths[0] >= FR.lower - 1e-9).all()
+    assert (paths[0] <= FR.upper + 1e-9).all()
+    fastest = np.abs(np.diff(paths[0], axis=0)).max(axis=0)
+    assert (fastest <= FR.max_velocity * GAINS.step_s + 1e-9).all()
+
+
+def test_a_plan_gets_better_and_two_plans_of_the_same_views_are_the_same(arm: EscapingArm) -> None:
+    plans = [EscapePlan(arm, GAINS, CYCLE_S) for _ in range(2)]
+    costs = []
+    for _ in range(20):
+        rates = [plan.rates(at_the_lens(), start()) for plan in plans]
+        assert (rates[0] == rates[1]).all()
+        costs.append(plans[0].cost)
+    assert costs[-1] < 0.5 * costs[0]
+
+
+class Moving:
+    """A robot at its home whose joints move."""
+
+    def __init__(self, q: Array, velocity: Array) -> None:
+        self._q, self.velocity = q, velocity
+
+    def ahead(self) -> Array:
+        return self._q
+
+
+@pytest.mark.parametrize("target", [LENS, 2])
+def test_what_a_tool_is_after_is_told_from_its_way(target: int) -> None:
+    joints, lens = FR.joint_origins(FR.home), FR.camera_pose(FR.home)[:3, 3]
+    point = lens if target == LENS else joints[target]
+    pursuit = Pursuit(SCENE)
+    tool = GR.forward(GR.home)[:3, 3]
+    # the gantry's axes point west, south and up
+    velocity = np.zeros(GR.n)
+    velocity[:3] = 0.5 * (point - tool) / np.linalg.norm(point - tool) * [-1.0, -1.0, 1.0]
+    still, moving = Moving(np.array(GR.home), np.zeros(GR.n)), Moving(np.array(GR.home), velocity)
+    assert pursuit.update(still, joints, lens).target == NOTHING  # type: ignore[arg-type]
+    for _ in range(30):
+        attacker = pursuit.update(moving, joints, lens)  # type: ignore[arg-type]
+    assert attacker.target == target
+    assert attacker.speed == pytest.approx(0.5)
+
+
+def test_with_nobody_in_the_way_it_is_the_quadratic_programme() -> None:
+    followers = [make(SCENE, 1.25, FOCUS) for make in (QpFollower, EscapingFollower)]
+    q = np.array(FR.home)
+    for cycle in range(5):
+        own, leader = (
+            RobotView(cycle, CYCLE_S * cycle, q, q),
+            RobotView(cycle, CYCLE_S * cycle, GR.home, GR.home),
+        )
+        one, other = (follower.increment(View(own, {"gr": leader})) for follower in followers)
+        assert (one == other).all()
+        q = q + one
+
+
+@pytest.mark.long
+def test_an_attack_on_the_elbow_that_reaches_the_programme_does_not_reach_the_escape() -> None:
+    options = Options(
+        leader_speed_m_s=0.5, target="elbow", gated=False, duration_s=6.0, settle_s=1.0, seed=104
+    )
+    contacts = {}
+    for controller in ("qp", "escape"):
+        report = collision.run(replace(options, controller=controller)).report
+        assert isinstance(report, collision.CollisionReport)
+        assert sum(report.limits.model_dump().values()) == 0
+        contacts[controller] = report.contacts
+    assert contacts["qp"] > 0
+    assert contacts["escape"] == 0
