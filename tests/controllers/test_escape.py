@@ -22,7 +22,7 @@ from deltaq_controllers.camera.escape.rollout import (
     NOTHING,
     Attacker,
     Courses,
-    Start,
+    CourseStart,
     best_course,
     course_cost,
 )
@@ -55,8 +55,8 @@ def at_the_lens() -> Attacker:
     return Attacker(np.array([tip, tip + above]), np.array([0.1, 0.2]), tip, toward, 0.75, LENS)
 
 
-def start() -> Start:
-    return Start(np.array(FR.home), np.zeros(FR.n), FOCUS, 1.25)
+def start() -> CourseStart:
+    return CourseStart(np.array(FR.home), np.zeros(FR.n), FOCUS, 1.25)
 
 
 def test_a_course_leads_the_joints_that_carry_the_camera_about(arm: EscapingArm) -> None:

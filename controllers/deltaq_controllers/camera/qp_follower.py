@@ -44,7 +44,7 @@ MOST_PAIRS = 16
 """Pairs of bodies that one programme takes into account: the nearest in proportion to their range."""
 
 
-class Retreat(NamedTuple):
+class Evasion(NamedTuple):
     """How to get out of the way: rates (n,) of `evasion`, and of `room` to limits [rad/s or m/s], and the weights."""
 
     evasion: Array
@@ -205,9 +205,9 @@ class QpFollower:
             self._cycle_s,
         )
 
-    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Retreat:
+    def _retreat(self, q: Array, _dq_last: Array, _focus: Array, evade: bool) -> Evasion:
         """How to get out of the way at `q` (n,) while somebody is near, to which `_dq_last` (n,) has led."""
-        return Retreat(
+        return Evasion(
             self._evasion(q) if evade else np.zeros_like(q),
             # a target that stands still moves nothing: what it leaves free does not drift
             self._room(q) if evade or self.focus is None else np.zeros_like(q),

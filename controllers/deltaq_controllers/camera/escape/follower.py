@@ -11,8 +11,8 @@ from deltaq_controllers.camera.escape.arm import arm_of
 from deltaq_controllers.camera.escape.gains import EscapeGains
 from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
-from deltaq_controllers.camera.escape.rollout import Start
-from deltaq_controllers.camera.qp_follower import QpFollower, Retreat
+from deltaq_controllers.camera.escape.rollout import CourseStart
+from deltaq_controllers.camera.qp_follower import QpFollower, Evasion
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_tasks import TaskGains
 from deltaq_controllers.camera.scene import Scene
@@ -43,11 +43,11 @@ class EscapingFollower(QpFollower):
         self._plan = EscapePlan(self._arm, self._escape_gains, scene.cycle_s)
         self._pursuit = Pursuit(scene)
 
-    def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Retreat:
+    def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Evasion:
         camera = self._camera
         attacker = self._pursuit.update(self.leader_seen, camera.origins(), camera.position)
-        start = Start(q, dq_last / self._cycle_s, focus, float(self.desired_distance_m))
+        start = CourseStart(q, dq_last / self._cycle_s, focus, float(self.desired_distance_m))
         rates = self._plan.rates(attacker, start)
         if self._plan.cost <= self._escape_gains.acts_above:
             return super()._retreat(q, dq_last, focus, evade)
-        return Retreat(rates * self._arm.leads, self._room(q), self._gains_led)
+        return Evasion(rates * self._arm.leads, self._room(q), self._gains_led)

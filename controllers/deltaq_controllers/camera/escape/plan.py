@@ -7,7 +7,7 @@ import numpy as np
 from deltaq_cell.anatomy import placed_at_first
 from deltaq_controllers.camera.escape.arm import EscapingArm
 from deltaq_controllers.camera.escape.gains import EscapeGains
-from deltaq_controllers.camera.escape.rollout import Attacker, Courses, Start, best_course
+from deltaq_controllers.camera.escape.rollout import Attacker, Courses, CourseStart, best_course
 from deltaq_protocol.arrays import Array
 
 _TABLE = 4096
@@ -58,7 +58,7 @@ class EscapePlan:
         self._since_s = 0.0
         self.cost = 0.0
 
-    def rates(self, attacker: Attacker, start: Start) -> Array:
+    def rates(self, attacker: Attacker, start: CourseStart) -> Array:
         """(n,) rates along the best course that is known [rad/s or m/s]."""
         q, gains = start.q, self._gains
         stay = (q, gains.steps, q)

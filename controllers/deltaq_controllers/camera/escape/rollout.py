@@ -65,7 +65,7 @@ class Courses(NamedTuple):
     then: Array
 
 
-class Start(NamedTuple):
+class CourseStart(NamedTuple):
     """Where courses begin: `q` (n,), its `rates` (n,), the `focus` (3,) [m] and the desired `distance` [m]."""
 
     q: Array
@@ -79,7 +79,7 @@ def best_course(
     arm: EscapingArm,
     attacker: Attacker,
     gains: EscapeGains,
-    start: Start,
+    start: CourseStart,
     courses: Courses,
     placed: Placed,
     paths: Array,
@@ -106,7 +106,7 @@ def course_cost(
     arm: EscapingArm,
     attacker: Attacker,
     gains: EscapeGains,
-    start: Start,
+    start: CourseStart,
     courses: Courses,
     course: int,
     placed: Placed,
