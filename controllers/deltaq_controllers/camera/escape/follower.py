@@ -12,7 +12,7 @@ from deltaq_controllers.camera.escape.gains import EscapeGains
 from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import CourseStart
-from deltaq_controllers.camera.qp_follower import QpFollower, Evasion
+from deltaq_controllers.camera.qp_follower import Evasion, QpFollower
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.camera.qp_tasks import TaskGains
 from deltaq_controllers.camera.scene import Scene
