@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
+from deltaq_controllers.inverse.small_matrices import LEAST_DAMPING, damped_step, determinant_of, product_of
 from deltaq_protocol.arrays import Array, Flags
 
 JOINTS = 6
@@ -36,9 +37,6 @@ LONGEST_STEP = 0.6
 
 STUCK_ERROR, STUCK_STEP = 1e-4, 1e-2
 """With an error above the first, a step below the second [rad] that does not halve it leads nowhere."""
-
-LEAST_DAMPING = 1e-13
-"""Keeps a singular Jacobian's square positive."""
 
 SMALL = 1e-9
 """A determinant below this is of no sign: the configuration is singular for all that rounding tells."""
@@ -108,7 +106,7 @@ def placed(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
         x, y, z = p - origins[joint]
         J[0, joint], J[1, joint], J[2, joint] = b * z - d * y, d * x - a * z, a * y - b * x
         J[3, joint], J[4, joint], J[5, joint] = a, b, d
-    return _product(R, chain.rotation), p, J
+    return product_of(R, chain.rotation), p, J
 
 
 @compiled
@@ -134,26 +132,6 @@ def error(R: Array, p: Array, T: Array) -> Array:
 
 
 @compiled
-def determinant_of(J: Array) -> float:
-    """Determinant of a (6, 6) matrix, by elimination; numba's own needs scipy."""
-    A, determinant = J.copy(), 1.0
-    for k in range(JOINTS):
-        pivot = k + int(np.argmax(np.abs(A[k:, k])))
-        if A[pivot, k] == 0.0:
-            return 0.0
-        if pivot != k:
-            determinant = -determinant
-            for column in range(JOINTS):
-                A[k, column], A[pivot, column] = A[pivot, column], A[k, column]
-        determinant *= A[k, k]
-        for row in range(k + 1, JOINTS):
-            share = A[row, k] / A[k, k]
-            for column in range(k, JOINTS):
-                A[row, column] -= share * A[k, column]
-    return determinant
-
-
-@compiled
 def refined(chain: Chain, T: Array, q: Array, steps: int) -> tuple[Array, float, float]:
     """The configuration that Newton's method reaches.
 
@@ -172,7 +150,7 @@ def refined(chain: Chain, T: Array, q: Array, steps: int) -> tuple[Array, float,
     for _ in range(steps):
         if worst <= EXACT:
             break
-        step = _damped_step(J, off, 0.5 * (off * off).sum() + LEAST_DAMPING)
+        step = damped_step(J, off, 0.5 * (off * off).sum() + LEAST_DAMPING)
         longest = np.abs(step).max()
         if longest > LONGEST_STEP:
             step *= LONGEST_STEP / longest
@@ -273,41 +251,3 @@ def _is_new(known: Array, q: Array) -> bool:
         if largest < 1e-6:
             return False
     return True
-
-
-@compiled
-def _product(A: Array, B: Array) -> Array:
-    """(3, 3) product of two matrices."""
-    C = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                C[i, j] += A[i, k] * B[k, j]
-    return C
-
-
-@compiled
-def _damped_step(J: Array, off: Array, damping: float) -> Array:
-    """(6,) `(J^T J + damping I)^-1 J^T off`, by Cholesky's decomposition."""
-    L, step = np.empty((JOINTS, JOINTS)), np.empty(JOINTS)
-    for i in range(JOINTS):
-        for j in range(i + 1):
-            total = damping if i == j else 0.0
-            for k in range(6):
-                total += J[k, i] * J[k, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            L[i, j] = math.sqrt(max(total, LEAST_DAMPING**2)) if i == j else total / L[j, j]
-    for i in range(JOINTS):
-        total = 0.0
-        for k in range(6):
-            total += J[k, i] * off[k]
-        for k in range(i):
-            total -= L[i, k] * step[k]
-        step[i] = total / L[i, i]
-    for i in range(JOINTS - 1, -1, -1):
-        total = step[i]
-        for k in range(i + 1, JOINTS):
-            total -= L[k, i] * step[k]
-        step[i] = total / L[i, i]
-    return step
