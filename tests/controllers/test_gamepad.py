@@ -1,4 +1,4 @@
-"""`deltaq drive --gamepad`, with a virtual gamepad of SDL in the place of a real one."""
+"""`deltaq drive --input gamepad`, with a virtual gamepad of SDL in the place of a real one."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def test_killing_a_robot_server_brakes_its_robot_ends_its_motion_and_a_restart_g
     os.close(brake)
     assert stack.emulator()["state"] != KrcState.RSI_RUNNING, "the stop did not reach the KRC"
     assert_came_to_rest_along_the_brake(stack, killed)
-    assert any("its robot was braked" in line for line in stack.launcher.children[name].lines)
+    stack.wait_until_said(name, "its robot was braked")
     stack.launcher.restart(name)
     assert_goes_on(stack)
 

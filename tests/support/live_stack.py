@@ -64,6 +64,13 @@ class Stack:
             self._pause()
         pytest.fail(f"the robot never got there: {self.phase()}")
 
+    def wait_until_said(self, service, text):
+        """Until a line of a service, or of what it left behind, has this text: it is read as it comes."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while not any(text in line for line in list(self.launcher.children[service].lines)):
+            assert time.monotonic() < deadline, list(self.launcher.children[service].lines)
+            self._pause()
+
     def wait_cycles(self, count):
         """Until the controller has gone through so many cycles."""
         end = self.emulator()["cycle"] + count
