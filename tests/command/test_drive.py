@@ -26,7 +26,7 @@ from deltaq_protocol.messages import RobotState, RobotStatus
 pytestmark = pytest.mark.live
 
 SCRIPT = """\
-- {duration_s: 5, mode: advisor, option: 1}
+- {duration_s: 1, mode: advisor, option: 1}
 - {duration_s: 0.8, mode: coupled, move: {z_m_s: 0.05}, outputs: {gripper: on}}
 - {duration_s: 1.2, mode: self-motion, move: {a1_deg_s: 10}}
 - {duration_s: 0.8, mode: decoupled, frame: tool, move: {z_mm_s: 50, e2_m_s: 0.05}}

@@ -160,13 +160,16 @@ def test_where_nothing_holds_the_hands_the_operator_is_told_what_to_do() -> None
     limitation = run.teleoperator.limitation
     assert limitation is not None
     assert (limitation.limit, limitation.text) == (Limit.NO_WAY, NOTHING_FOUND)
+    assert not run.teleoperator.awaits_advice
 
 
 def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_on_leaving() -> None:
     run, advisor = PlainDrive("gr", ModeName.JOINT), Thinking()
     run.teleoperator = advised(run.robot, advisor=advisor)
     home = run.now
+    assert not run.teleoperator.awaits_advice
     go_to(run, 1, 50)
+    assert run.teleoperator.awaits_advice
     assert advisor_of(run.teleoperator).status == "thinking"
     assert (run.now == home).all()
     run.drive(0.5, ModeName.JOINT, a1=0.2)

@@ -120,6 +120,20 @@ def test_a_step_to_an_option_is_over_as_soon_as_the_robot_is_there_or_in_its_tim
     assert steps.read(37.0) is None
 
 
+def test_the_time_of_a_step_to_an_option_begins_when_the_advisor_has_answered() -> None:
+    awaits = [True]
+    steps = Script(
+        [(5.0, OperatorCommand(option=1)), (1.0, OperatorCommand())], awaits_advice=lambda: awaits[-1]
+    )
+    assert steps.read(10.0) == OperatorCommand(option=1)
+    assert steps.read(100.0) == OperatorCommand(option=1)
+    awaits.append(False)
+    assert steps.read(104.9) == OperatorCommand(option=1)
+    assert steps.read(105.0) == OperatorCommand()
+    awaits.append(True)
+    assert steps.read(106.0) is None
+
+
 class Terminal:
     """A keyboard in a terminal of its own."""
 

@@ -181,6 +181,11 @@ class AdvisorMode(SteppedMode):
         """The option that was chosen, once the robot stands there."""
         return self._driven if self._driven == self._wanted and self.is_at_end else None
 
+    @property
+    def awaits_advice(self) -> bool:
+        """Whether the option that was chosen is still being looked for, or a path to it."""
+        return self._wanted is not None and self._driven != self._wanted and self._advisor.is_busy
+
     def stand_in(self) -> AdvisorMode:
         """An advisor mode with one option near the robot's home; returns when the advisor itself is ready."""
         self._advisor.prepare()

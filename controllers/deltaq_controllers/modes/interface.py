@@ -82,6 +82,11 @@ class TeleoperationMode(Protocol):
         """The option that the robot stands at."""
         return None
 
+    @property
+    def awaits_advice(self) -> bool:
+        """Whether the option that was chosen is still being looked for, or a path to it."""
+        return False
+
     def stand_in(self) -> TeleoperationMode:
         """The mode that `practise` runs in place of this one; itself, unless it would start work elsewhere."""
         return self

@@ -121,6 +121,11 @@ class Teleoperator:
         return self._mode.arrived_at
 
     @property
+    def awaits_advice(self) -> bool:
+        """Whether the advisor still looks for the option that was chosen, or for a path to it."""
+        return self._mode.awaits_advice
+
+    @property
     def hand_names(self) -> tuple[str, ...]:
         """Names of the robot's hands."""
         return self._hands.names

@@ -24,7 +24,7 @@ class ScriptStep(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     duration_s: FiniteFloat = Field(gt=0.0)
-    """Duration; a step that goes to an option ends earlier if the robot arrives earlier."""
+    """Duration; a step to an option ends earlier if the robot arrives earlier, and waits for the advisor beforehand."""
     move: dict[str, FiniteFloat] = {}
     """By axis and unit: `a1_deg_s`, `e1_m_s`, `x_m_s`, `rz_deg_s`, `left.x_mm_s`; nothing: rest."""
     mode: ModeName | None = None
@@ -40,24 +40,29 @@ class ScriptStep(BaseModel):
 class Script:
     """Commands from a list of steps, one after the other on the robot's clock.
 
+    What a step to an option comes to must not depend on how quick a computer the advisor has, so its time
+    begins when the advisor has answered.
+
     Args:
         steps: the steps, their commands in SI units, each with its duration [s].
         arrived_at: returns the option that the robot stands at.
+        awaits_advice: returns whether the advisor still looks for the option, or for a path to it.
     """
 
     def __init__(
         self,
         steps: Sequence[tuple[float, OperatorCommand]],
         arrived_at: Callable[[], int | None] = lambda: None,
+        awaits_advice: Callable[[], bool] = lambda: False,
     ) -> None:
         self._steps = list(steps)
-        self._arrived_at = arrived_at
+        self._arrived_at, self._awaits_advice = arrived_at, awaits_advice
         self._began_s: float | None = None
         self._now = 0
 
     @property
     def duration_s(self) -> float:
-        """Length of the whole script, if no step ends earlier."""
+        """Length of the whole script, if no step ends earlier or waits for the advisor."""
         return sum(duration_s for duration_s, _ in self._steps)
 
     @classmethod
@@ -77,7 +82,7 @@ class Script:
             except ControllerError as error:
                 raise ControllerError(f"{where}: {error}") from None
             timed.append((duration_s, command))
-        return cls(timed, lambda: teleoperator.arrived_at)
+        return cls(timed, lambda: teleoperator.arrived_at, lambda: teleoperator.awaits_advice)
 
     def read(self, time_s: float) -> OperatorCommand | None:
         """The command of the step at this time; the first call starts the script."""
@@ -85,6 +90,8 @@ class Script:
             self._began_s = time_s
         while self._now < len(self._steps):
             duration_s, command = self._steps[self._now]
+            if command.option is not None and self._awaits_advice():
+                self._began_s = time_s
             end_s = self._began_s + duration_s
             if command.option is not None and command.option == self._arrived_at():
                 end_s = time_s
