@@ -2,7 +2,8 @@
 
 They stay Python, typed and tested as such: with `NUMBA_DISABLE_JIT=1` they run as they stand. The machine code is
 kept on disk. Whether it is out of date numba tells by the file of a function, but not by the files of the functions
-that it calls; so it is kept in a folder named after the sources of all compiled functions of its package.
+that it calls; so it is kept in a folder named after the sources of all compiled functions of its package. Within that
+folder a module is found by its place in the package, so that the folder can be copied to another installation.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
+from numba.core.caching import UserProvidedCacheLocator
 
 from deltaq_cell.machine_code import folder, package_of
 
@@ -40,15 +43,28 @@ def inlined(function: Function) -> Function:
 
 
 def _to_machine_code(function: Function, inline: str) -> Function:
-    users_own = numba.config.CACHE_DIR
+    users_own = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
     kept = _folder(function.__module__)
     # numba asks for its folder while it decorates, and others may want theirs elsewhere
     numba.config.CACHE_DIR = kept
+    numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{_PlaceInPackage.__name__}" if kept else users_own[1]
     try:
         decorate = numba.njit(cache=bool(kept), error_model="numpy", inline=inline)
         return cast(Function, decorate(function))
     finally:
-        numba.config.CACHE_DIR = users_own
+        numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = users_own
+
+
+class _PlaceInPackage(UserProvidedCacheLocator):  # type: ignore[misc] # numba ships no type information
+    """Keeps a function's machine code by its module's place in the package, and not by where that is installed."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """Name of the folder for the functions of a file."""
+        folders = [Path(py_file).parent]
+        while (folders[-1] / "__init__.py").exists():
+            folders.append(folders[-1].parent)
+        return "-".join(folder.name for folder in reversed(folders[:-1])) or folders[0].name
 
 
 @contextmanager

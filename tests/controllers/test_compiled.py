@@ -144,3 +144,31 @@ def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None
     (tmp_path / "cache").write_text("nor this")
     assert folder_of(tmp_path, tmp_path / "cache") == ""
     assert folder_of(tmp_path, Path()) == "", "of a user without a home"
+
+
+CALL = """
+from deltaq_cell.compiled import told_of_compiling
+from moved.laws import law
+with told_of_compiling(print):
+    assert law.one() == 1.0
+"""
+
+
+def test_machine_code_goes_with_a_package_to_another_place(tmp_path: Path) -> None:
+    laws = tmp_path / "here" / "moved" / "laws"
+    laws.mkdir(parents=True)
+    for folder in (laws.parent, laws):
+        (folder / "__init__.py").touch()
+    (laws / "law.py").write_text(f"from deltaq_cell.compiled import compiled\n{ONE}")
+
+    def called_in(folder: Path) -> str:
+        path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+        return run(CALL, PYTHONPATH=path)
+
+    assert called_in(tmp_path / "here") == "one\n"
+    (tmp_path / "here").rename(tmp_path / "there")
+    assert called_in(tmp_path / "there") == ""
+    (tmp_path / "there" / "moved" / "laws" / "law.py").write_text(
+        f"from deltaq_cell.compiled import compiled\n{ONE.replace('1.0', '2.0 - 1.0')}"
+    )
+    assert called_in(tmp_path / "there") == "one\n"

@@ -91,7 +91,9 @@ def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("robot", ["dawm", "fr", "gr"])
+@pytest.mark.parametrize(
+    "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
+)
 def test_decoupled_goes_as_far_as_before(robot: str) -> None:
     for rates in commands(model(robot)):
         found = gone(robot, DECOUPLED, rates)

@@ -12,7 +12,7 @@ import pytest
 from networks import why_none
 
 from deltaq_emulator.faults import LinkFaults
-from deltaq_experiments.sites_run import SiteError, TwoSites, two_sites
+from deltaq_experiments.sites_run import Running, SiteError, TwoSites, two_sites
 from deltaq_verification.impairment.packets import packet_link
 from deltaq_verification.two_sites import sites
 
@@ -50,11 +50,9 @@ def moved(running: TwoSites, robot: str, before: list[float]) -> float:
     return max(abs(one - other) for one, other in zip(after, before, strict=True))
 
 
-def lead(running: TwoSites) -> None:
-    """Start a leader far away, and wait until its robot has been moved by it."""
+def wait_until_led(running: TwoSites, leader: Running) -> None:
+    """Until gr has been moved."""
     before = running.panel("gr")["q_setpoint"]
-    leader = running.controller("leader", "deltaq_controllers.leader", "--speed-m-s", "0.1")
-    leader.wait_for("ready: ")
     for _ in range(100):
         running.panel("gr", op="await", cycles=20)
         if moved(running, "gr", before) > 0.01:
@@ -67,7 +65,9 @@ def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road
     assert status["mismatches"] == []
     assert {robot["phase"] for robot in status["robots"].values()} <= {"ready", "held"}
     running.get_ready()
-    lead(running)
+    leader = running.controller("leader", "deltaq_controllers.leader", "--speed-m-s", "0.1")
+    leader.wait_for("ready: ")
+    wait_until_led(running, leader)
 
     running.sites.cut()
     for name in running.cell.robots:
@@ -87,8 +87,8 @@ def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road
     assert reasons == {"hli_lost"}
     for name in running.cell.robots:
         running.ask("reset", "--robot", name)
-    wait_until(lambda status: {r["phase"] for r in status["robots"].values()} == {"ready"}, running)
-    lead(running)
+    wait_until(lambda status: status["robots"]["fr"]["phase"] == "ready", running)
+    wait_until_led(running, leader)  # which has kept its lease, since the HLI is on its side of the cut
 
 
 @pytest.mark.nightly
