@@ -26,6 +26,8 @@ with (
         elif message["type"] == "verdict" and message["outcome"] != "admitted":
             print(message["outcome"], *[reason["code"] for reason in message["reasons"]])
         elif message["type"] == "state" and message["robot"] == "fr":
+            if message["phase"] == "held":
+                sys.exit(f"fr is held: {message['reason']}; when it is safe, `deltaq reset --robot fr`")
             q, cycle, seq = message["q_cmd"], message["cycle"], seq + 1
             target = q[0] + math.radians(10) if target is None else target
             left = target - q[0]

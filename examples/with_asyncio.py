@@ -17,6 +17,8 @@ async def main(address: str) -> None:
         step = math.radians(30) * cell.description.cycle_s  # [rad] in one cycle
         target = None
         async for state in robot.states():
+            if state.phase == "held":
+                sys.exit(f"fr is held: {state.reason}; when it is safe, `deltaq reset --robot fr`")
             target = state.q_cmd[0] + math.radians(10) if target is None else target
             left = target - state.q_cmd[0]
             if abs(left) < math.radians(0.05):

@@ -14,6 +14,8 @@ with connect(address, client="example") as cell, cell.lease("fr") as robot:
     step = math.radians(30) * cell.description.cycle_s  # [rad] in one cycle
     target = None
     for state in robot.states():
+        if state.phase == "held":
+            sys.exit(f"fr is held: {state.reason}; when it is safe, `deltaq reset --robot fr`")
         target = state.q_cmd[0] + math.radians(10) if target is None else target
         left = target - state.q_cmd[0]
         if abs(left) < math.radians(0.05):

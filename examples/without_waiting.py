@@ -16,6 +16,8 @@ with connect(address, client="example") as cell, cell.lease("fr") as robot:
     target = None
     in_flight = InFlight()
     for state in robot.states():
+        if state.phase == "held":
+            sys.exit(f"fr is held: {state.reason}; when it is safe, `deltaq reset --robot fr`")
         target = state.q_cmd[0] + math.radians(10) if target is None else target
         if abs(target - state.q_cmd[0]) < math.radians(0.05):
             break

@@ -13,6 +13,8 @@ int main(int count, char** given) try {
   long seq = 0;
   for (;;) {
     const deltaq::Json state = lab.next_state();
+    if (state["phase"].text == "held")
+      throw std::runtime_error("fr is held: " + state["reason"].text + "; when it is safe, `deltaq reset --robot fr`");
     std::vector<double> q = state[state["q_ahead"].is_null ? "q_cmd" : "q_ahead"].numbers();
     if (std::isnan(target)) target = q[0] + pi / 18;
     left = target - q[0];

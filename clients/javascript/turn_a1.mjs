@@ -9,6 +9,7 @@ try {
   const step = (Math.PI / 6) * lab.welcome.cycle_s; // [rad] in one cycle
   let target, seq, q;
   for await (const state of lab.states()) {
+    if (state.phase === "held") throw new Error(`fr is held: ${state.reason}; when it is safe, \`deltaq reset --robot fr\``);
     q = state.q_ahead ?? state.q_cmd;
     target ??= q[0] + Math.PI / 18;
     const left = target - q[0];

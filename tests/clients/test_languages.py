@@ -18,6 +18,8 @@ from small_cell import free_port
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.guarded import Request
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
 from deltaq_verification.impairment.process import RelayProcess
 from deltaq_verification.impairment.relay import TrafficUnit
 from deltaq_verification.impairment.stream import StreamFaults
@@ -71,6 +73,14 @@ def test_it_turns_a1_by_ten_degrees_and_gives_the_lease_back(language: Language,
     assert "A1 is at 15." in done.stdout  # it began at 0.1 rad
     assert server.hli.status().robots["fr"].lease.holder is None
     assert server.peer.commands.empty()
+
+
+def test_it_ends_at_a_robot_that_is_held_and_says_why(language: Language, server: Server) -> None:
+    server.peer.phases["fr"], server.peer.reasons["fr"] = Phase.HELD, ReasonCode.CONTROLLER_LOST
+    done = run(language, language.turn_a1(server.description.tcp_port))
+    assert (
+        refusal(language, done) == "fr is held: controller_lost; when it is safe, `deltaq reset --robot fr`"
+    )
 
 
 def test_octave_reckons_with_what_is_in_flight_in_a_cell_with_a_lookahead() -> None:

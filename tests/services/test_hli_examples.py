@@ -14,7 +14,10 @@ from served import Server
 
 from deltaq_protocol.blocking import connect
 from deltaq_protocol.guarded import Request
+from deltaq_protocol.messages import Phase
+from deltaq_protocol.reasons import ReasonCode
 
+HELD = "fr is held: controller_lost; when it is safe, `deltaq reset --robot fr`"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -63,6 +66,14 @@ def test_the_example_that_does_not_wait_reckons_with_what_is_in_flight_in_a_cell
 def drained(server: Server) -> Iterator[Request]:
     while not server.peer.increments.empty():
         yield server.peer.increments.get_nowait()
+
+
+@pytest.mark.service
+@pytest.mark.parametrize("example", sorted(path.name for path in EXAMPLES.glob("*.py")))
+def test_the_example_ends_at_a_robot_that_is_held_and_says_why(example: str, server: Server) -> None:
+    server.peer.phases["fr"], server.peer.reasons["fr"] = Phase.HELD, ReasonCode.CONTROLLER_LOST
+    done = run(example, *arguments(example, server))
+    assert (done.returncode, done.stderr) == (1, f"{HELD}\n")
 
 
 @pytest.mark.service

@@ -46,6 +46,7 @@ class GuardedPeer:
         self.q_cmd = {name: (0.1,) * len(robot.joints) for name, robot in cell.robots.items()}
         self.dq = {name: (0.0,) * len(robot.joints) for name, robot in cell.robots.items()}
         self.phases = dict.fromkeys(cell.robots, Phase.READY)
+        self.reasons: dict[str, ReasonCode | None] = dict.fromkeys(cell.robots)
         self._due: dict[tuple[str, int], tuple[float, ...]] = {}
         self._last_due = dict.fromkeys(cell.robots, 0)
         self._alive: dict[str, asyncio.Event] = {name: asyncio.Event() for name in cell.robots}
@@ -87,7 +88,7 @@ class GuardedPeer:
 
     def publish_state(self, robot: str = "fr", **changes: Any) -> None:
         """Publish one state."""
-        fields: dict[str, Any] = {"q_cmd": self.q_cmd[robot]}
+        fields: dict[str, Any] = {"q_cmd": self.q_cmd[robot], "reason": self.reasons[robot]}
         if self.cell.gate.lookahead_cycles > 1:
             dq = self.dq[robot]
             fields |= {"dq": dq, "plan": Plan(dq=dq, brake_cycles=1, step=0 if any(dq) else 1)}

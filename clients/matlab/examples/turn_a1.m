@@ -16,7 +16,10 @@ function turn_a1(host, port)
         dq = zeros(size(q));
         dq(1) = max(-step, min(step, 0.2 * (target - q(1))));
         seq = lab.send(dq);
-        lab.next_state();
+        state = lab.next_state();
+        if strcmp(state.phase, 'held')
+            error('deltaq:held', 'fr is held: %s; when it is safe, `deltaq reset --robot fr`', state.reason);
+        end
         q = lab.ahead();
     end
     fprintf('A1 is at %.2f deg after %d increments\n', q(1) * 180 / pi, seq);
