@@ -228,7 +228,7 @@ def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Pa
     (led_way,) = (leg["hands"]["tool"]["moved_mm"] for leg in json.loads(out)["legs"])
     assert way > 5
     # a busy machine may lose sight of the master, which uncouples it; tests/controllers/test_master.py holds the amount
-    assert 0.1 * way < led_way < 0.6 * way
+    assert 0.5 < led_way < 0.6 * way
 
 
 @pytest.mark.parametrize(
