@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.modes.advisor import AdvisorMode
@@ -16,14 +18,7 @@ from deltaq_controllers.operated.ways import advisor_of, option_way, search_of
 from deltaq_controllers.operated.wishes import Wishes, check_grip, check_trade_off, is_rest
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import (
-    DriverReport,
-    DriverStage,
-    DriverWays,
-    DrivingMode,
-    Way,
-    Wish,
-)
+from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Way, Wish
 from deltaq_protocol.messages import Outcome, Verdict, ViewWish
 
 
@@ -190,6 +185,8 @@ class Pilot:
             now_s: time [s].
         """
         self._is_still, self._q = is_still, view.own.q
+        if is_still:  # whoever moved it before: what this teleoperator saw last is no increment
+            view = replace(view, own=replace(view.own, dq=np.zeros_like(view.own.q)))
         if self.is_following or self._mode is DrivingMode.FOLLOW:
             return self._following(view, is_still)
         by_pose = self._mode is DrivingMode.POSE
