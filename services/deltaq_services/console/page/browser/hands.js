@@ -62,7 +62,7 @@ export function handsPanel({ live, driven, wish }, ask) {
       button.setAttribute("aria-checked", String(button.dataset.hand === driven.moved));
       button.disabled = !!live.locked(driven.name);
     }
-    say(words, gripWords(driven.grip, robot?.hands_off, driven.moved));
+    say(words, driven.isByJoints && driven.grip !== OBJECT ? "" : gripWords(driven.grip, robot?.hands_off, driven.moved));
   }
 
   /** What the key does. */
