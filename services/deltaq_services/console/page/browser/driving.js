@@ -83,9 +83,9 @@ export class Driven extends EventTarget {
   }
 }
 
-/** @param context {live, scene, driven, wish, stage, views, ways, picture, thumbnails}. */
+/** @param context {live, scene, driven, wish, stage, views, ways, picture, thumbnails, follower}. */
 export function drivingPanel(context) {
-  const { live, scene, driven, wish } = context;
+  const { live, scene, driven, wish, follower } = context;
   const panel = part("driving");
   const tabs = el("div", { class: "tabs", role: "tablist" });
   const body = el("div", { class: "driving" });
@@ -202,9 +202,12 @@ export function drivingPanel(context) {
     master.show();
     zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
     distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
-    if (robot.view_distance_m && document.activeElement !== distance) {
-      distance.value = robot.view_distance_m;
-      say(distanceText, `${robot.view_distance_m.toFixed(2)} m`);
+    // a follower elsewhere that nobody told another distance does not say which it keeps: then the one that is seen
+    const seen_m = follower?.view.name === driven.name ? follower.error()?.distance : null;
+    const shown_m = robot.view_distance_m ?? seen_m;
+    if (shown_m && document.activeElement !== distance) {
+      distance.value = shown_m;
+      say(distanceText, robot.view_distance_m ? `${shown_m.toFixed(2)} m` : `${shown_m.toFixed(2)} m now`);
     }
     moveBox.hidden = !mine || !driven.isJogged;
     showSignals(robot, locked || !mine);

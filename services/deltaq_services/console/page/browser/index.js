@@ -79,7 +79,7 @@ export async function start(holder) {
   const wish = new Wish(live, driven);
   const ways = new Ways(live);
   const wayPicture = new WayPicture(stage, views);
-  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage) };
+  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage), follower: picture };
   const { ask, pose, hands } = drivingPanel(context);
   eventLog(live);
   const player = replayBar(live, scene);
@@ -104,7 +104,7 @@ export async function start(holder) {
     },
     distance(change) {
       const name = follower?.name;
-      const now = live.robot(name)?.view_distance_m;
+      const now = live.robot(name)?.view_distance_m ?? picture?.error()?.distance;
       if (now) live.send("view_distance", { robot: name, value_m: Math.min(2.5, Math.max(0.4, now + change)) });
     },
     stop: () => stop.press(),
