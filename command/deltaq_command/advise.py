@@ -7,8 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_command.errors import BAD
-from deltaq_command.options import CellOption, CriterionOption, JsonOption
-from deltaq_command.weights import weights_of
+from deltaq_command.options import (
+    CellOption,
+    CriterionOption,
+    HandsMayLeaveOption,
+    JsonOption,
+    TradeOffOption,
+)
+from deltaq_command.weights import two_criteria, weights_of
 
 if TYPE_CHECKING:
     from deltaq_command.advice import Advice
@@ -31,18 +37,8 @@ def advise(
         str, typer.Option(help="annealing, shotgun, genetic, monte-carlo or brute-force.")
     ] = "annealing",
     criterion: CriterionOption = None,
-    trade_off: Annotated[
-        str,
-        typer.Option(
-            help="Two criteria, A,B: options of which none is better in one without being worse in the other."
-        ),
-    ] = "",
-    hands_may_leave: Annotated[
-        bool,
-        typer.Option(
-            "--hands-may-leave", help="Offer options too to which the hands leave their place and come back."
-        ),
-    ] = False,
+    trade_off: TradeOffOption = "",
+    hands_may_leave: HandsMayLeaveOption = False,
     effort: Annotated[
         float, typer.Option(min=0.1, max=100, help="Length of the search; 1 suits an operator who waits.")
     ] = 1.0,
@@ -83,7 +79,7 @@ def advise(
         seed=seed,
         offline=offline,
         execute=execute,
-        trade_off=_two(trade_off),
+        trade_off=two_criteria(trade_off),
         hands_may_leave=hands_may_leave,
     )
     with _Watched() as watched:
@@ -195,15 +191,6 @@ def _pose(text: str) -> tuple[str, tuple[float, ...]]:
     if len(values) != NUMBERS_OF_A_POSE:
         raise typer.BadParameter(f"--hand takes NAME=X,Y,Z,ROLL,PITCH,YAW in m and deg, got {text!r}")
     return name, values
-
-
-def _two(text: str) -> tuple[str, str] | None:
-    if not text:
-        return None
-    first, _, second = text.partition(",")
-    if not first or not second or "," in second or first == second:
-        raise typer.BadParameter(f"--trade-off takes the names of two criteria, A,B, got {text!r}")
-    return first, second
 
 
 def _show(found: Advice) -> None:

@@ -11,8 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deltaq_command.errors import BAD
-from deltaq_command.options import CellOption, CriterionOption, JsonOption, RobotOption
-from deltaq_command.weights import weights_of
+from deltaq_command.options import (
+    CellOption,
+    CriterionOption,
+    HandsMayLeaveOption,
+    JsonOption,
+    RobotOption,
+    TradeOffOption,
+)
+from deltaq_command.weights import two_criteria, weights_of
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -38,6 +45,8 @@ def drive(
     cell: CellOption = "lab",
     frame: Annotated[str, typer.Option(help="Frame in which the hands are moved: world or tool.")] = "world",
     criterion: CriterionOption = None,
+    trade_off: TradeOffOption = "",
+    hands_may_leave: HandsMayLeaveOption = False,
     script: Annotated[
         Path | None,
         typer.Option(help="A YAML list of steps: duration_s, move, mode, frame, grip, option, outputs."),
@@ -97,9 +106,9 @@ def drive(
                 "a script couples no master; leave out one of both", param_hint="--master"
             )
         known_robot(description, master)
-    weights = weights_of(criterion, "--criterion")
+    advised = _Advised(weights_of(criterion, "--criterion"), two_criteria(trade_off), hands_may_leave)
     led = None if master is None else (master, master_scale)
-    choice = _Choice(description, robot, mode, frame, weights, script, device, led, speed_m_s, jerk_time_s)
+    choice = _Choice(description, robot, mode, frame, advised, script, device, led, speed_m_s, jerk_time_s)
     with ExitStack() as terminal:
         # a terminal is given back last: keys that are still held are not for the shell
         summary, error = choice.run(terminal)
@@ -114,6 +123,15 @@ def drive(
 
 
 @dataclass(frozen=True)
+class _Advised:
+    """By what the advisor's options are chosen."""
+
+    weights: dict[str, float] | None
+    trade_off: tuple[str, str] | None
+    hands_may_leave: bool
+
+
+@dataclass(frozen=True)
 class _Choice:
     """Options of the drive."""
 
@@ -121,7 +139,7 @@ class _Choice:
     robot: str
     mode: str
     frame: str
-    weights: dict[str, float] | None
+    advised: _Advised
     script: Path | None
     device: str
     led: tuple[str, float] | None
@@ -164,9 +182,16 @@ class _Choice:
                 )
             cycle_s = running.description.cycle_s
             with ExitStack() as stack:
-                modes = ModeName(self.mode), Frame(self.frame)
+                modes, advised = (ModeName(self.mode), Frame(self.frame)), self.advised
                 teleoperator = teleoperator_for(
-                    running, self.robot, stack, *modes, self.weights, self.jerk_time_s
+                    running,
+                    self.robot,
+                    stack,
+                    *modes,
+                    advised.weights,
+                    self.jerk_time_s,
+                    advised.trade_off,
+                    advised.hands_may_leave,
                 )
                 log, statistics = DriveLog(teleoperator, cycle_s), ControlStatistics()
                 signals, enough = SignalLog(), asyncio.Event()

@@ -96,7 +96,7 @@ def option_line(rank: int, option: Option) -> str:
     clearance = f"{1000 * option.clearance.distance_m:.0f} mm between {' and '.join(option.clearance.pair)}"
     limit = f"{option.nearest_limit} {100 * option.limit_share:.0f} % from its limit"
     if option.path is not None:
-        way = "a path is known"
+        way = "a path is known" + (", the hands leave and come back" if option.hands_leave else "")
     else:
         way = "path " + NOT_LOOKED_FOR if option.no_path == NOT_LOOKED_FOR else f"no path: {option.no_path}"
     return f"option {rank}: energy {option.energy:.4f}, {clearance}, {limit}, {way}"

@@ -28,6 +28,19 @@ CriterionOption = Annotated[
         help="A criterion and its weight, e.g. clearance=1, in place of the default ones; repeatable.",
     ),
 ]
+TradeOffOption = Annotated[
+    str,
+    typer.Option(
+        "--trade-off",
+        help="Two criteria, A,B: options of which none is better in one without being worse in the other.",
+    ),
+]
+HandsMayLeaveOption = Annotated[
+    bool,
+    typer.Option(
+        "--hands-may-leave", help="Offer options too to which the hands leave their place and come back."
+    ),
+]
 ConsoleOption = Annotated[
     bool, typer.Option("--console/--no-console", help="Start the operator's console, for a browser.")
 ]

@@ -8,6 +8,7 @@ from functools import partial
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.process import AdvisorProcess
+from deltaq_controllers.criteria.normalised import check_known
 from deltaq_controllers.criteria.postures import RobotData
 from deltaq_controllers.live import cell_model, model_of, robot_models, where_others_are
 from deltaq_controllers.modes.advisor import AdvisorMode, tracker_of
@@ -26,6 +27,8 @@ def teleoperator_for(
     frame: Frame = Frame.WORLD,
     weights: Mapping[str, float] | None = None,
     jerk_time_s: float = 0.0,
+    trade_off: tuple[str, str] | None = None,
+    hands_may_leave: bool = False,
 ) -> Teleoperator:
     """A teleoperator as `deltaq drive` uses it; no mode but the first is made yet.
 
@@ -37,18 +40,25 @@ def teleoperator_for(
         frame: axes in which hands are moved.
         weights: of the criteria of `coupled` and `advisor`; their own if not given.
         jerk_time_s: time in which a joint's acceleration builds up to its limit; 0 sets no limit to the jerk [s].
+        trade_off: names of two criteria on whose front the advisor's options are; None: they are minima.
+        hands_may_leave: whether hands may leave their place on the way to an option of the advisor, and come back.
 
     Raises:
         ControllerError: the robot is unknown, or cannot be driven in that mode.
         CriterionError: an unknown criterion, or a weight that is negative or not finite.
     """
+    for name in trade_off or ():
+        check_known(name)
     description = running.description
     model = model_of(robot_models(description), robot)
 
     def advisor_mode(robot: RobotModel) -> AdvisorMode:
         others = where_others_are(running, robot.name)
-        advisor = AdvisorProcess(description, tracker_of(robot), others, weights)
-        return AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
+        tracker = tracker_of(robot, hands_may_leave)
+        advisor = AdvisorProcess(description, tracker, others, weights, hands_may_leave)
+        mode = AdvisorMode(robot, description.cycle_s, stack.enter_context(advisor))
+        mode.trade_off = trade_off
+        return mode
 
     modes = {**MODES, ModeName.ADVISOR: advisor_mode}
     cell = cell_model(description)

@@ -41,6 +41,10 @@ class DrivingMode(StrEnum):
 
 Axes = Literal["world", "tool"]
 """In which hands are moved."""
+Grip = Literal["free", "object"]
+"""Whether hands move by themselves, or hold one object together."""
+MasterScale = Annotated[float, Field(ge=0.01, le=5.0, allow_inf_nan=False)]
+"""Way of a hand for each metre of its master's."""
 
 
 class Take(Message):
@@ -60,27 +64,42 @@ class Release(Message):
 
 
 class ChangeMode(Message):
-    """Drive in this mode from now on; the robot comes to rest in the one before."""
+    """Drive in this mode and with this grip from now on; the robot comes to rest in those before.
+
+    Without a `grip` that stays as it was: whoever does not know of it lets nothing go.
+    """
 
     type: Literal["mode"] = "mode"
     id: RequestId
     mode: DrivingMode
     frame: Axes = "world"
+    grip: Grip | None = None
 
 
 class Wish(Message):
     """A wish to move, good for `WISH_S`; an empty one is rest.
 
     `joints` has a speed for each joint, (n,) [rad/s or m/s]. `twist` moves `hand`: three linear [m/s] and three
-    angular [rad/s] in the mode's axes; without a `hand`, all hands. `option` is the rank of the way to go: the
-    advisor's option, or in mode `pose` the only one.
+    angular [rad/s] in the mode's axes; without a `hand`, all hands or the object between them. `led`, in place of
+    these, has the master lead that hand. `option` is the rank of the way to go: the advisor's option, or in mode
+    `pose` the only one.
     """
 
     type: Literal["wish"] = "wish"
     joints: Annotated[tuple[JointValue, ...], Field(max_length=32)] = ()
     twist: tuple[JointValue, JointValue, JointValue, JointValue, JointValue, JointValue] | None = None
     hand: Annotated[str, Field(max_length=64)] = ""
+    led: bool = False
     option: Annotated[int, Field(ge=1, le=99)] | None = None
+
+
+class Lead(Message):
+    """Choose another robot of the cell as the master, whose tool leads a hand while wishes say `led`; empty: none."""
+
+    type: Literal["lead"] = "lead"
+    id: RequestId
+    master: Annotated[str, Field(max_length=64)] = ""
+    scale: MasterScale = 1.0
 
 
 class ViewAt(Message):
@@ -124,7 +143,7 @@ class Reach(Message):
     quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
-DriverRequest = Take | Release | ChangeMode | Wish | ViewAt | Switch | Advise | Reach
+DriverRequest = Take | Release | ChangeMode | Wish | Lead | ViewAt | Switch | Advise | Reach
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 
@@ -163,17 +182,30 @@ class Search(Message):
     trade_off: TradeOff | None = None
 
 
+class HandsOff(Message):
+    """By how much hands that hold an object are off from how they took it, to one another, as measured."""
+
+    distance_m: FiniteFloat
+    angle_rad: FiniteFloat
+
+
 class DriverReport(Message):
     """How the driver is doing, some times a second while it changes.
 
     `limit` says what limits the operator now, `doing` what the mode is about, both in words. `longest_cycle_s` is the
     longest time from a state to its verdict since the report before [s]. `search` is there in modes that offer ways.
+    `grip` is the one that was chosen; with an object `hands_off` is there once it is held. `master` leads a hand when
+    wishes say so, `master_scale` times its way; it is empty where none was chosen.
     """
 
     type: Literal["report"] = "report"
     stage: DriverStage
     mode: DrivingMode
     frame: Axes = "world"
+    grip: Grip = "free"
+    hands_off: HandsOff | None = None
+    master: str = ""
+    master_scale: FiniteFloat = 1.0
     limit: str = ""
     doing: str = ""
     distance_m: FiniteFloat | None = None

@@ -212,6 +212,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(CONSOLE, "repeated", "commands whose id had come before"),
     Counted(CONSOLE, "expired", "commands that came too late to be carried out"),
     Counted(CONSOLE, "refused", "commands refused for another reason"),
+    Counted(CONSOLE, "refused_by_driver", "requests that a robot's driver did not carry out"),
     Counted(CONSOLE, "stops", "stops that were pressed"),
 )
 """The table."""

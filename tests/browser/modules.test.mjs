@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -430,4 +430,42 @@ test("in a mode that goes along ways keys and sticks move nothing", (t) => {
   assert.match(wish.refused, /another mode/);
   assert.equal(wish.hold("card", { option: 1 }), true);
   assert.deepEqual(socket.commands("jog").map(({ option }) => option), [1]);
+});
+
+test("of one hand nothing is chosen; of two the key goes from both to each and to the object, where the mode lets them hold one", () => {
+  assert.deepEqual(hands.handChoices(["tool"]), []);
+  assert.deepEqual(hands.handChoices(["left", "right"]), ["*", "left", "right", "object"]);
+  const round = (mode) => ["*", "left", "right"].map((now) => hands.nextChoice(["left", "right"], now, mode));
+  assert.deepEqual(round("coupled"), ["left", "right", "object"]);
+  assert.equal(hands.nextChoice(["left", "right"], "object", "coupled"), "*");
+  for (const mode of ["joint", "pose", "follow"]) {
+    assert.deepEqual(round(mode), ["left", "right", "*"]);
+    assert.equal(hands.keepsGrip(mode, "object"), false);
+    assert.equal(hands.keepsGrip(mode, "free"), true);
+  }
+  assert.equal(hands.keepsGrip("advisor", "object"), true);
+});
+
+test("it is told whether an object is held, and by how much the hands are off", () => {
+  assert.match(hands.gripWords("object", null, "object"), /is taken as soon as/);
+  assert.equal(
+    hands.gripWords("object", { distance_m: 0.0012, angle_rad: 0.01 }, "object"),
+    "Object held. Hands off by 1.2 mm, 0.57° from how they took it.",
+  );
+  assert.doesNotMatch(hands.gripWords("free", null, "left"), /held/);
+});
+
+test("a hand is led while the button is held, by no speed of its own, and one wish for rest ends it", (t) => {
+  const { live, socket } = driving(t);
+  const wish = new Wish(live, { robot: () => "fr", length: () => 6, hand: () => "tool" });
+  assert.equal(wish.hold("master", { led: true }), true);
+  passWithNews(socket, 200);
+  const held = socket.commands("jog");
+  assert.ok(held.length >= 2);
+  for (const jog of held) assert.deepEqual([jog.led, jog.hand, jog.wish], [true, "tool", undefined]);
+  page.dispatchEvent(new Event("blur"));
+  passWithNews(socket, 200);
+  assert.equal(socket.commands("jog").length, held.length + 1);
+  const rest = socket.commands("jog").at(-1);
+  assert.deepEqual([rest.led, rest.wish], [undefined, [0, 0, 0, 0, 0, 0]]);
 });

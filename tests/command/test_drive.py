@@ -267,6 +267,12 @@ def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, num
         (("--robot", "gr"), "the keyboard needs a terminal"),
         (("--robot", "fr", "--mode", "advisor"), "advisor needs a redundant robot, 'fr' is not"),
         (("--robot", "gr", "--criterion", "travel"), "--criterion takes NAME=NUMBER, got 'travel'"),
+        (("--robot", "gr", "--trade-off", "travel"), "takes the names of two criteria, A,B, got 'travel'"),
+        (("--robot", "gr", "--trade-off", "travel,travel"), "takes the names of two criteria"),
+        (
+            ("--robot", "gr", "--trade-off", "travel,travle"),
+            "no criterion 'travle'; there are travel, limits",
+        ),
         (("--robot", "gr", "--criterion", "travle=1"), "no criterion 'travle'; there are travel, limits"),
     ],
 )

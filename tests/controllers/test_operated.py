@@ -35,12 +35,16 @@ def no_camera():
     raise ControllerError("fr carries no camera")
 
 
+def no_master(name, _scale):
+    raise ControllerError(f"the cell has no robot {name!r}")
+
+
 class Bench:
     """A robot that does what it is asked to, in virtual time."""
 
-    def __init__(self, make_follower=no_camera, teleoperator=None):
+    def __init__(self, make_follower=no_camera, teleoperator=None, make_led=no_master):
         self.robot = CellModel.load("lab").robots["fr"] if teleoperator is None else teleoperator.robot
-        self.pilot = Pilot(teleoperator or Teleoperator(self.robot, CYCLE_S), make_follower)
+        self.pilot = Pilot(teleoperator or Teleoperator(self.robot, CYCLE_S), make_follower, make_led)
         self.q, self.before, self.cycle = self.robot.home.copy(), None, 0
 
     @property

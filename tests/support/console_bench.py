@@ -17,9 +17,10 @@ POSE = ToolPose(position=(0.1, 0.2, 0.3), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
 class ConsoleBench:
     """A core, and what it wants done."""
 
-    def __init__(self, token_needed=False):
+    def __init__(self, token_needed=False, cell=CELL):
         self.now_s = 1000.0
-        self.core = ConsoleCore(CELL, BODIES, token_needed)
+        self.cell = cell
+        self.core = ConsoleCore(cell, BODIES, token_needed)
         self.outputs = []
         self._cycle = 0
 
@@ -54,7 +55,7 @@ class ConsoleBench:
     def state(self, phase=Phase.READY, reason=None, moved=0.0, robot="fr"):
         """A state comes, whose first joint has moved on by so much [rad]."""
         self._cycle += 1
-        home = CELL.robots[robot].home
+        home = self.cell.robots[robot].home
         q = (home[0] + moved, *home[1:])
         state = RobotState(
             robot=robot, cycle=self._cycle, ipoc=self._cycle, time_s=self.now_s, q=q, q_cmd=q, tool=POSE,
@@ -65,7 +66,7 @@ class ConsoleBench:
     def states(self, phase=Phase.READY, reason=None):
         """Both robots stand, as two following states say."""
         for _ in range(2):
-            for robot in CELL.robots:
+            for robot in self.cell.robots:
                 self.state(phase, reason, robot=robot)
 
     def verdict(self, outcome=Outcome.ADMITTED, reasons=(), robot="fr", **fields):

@@ -67,6 +67,7 @@ class AdvisorProcess:
         tracker: of the robot.
         others: returns where the other robots of the cell are now.
         weights: of the criteria; the advisor's own if not given.
+        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
     Attributes:
         tracker: as given.
@@ -78,6 +79,7 @@ class AdvisorProcess:
         tracker: ConstraintTracker,
         others: Callable[[], Mapping[str, Array]],
         weights: Mapping[str, float] | None = None,
+        hands_may_leave: bool = False,
     ) -> None:
         self.tracker = tracker
         self._others = others
@@ -86,7 +88,9 @@ class AdvisorProcess:
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, description, tracker.robot.name, weights), daemon=True
+            target=_serve,
+            args=(theirs, description, tracker.robot.name, weights, hands_may_leave),
+            daemon=True,
         )
         self._process.start()
         theirs.close()
@@ -161,11 +165,15 @@ class AdvisorProcess:
 
 
 def _serve(
-    line: Connection, description: Description, robot: str, weights: Mapping[str, float] | None
+    line: Connection,
+    description: Description,
+    robot: str,
+    weights: Mapping[str, float] | None,
+    hands_may_leave: bool,
 ) -> None:
     """Answer questions until the pipe is closed; a new one ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
-    counsel, trouble = _counsel(description, robot, weights)
+    counsel, trouble = _counsel(description, robot, weights, hands_may_leave)
     try:
         line.send(_Answer(_READY, is_over=True))
         while True:
@@ -186,11 +194,11 @@ def _serve(
 
 
 def _counsel(
-    description: Description, robot: str, weights: Mapping[str, float] | None
+    description: Description, robot: str, weights: Mapping[str, float] | None, hands_may_leave: bool
 ) -> tuple[AdvisorSession | None, str]:
     """The advisor, made before the first question, which then need not wait for it; or why it cannot be made."""
     try:
-        return AdvisorSession(cell_model(description), robot, weights), ""
+        return AdvisorSession(cell_model(description), robot, weights, hands_may_leave=hands_may_leave), ""
     except DeltaqError as error:
         return None, str(error)
 

@@ -29,6 +29,7 @@ class AdvisorSession:
         options: how many at most.
         effort: of the search.
         seed: of the search.
+        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
     Attributes:
         tracker: of the robot.
@@ -48,10 +49,16 @@ class AdvisorSession:
         options: int = 5,
         effort: float = 1.0,
         seed: int = 0,
+        hands_may_leave: bool = False,
     ) -> None:
         self.tracker = ConstraintTracker(cell.robots[robot])
         self._problem = AdvisorProblem(
-            cell, robot, self.tracker.hands(cell.robots[robot].home), weights, self.tracker
+            cell,
+            robot,
+            self.tracker.hands(cell.robots[robot].home),
+            weights,
+            self.tracker,
+            hands_may_leave=hands_may_leave,
         )
         self._exact = ExactClearance(cell, robot)
         self._count, self._effort = options, effort
@@ -110,7 +117,8 @@ class AdvisorSession:
         first = self._first[rank - 1]
         robot = self.tracker.robot
         kept: Space = HandsKept(self.tracker, self._problem.poses)
-        space = HandsMoved(robot) if first.hands_move else kept
+        away = self._leaves(back[:1])
+        space = HandsMoved(robot) if first.hands_move or away else kept
 
         def path(start: Array) -> Array:
             ways = PathPlanner(robot, space, self._exact, self._generator, start)
@@ -122,10 +130,29 @@ class AdvisorSession:
             except NoPathError:
                 onwards = path(first.start) if first.path is None else first.path
                 found = np.concatenate([back, onwards])
-            option = replace(first, start=back[0], path=found, no_path="")
+            leaves = first.hands_leave or self._leaves(found)
+            option = replace(
+                first,
+                start=back[0],
+                path=found,
+                no_path="",
+                hands_move=first.hands_move or leaves,
+                hands_leave=leaves,
+            )
         except NoPathError as error:
             option = replace(first, start=back[0], path=None, no_path=str(error))
         known = list(self._progress.options)
         known[rank - 1] = option
         self._progress = replace(self._progress, options=tuple(known))
         go_on(self._progress)
+
+    def _leaves(self, path: Array) -> bool:
+        """Whether the hands leave their place on a path (P, n); they do not where they may not."""
+        if not self._problem.hands_may_leave:
+            return False
+        places = self._problem.poses[:, :3, 3]
+        return any(np.abs(self.tracker.hands(q)[:, :3, 3] - places).max() > IN_PLACE_M for q in path)
+
+
+IN_PLACE_M = 1e-3
+"""A hand within this is in its place: self-motions keep it there ten times better [m]."""

@@ -19,6 +19,7 @@ class SynchronousAdvisor:
         weights: of the criteria; the advisor's own if not given.
         options: how many at most.
         effort: of the search.
+        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
 
     Attributes:
         tracker: of the robot.
@@ -35,8 +36,11 @@ class SynchronousAdvisor:
         weights: Mapping[str, float] | None = None,
         options: int = 5,
         effort: float = 1.0,
+        hands_may_leave: bool = False,
     ) -> None:
-        self._counsel = AdvisorSession(cell, robot, weights, options=options, effort=effort)
+        self._counsel = AdvisorSession(
+            cell, robot, weights, options=options, effort=effort, hands_may_leave=hands_may_leave
+        )
         self.tracker = self._counsel.tracker
         self.progress: Progress | None = None
 

@@ -19,6 +19,16 @@ class CriterionError(DeltaqError):
     """An unknown criterion, or an invalid weight."""
 
 
+def check_known(name: str) -> None:
+    """Check that there is a criterion of this name.
+
+    Raises:
+        CriterionError: there is none.
+    """
+    if name not in BY_NAME:
+        raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
+
+
 class Normalised:
     """A weighted sum of criteria, each brought to a cost first.
 
@@ -44,8 +54,7 @@ class Normalised:
         self, data: RobotData, weights: Mapping[str, float], known: Mapping[str, float] | None = None
     ) -> None:
         for name, weight in weights.items():
-            if name not in BY_NAME:
-                raise CriterionError(f"no criterion {name!r}; there are {', '.join(BY_NAME)}")
+            check_known(name)
             if not np.isfinite(weight) or weight < 0.0:
                 raise CriterionError(f"the weight of {name} must be a finite number, 0 or more, got {weight}")
         self.criteria = tuple(BY_NAME[name] for name, weight in weights.items() if weight > 0.0)

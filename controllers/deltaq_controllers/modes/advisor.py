@@ -9,12 +9,13 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.advisor.advisor import NOT_LOOKED_FOR, Option, Progress
 from deltaq_controllers.advisor.answered import Answered
+from deltaq_controllers.advisor.near_home import near_home
 from deltaq_controllers.advisor.time_parameterisation import Route, timed
-from deltaq_controllers.criteria.near_bodies import Clearance
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.brake_margin import GLIMPSE_S, kept_while_braked
 from deltaq_controllers.modes.hands import Hands
+from deltaq_controllers.modes.interface import Advance, Instant
 from deltaq_controllers.modes.limitation import Limit, Limitation
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.stepped import SteppedMode
@@ -26,27 +27,27 @@ AT_START = 1e-9
 ARRIVED = 1e-9
 """The robot stands at an option within this, in every joint [rad or m]."""
 
-_NEAR = 0.01
-"""Distance of an option for practice from home, in every base joint [rad or m]."""
-
 NOTHING_FOUND = (
     "no configuration keeps the hands here clear of limits and obstacles; move the hands and ask again"
 )
 
+WOULD_PART = "the way there would part hands that hold an object; choose grip free first, or another option"
 
-def tracker_of(robot: RobotModel) -> ConstraintTracker:
+
+def tracker_of(robot: RobotModel, hands_may_leave: bool = False) -> ConstraintTracker:
     """The inverse that the advisor needs.
 
     Raises:
-        ControllerError: the robot has none, or is not redundant.
+        ControllerError: the robot has none, or is not redundant and its hand may not leave its place.
     """
     try:
         tracker = ConstraintTracker(robot)
     except TrackingError as error:
         raise ControllerError(f"mode advisor: {error}") from None
-    if not len(tracker.base):
+    if not len(tracker.base) and not hands_may_leave:
         raise ControllerError(
-            f"mode advisor needs a redundant robot, {robot.name!r} is not; choose joint, decoupled or coupled"
+            f"mode advisor needs a redundant robot, {robot.name!r} is not; choose joint, decoupled or coupled, "
+            "or let its hand leave its place"
         )
     return tracker
 
@@ -118,7 +119,7 @@ class AdvisorMode(SteppedMode):
         self._wanted: int | None = None
         self._driven: int | None = None
         self._route: Route | None = None
-        self._hands_move = False
+        self._hands_move = self._hold = False
         self._trail: Array = robot.home[None]
         self._q: Array = np.full(robot.n, np.nan)
         self._hindrance = ""
@@ -190,7 +191,7 @@ class AdvisorMode(SteppedMode):
         """An advisor mode with one option near the robot's home; returns when the advisor itself is ready."""
         self._advisor.prepare()
         tracker = self._advisor.tracker
-        answer = Progress("finding paths", 1.0, 0.0, 0, (_near_home(tracker),))
+        answer = Progress("finding paths", 1.0, 0.0, 0, (near_home(tracker),))
         return AdvisorMode(self._robot, self._cycle_s, Answered(tracker, answer))
 
     def enter(self, q: Array) -> None:
@@ -214,6 +215,11 @@ class AdvisorMode(SteppedMode):
         """Go to the option of a rank, counted from 1; None is rest."""
         self._wanted = option
 
+    def advance(self, instant: Instant, asked: Motion) -> Advance:
+        """The increment along the path; none along one that would part hands which hold an object."""
+        self._hold = instant.held is not None
+        return super().advance(instant, asked)
+
     def bounded(self, q: Array, motion: Motion) -> Motion:
         """The motion, slowed so that the hands stay even if the gate brakes it; none until a path is known."""
         stands = bool((q == self._q).all())
@@ -223,7 +229,7 @@ class AdvisorMode(SteppedMode):
                 self._take_up(q)
             return motion.scaled(0.0)
         if self._hands_move:
-            return motion
+            return motion.scaled(0.0) if self._hold else motion
         rates = self.step(q, motion, GLIMPSE_S) / GLIMPSE_S
         return motion.scaled(kept_while_braked(self._hands, q, rates, self._robot.max_acceleration))
 
@@ -235,9 +241,10 @@ class AdvisorMode(SteppedMode):
 
     def limitation(self, _q: Array, _motion: Motion) -> Limitation | None:
         """Why the chosen option cannot be driven to."""
-        if self._driven == self._wanted or not self._hindrance:
-            return None
-        return Limitation(Limit.NO_WAY, f"option {self._wanted}", self._hindrance)
+        hindrance = self._hindrance
+        if self._driven == self._wanted:
+            hindrance = WOULD_PART if self._hands_move and self._hold else ""
+        return Limitation(Limit.NO_WAY, f"option {self._wanted}", hindrance) if hindrance else None
 
     def _take_up(self, q: Array) -> None:
         """Take the path to the chosen option if it is known; otherwise start a search for it."""
@@ -271,24 +278,3 @@ class AdvisorMode(SteppedMode):
         """(P, n) the path from `q` (n,), on or near the trail, back to where the trail begins."""
         nearest = int(np.abs(self._trail - q).max(axis=1).argmin())
         return np.concatenate([q[None], self._trail[nearest::-1]])
-
-
-def _near_home(tracker: ConstraintTracker) -> Option:
-    """An option for practice: the base joints a little off the robot's home."""
-    home = tracker.robot.home
-    end = home.copy()
-    end[tracker.base] += _NEAR
-    clearance = Clearance(room_m=0.0, distance_m=0.0, pair=("", ""))
-    return Option(
-        end,
-        energy=0.0,
-        values={},
-        costs={},
-        clearance=clearance,
-        nearest_limit="",
-        limit_share=0.0,
-        hands_move=False,
-        start=home,
-        path=np.array([home, end]),
-        no_path="",
-    )

@@ -177,6 +177,10 @@ class Teleoperator:
                 f"choose grip {Grip.FREE.value} first, or another mode"
             )
 
+    def let_go(self) -> None:
+        """Forget how the hands hold an object; while that grip is commanded they take it anew, at rest."""
+        self.grip, self.held = Grip.FREE, None
+
     def check(self, command: OperatorCommand, mode: ModeName, grip: Grip = Grip.FREE) -> None:
         """Check that a command can be followed in a mode and with a grip.
 

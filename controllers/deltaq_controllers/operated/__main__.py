@@ -23,14 +23,19 @@ from deltaq_controllers.live import (
     UNREACHABLE,
     USAGE,
     cell_model,
+    model_of,
+    robot_models,
     settle_memory,
     where_others_are,
 )
 from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.practice import practise
+from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operated.led import LedByWishes
 from deltaq_controllers.operated.pilot import Pilot
 from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner
 from deltaq_controllers.operated.shell import OperatedRobot
+from deltaq_controllers.operator_input.master import looking_at
 from deltaq_protocol import connect
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
@@ -65,7 +70,11 @@ async def operate(options: argparse.Namespace) -> None:
             teleoperator = teleoperator_for(cell, options.robot, stack)
             has_camera = teleoperator.robot.description.camera is not None
             compiling = asyncio.ensure_future(_compiled_camera() if has_camera else asyncio.sleep(0))
-            pilot = Pilot(teleoperator, partial(_follower, cell, options.robot, compiling))
+            pilot = Pilot(
+                teleoperator,
+                partial(_follower, cell, options.robot, compiling),
+                partial(_led, cell, teleoperator),
+            )
             for mode in DrivingMode:
                 # the advisor is a process of its own, for who asks for it
                 if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW, DrivingMode.POSE):
@@ -123,6 +132,16 @@ def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> Camera
         raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
     cameras = {name: camera_controller_named(FOLLOWS, Scene(model, robot, name), VIEW_M) for name in others}
     return CameraInUse(cameras, camera_roles(model.description, robot).leader)
+
+
+def _led(cell: Cell, teleoperator: Teleoperator, master: str, scale: float) -> LedByWishes:
+    """Another robot of the running cell as the master.
+
+    Raises:
+        ControllerError: there is none of that name, or it is the robot itself.
+    """
+    model = model_of(robot_models(cell.description), master)
+    return LedByWishes(teleoperator, model, looking_at(cell, master, teleoperator.robot.name), scale)
 
 
 def _planning(cell: Cell, robot: str) -> Callable[[Reach, Array], PlannedReach]:

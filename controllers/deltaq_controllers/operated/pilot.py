@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from deltaq_controllers.camera.in_use import CameraInUse
-from deltaq_controllers.criteria import BY_NAME
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import HAND_AXES, Frame, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operated.led import LedByWishes
 from deltaq_controllers.operated.reach import PlannedReach
-from deltaq_controllers.operated.ways import option_way, search_of
+from deltaq_controllers.operated.ways import advisor_of, option_way, search_of
+from deltaq_controllers.operated.wishes import Wishes, check_grip, check_trade_off, is_rest
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Way, Wish
 from deltaq_protocol.messages import Outcome, Verdict, ViewWish
-
-_REST = OperatorCommand()
 
 
 class Pilot:
@@ -30,14 +30,24 @@ class Pilot:
     Args:
         teleoperator: of the robot.
         make_follower: makes the camera controller, or raises `ControllerError` where there can be none.
+        make_led: makes what has a master of that name lead a hand, scaled, or raises `ControllerError`.
 
     Attributes:
         is_following: the camera controller drives.
+        wishes: the newest, with the master and the grip that were chosen.
     """
 
-    def __init__(self, teleoperator: Teleoperator, make_follower: Callable[[], CameraInUse]) -> None:
+    def __init__(
+        self,
+        teleoperator: Teleoperator,
+        make_follower: Callable[[], CameraInUse],
+        make_led: Callable[[str, float], LedByWishes],
+    ) -> None:
         self._teleoperator = teleoperator
         self._make_follower = make_follower
+        self.wishes = Wishes(teleoperator, make_led)
+        self._takes_anew = False
+        self._q = teleoperator.robot.home
         self._follower: CameraInUse | None = None
         self._view: ViewWish | None = None
         self._reach: PlannedReach | None = None
@@ -46,7 +56,6 @@ class Pilot:
         self._when_still: Callable[[Array], None] | None = None
         self._ways: tuple[object, DriverWays] = (None, DriverWays(mode=DrivingMode.JOINT))
         self._mode = DrivingMode(teleoperator.mode.value)
-        self._wish, self._until_s = _REST, -np.inf
         self.is_following = False
         self._limit = ""
 
@@ -64,10 +73,16 @@ class Pilot:
         elif mode is not DrivingMode.POSE:
             self._teleoperator.mode_named(ModeName(mode.value))
 
-    def change_mode(self, mode: DrivingMode, frame: driving.Axes) -> None:
-        """Drive in a mode that was prepared, from the next rest on."""
+    def change_mode(self, mode: DrivingMode, frame: driving.Axes, grip: driving.Grip | None = None) -> None:
+        """Drive in a mode that was prepared and with a grip, None for the present one, from the next rest on.
+
+        Raises:
+            ControllerError: the robot has one hand, or the mode would part hands that hold an object; nothing changes.
+        """
+        wanted = self.wishes.grip if grip is None else Grip(grip)
+        check_grip(self._teleoperator, wanted, mode)
         self.rest()
-        self._mode, self._reach = mode, None
+        self._mode, self.wishes.grip, self._reach = mode, wanted, None
         self._teleoperator.frame = Frame(frame)
 
     def advise(self, *, again: bool, trade_off: tuple[str, str] | None = None) -> None:
@@ -83,7 +98,7 @@ class Pilot:
         advisor = self._advisor
         if advisor is None or self._active is not self._teleoperator:
             raise ControllerError("the advisor is asked in mode advisor: choose it first")
-        _check_trade_off(trade_off)
+        check_trade_off(trade_off)
         self.rest()
 
         def ask(q: Array) -> None:
@@ -120,23 +135,27 @@ class Pilot:
             ControllerError: the mode does not drive that; nothing is wished for then.
         """
         self.rest()
-        command = self._command(wish)
         if self._mode is DrivingMode.FOLLOW:
-            if command != _REST:
+            if not is_rest(wish):
                 raise ControllerError("the camera follows: choose another mode to move the robot by hand")
             return
         if self._mode is DrivingMode.POSE:
-            if command != _REST and (self._reach is None or command != OperatorCommand(option=1)):
+            if not is_rest(wish) and (self._reach is None or wish != Wish(option=1)):
                 raise ControllerError(
                     "in mode pose the robot goes to a pose that was planned, and nowhere else"
                 )
         else:
-            self._teleoperator.check(command, ModeName(self._mode.value))
-        self._wish, self._until_s = command, now_s + driving.WISH_S
+            self.wishes.check(wish, ModeName(self._mode.value))
+        self.wishes.take(wish, now_s)
 
     def rest(self) -> None:
         """Wish for nothing."""
-        self._wish, self._until_s = _REST, -np.inf
+        self.wishes.rest()
+
+    def begin(self) -> None:
+        """A lease begins: nothing is wished for, and an object is held as the hands have it now."""
+        self.rest()
+        self._takes_anew = True
 
     def take_view(self, wish: ViewWish | None) -> None:
         """Look at what the robot's states ask for, as soon as the camera follows."""
@@ -146,6 +165,11 @@ class Pilot:
 
     def held(self) -> None:
         """The robot is held: after a reset it moves when it is wished for again, and not before."""
+        self.begin()
+        self.leave()
+
+    def leave(self) -> None:
+        """The robot is to come to rest and be left."""
         self.rest()
         if self._mode is DrivingMode.FOLLOW:
             self._mode = DrivingMode(self._teleoperator.mode.value)
@@ -160,7 +184,9 @@ class Pilot:
             is_still: the setpoint stands still.
             now_s: time [s].
         """
-        self._is_still = is_still
+        self._is_still, self._q = is_still, view.own.q
+        if is_still:  # whoever moved it before: what this teleoperator saw last is no increment
+            view = replace(view, own=replace(view.own, dq=np.zeros_like(view.own.q)))
         if self.is_following or self._mode is DrivingMode.FOLLOW:
             return self._following(view, is_still)
         by_pose = self._mode is DrivingMode.POSE
@@ -173,22 +199,27 @@ class Pilot:
             self._active = wanted
         if wanted is None:
             return None
-        return self._teleoperated(
-            wanted, ModeName.ADVISOR if by_pose else ModeName(self._mode.value), view, now_s
-        )
+        mode = ModeName.ADVISOR if by_pose else ModeName(self._mode.value)
+        return self._teleoperated(wanted, mode, Grip.FREE if by_pose else self.wishes.grip, view, now_s)
 
     def _teleoperated(
-        self, teleoperator: Teleoperator, mode: ModeName, view: View, now_s: float
+        self, teleoperator: Teleoperator, mode: ModeName, grip: Grip, view: View, now_s: float
     ) -> Array | None:
         is_still = self._is_still
+        if self._takes_anew:
+            if not is_still:
+                return None
+            self._takes_anew = False
+            teleoperator.let_go()
         if is_still and self._when_still is not None:
             self._when_still(view.own.q_cmd)
             self._when_still = None
-        command = self._wish if now_s < self._until_s else _REST
-        if command == _REST and is_still and teleoperator.is_at_rest and teleoperator.mode is mode:
+        command = self.wishes.command(now_s)
+        settled = teleoperator.is_at_rest and (teleoperator.mode, teleoperator.grip) == (mode, grip)
+        if command is None and is_still and settled:
             self._limit = ""
             return None
-        teleoperator.command = OperatorCommand(command.rates, mode, None, command.option)
+        teleoperator.command = replace(command or OperatorCommand(), mode=mode, grip=grip)
         increment = teleoperator.increment(view)
         self._limit = teleoperator.limitation.text if teleoperator.limitation is not None else ""
         return increment
@@ -212,12 +243,20 @@ class Pilot:
         distance_m = None if self._follower is None else self._follower.desired_distance_m
         offers = self._offers
         by_pose = self._mode is DrivingMode.POSE
+        doing = "" if self.is_following or by_pose else self._teleoperator.status
+        led = self.wishes.led
+        if led is not None:
+            doing = " · ".join(part for part in (doing, led.status) if part)
         return DriverReport(
             stage=stage,
             mode=self._mode,
             frame=self._teleoperator.frame.value,
             limit=self._limit,
-            doing="" if self.is_following or by_pose else self._teleoperator.status,
+            grip=self.wishes.grip.value,
+            hands_off=self.wishes.hands_off(self._q),
+            master="" if led is None else led.name,
+            master_scale=1.0 if led is None else led.scale,
+            doing=doing,
             distance_m=distance_m,
             longest_cycle_s=longest_cycle_s,
             search=None if offers is None else search_of(offers),
@@ -241,12 +280,12 @@ class Pilot:
     def _offers(self) -> AdvisorMode | None:
         """The mode that offers ways, if one drives."""
         if self._mode is DrivingMode.POSE:
-            return None if self._reach is None else _advisor_of(self._reach.teleoperator)
+            return None if self._reach is None else advisor_of(self._reach.teleoperator)
         return self._advisor if self._mode is DrivingMode.ADVISOR else None
 
     @property
     def _advisor(self) -> AdvisorMode | None:
-        return _advisor_of(self._teleoperator)
+        return advisor_of(self._teleoperator)
 
     def _following(self, view: View, is_still: bool) -> Array | None:
         wanted = self._mode is DrivingMode.FOLLOW
@@ -259,32 +298,3 @@ class Pilot:
         self.is_following = True
         assert self._follower is not None  # prepared before the mode was changed
         return self._follower.increment(view)
-
-    def _command(self, wish: Wish) -> OperatorCommand:
-        rates = {}
-        if wish.joints:
-            names = self._teleoperator.robot.joint_names
-            if len(wish.joints) != len(names):
-                raise ControllerError(f"joints: the robot has {len(names)}, got {len(wish.joints)} speeds")
-            rates = {name: speed for name, speed in zip(names, wish.joints, strict=True) if speed}
-        if wish.twist is not None:
-            prefix = f"{wish.hand}." if wish.hand else ""
-            rates |= {
-                f"{prefix}{axis}": rate for axis, rate in zip(HAND_AXES, wish.twist, strict=True) if rate
-            }
-        return OperatorCommand(rates, option=wish.option)
-
-
-def _check_trade_off(names: tuple[str, str] | None) -> None:
-    first, second = names or ("", "")
-    for name in names or ():
-        if name not in BY_NAME:
-            raise ControllerError(f"trade_off: no criterion {name!r}; there are {', '.join(BY_NAME)}")
-    if names is not None and first == second:
-        raise ControllerError(f"trade_off: two different criteria, got {first!r} twice")
-
-
-def _advisor_of(teleoperator: Teleoperator) -> AdvisorMode | None:
-    """The mode `advisor`, if it drives now."""
-    made = next((mode for mode in teleoperator.made_modes if mode.name is teleoperator.mode), None)
-    return made if isinstance(made, AdvisorMode) else None

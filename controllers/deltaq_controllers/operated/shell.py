@@ -26,6 +26,7 @@ from deltaq_protocol.driving import (
     DriverRequest,
     DriverStage,
     DriverWays,
+    Lead,
     Reach,
     Release,
     Switch,
@@ -115,13 +116,15 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: ChangeMode | ViewAt | Switch | Advise | Reach) -> None:
+    async def _do(self, request: ChangeMode | Lead | ViewAt | Switch | Advise | Reach) -> None:
         text = ""
         try:
             match request:
                 case ChangeMode():
                     await asyncio.to_thread(self._pilot.prepare, request.mode)
-                    self._pilot.change_mode(request.mode, request.frame)
+                    self._pilot.change_mode(request.mode, request.frame, request.grip)
+                case Lead():
+                    await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
                 case ViewAt():
                     # the robot's states tell it to whoever follows, this process or another
                     await self._cell.view(self._robot, request.distance_m)
@@ -149,7 +152,7 @@ class OperatedRobot:
 
     async def _serve(self, take: Take) -> None:
         """Hold the lease until it is given back, or lost."""
-        self._pilot.rest()
+        self._pilot.begin()
         answered = False
         trouble = ""
         try:
@@ -198,7 +201,7 @@ class OperatedRobot:
             if state.phase is Phase.HELD:
                 pilot.held()
             if self._leaving.is_set():
-                pilot.held()
+                pilot.leave()
                 if stood and _has_nothing_ahead(state, answers.own(state)):
                     return
             for cycle in cycles:

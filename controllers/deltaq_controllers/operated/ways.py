@@ -6,6 +6,7 @@ import numpy as np
 
 from deltaq_controllers.advisor.advisor import Option
 from deltaq_controllers.modes.advisor import AdvisorMode
+from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.driving import MOST_WAY_POINTS, NearPair, Search, Way
 
@@ -33,6 +34,12 @@ def option_way(rank: int, option: Option) -> Way:
         nearest_limit=option.nearest_limit,
         limit_share=option.limit_share,
     )
+
+
+def advisor_of(teleoperator: Teleoperator) -> AdvisorMode | None:
+    """The mode `advisor`, if it drives now."""
+    made = next((mode for mode in teleoperator.made_modes if mode.name is teleoperator.mode), None)
+    return made if isinstance(made, AdvisorMode) else None
 
 
 def search_of(mode: AdvisorMode) -> Search:

@@ -12,7 +12,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from deltaq_protocol.driving import Axes, Coordinate, DrivingMode, QuaternionPart, TradeOff
+from deltaq_protocol.driving import (
+    Axes,
+    Coordinate,
+    DrivingMode,
+    Grip,
+    MasterScale,
+    QuaternionPart,
+    TradeOff,
+)
 from deltaq_protocol.messages import Joints, JointValue, Message, Name
 
 MAX_MESSAGE_BYTES = 4096
@@ -25,6 +33,7 @@ EXPIRY_S = {
     "lease": _OTHER_S,
     "reset": _OTHER_S,
     "mode": _MOTION_S,
+    "master": _MOTION_S,
     "jog": _MOTION_S,
     "view_distance": _MOTION_S,
     "output": _MOTION_S,
@@ -35,6 +44,9 @@ EXPIRY_S = {
     "replay": _OTHER_S,
 }
 """How late a command may come, by its type [s]: later it is not carried out. A stop is, whenever it comes."""
+
+ALL_HANDS = "*"
+"""In the place of a hand's name: all hands of the robot, or the object between them."""
 
 CommandId = Annotated[str, Field(min_length=1, max_length=64)]
 
@@ -90,25 +102,41 @@ class LeaseCommand(ConsoleCommand):
 
 
 class SetMode(ConsoleCommand):
-    """How the robot is driven from now on, and in which axes hands are moved."""
+    """How the robot is driven from now on, in which axes hands are moved, and whether they hold an object.
+
+    Without a `grip` that stays as it was.
+    """
 
     type: Literal["mode"]
     robot: Name
     mode: DrivingMode
     frame: Axes = "world"
+    grip: Grip | None = None
+
+
+class SetMaster(ConsoleCommand):
+    """Choose another robot of the cell, whose tool leads a hand while a `Jog` says `led`; an empty name is none."""
+
+    type: Literal["master"]
+    robot: Name
+    master: Annotated[str, Field(max_length=64)] = ""
+    scale: MasterScale = 1.0
 
 
 class Jog(ConsoleCommand):
     """A wish to move, which ends by itself after 0.25 s unless it is renewed by the next one.
 
     Without `hand` the wish is a speed for each joint, (n,) [rad/s or m/s]; with it a twist of that hand, (6,): three
-    linear [m/s] and three angular [rad/s] in the axes of the mode's frame. `option` is the rank of a way, held down.
+    linear [m/s] and three angular [rad/s] in the axes of the mode's frame. A `hand` of `*` is all of them, or the
+    object between them. `led` has the master lead that hand, in place of a wish. `option` is the rank of a way, held
+    down.
     """
 
     type: Literal["jog"]
     robot: Name
     wish: Annotated[tuple[JointValue, ...], Field(max_length=32)] = ()
     hand: Annotated[str, Field(max_length=64)] = ""
+    led: bool = False
     option: Annotated[int, Field(ge=1, le=99)] | None = None
 
 
@@ -173,7 +201,7 @@ class ReplayShown(ConsoleCommand):
     shown: bool
 
 
-DriverCommand = SetMode | ViewDistance | SetOutput | AskAdvisor | DragPose
+DriverCommand = SetMode | SetMaster | ViewDistance | SetOutput | AskAdvisor | DragPose
 """What a robot's driver is asked to do."""
 RobotCommand = Reset | LeaseCommand | Jog | DryRun | DriverCommand
 AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand

@@ -62,7 +62,10 @@ class ConsoleCore:
         self.stop = StopProgress()
         places = {name: place for place, name in enumerate(bodies)}
         self.robots = {
-            name: RobotSide(name, robot, cell.cycle_s, places) for name, robot in cell.robots.items()
+            name: RobotSide(
+                name, robot, cell.cycle_s, places, tuple(each for each in cell.robots if each != name)
+            )
+            for name, robot in cell.robots.items()
         }
         self._log = EventLog()
         self.picture = Picture(cell, bodies, self.robots, self._log)
@@ -71,7 +74,7 @@ class ConsoleCore:
         self._token_needed = token_needed
         self._numbers = itertools.count(1)
         self._pending = PendingRequests()
-        self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log)
+        self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log, self.counters)
 
     def connect(
         self, name: str, is_operator: bool, now_s: float

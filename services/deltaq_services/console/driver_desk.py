@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 from deltaq_protocol import driving
@@ -33,6 +34,7 @@ class DriverDesk:
         clients: who is connected, by the number of the connection.
         pending: what is awaited of the HLI and of drivers.
         log: of events.
+        counters: of what was refused.
     """
 
     def __init__(
@@ -41,8 +43,10 @@ class DriverDesk:
         clients: Mapping[int, Client],
         pending: PendingRequests,
         log: EventLog,
+        counters: Counter[str],
     ) -> None:
         self._robots, self._clients, self._pending, self._log = robots, clients, pending, log
+        self._counters = counters
 
     def leave(self, client: Client) -> list[ConsoleOutput]:
         """A client commands no more: what it drives comes to rest and is released."""
@@ -65,6 +69,7 @@ class DriverDesk:
         client, command, asked = self._pending.answered(said.id)
         outputs: list[ConsoleOutput] = []
         if isinstance(asked, ToDriver):
+            self._counters["refused_by_driver"] += not said.done
             handled = side.seat.answered(asked.request, said, self._pending.new_id)
             self._tell(handled, robot, now_s)
             outputs += self._pending.send(handled.requests, None, "")

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from deltaq_protocol.driving import Axes, DrivingMode, Search, Way
+from deltaq_protocol.driving import Axes, DrivingMode, Grip, HandsOff, Search, Way
 from deltaq_protocol.messages import Count, Message, Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
 
@@ -92,7 +92,9 @@ class Bound(Message):
 class RobotStatusView(Message):
     """One robot as a browser is told about it. `driving` is what its driver says of itself, in words.
 
-    `search` is there in modes that offer ways; the ways themselves come in `WaysView`.
+    `grip` is the one that was chosen; with an object, `hands_off` is there once the hands hold it. `master` leads a
+    hand when a wish says so, `master_scale` times its way; it is empty where none was chosen. `search` is there in
+    modes that offer ways; the ways themselves come in `WaysView`.
     """
 
     phase: Phase
@@ -102,6 +104,10 @@ class RobotStatusView(Message):
     lease: LeaseView = LeaseView()
     mode: DrivingMode | None = None
     frame: Axes = "world"
+    grip: Grip = "free"
+    hands_off: HandsOff | None = None
+    master: str = ""
+    master_scale: FiniteFloat = 1.0
     driving: str = ""
     view_distance_m: FiniteFloat | None = None
     search: Search | None = None

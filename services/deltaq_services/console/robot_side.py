@@ -11,11 +11,13 @@ from deltaq_protocol import driving
 from deltaq_protocol.messages import Phase
 from deltaq_services.console.client import Client
 from deltaq_services.console.commands import (
+    ALL_HANDS,
     AskAdvisor,
     DragPose,
     DriverCommand,
     DryRun,
     Jog,
+    SetMaster,
     SetMode,
     ViewDistance,
 )
@@ -38,6 +40,7 @@ class RobotSide:
         robot: its description.
         cycle_s: its cycle [s].
         bodies: place of each body in the scene's list, by name.
+        others: the other robots of the cell, any of which can lead its hand.
 
     Attributes:
         feed: what is heard of it.
@@ -48,8 +51,15 @@ class RobotSide:
         bound: what bound the newest verdict that was not admitted whole.
     """
 
-    def __init__(self, name: str, robot: RobotDescription, cycle_s: float, bodies: Mapping[str, int]) -> None:
-        self.name = name
+    def __init__(
+        self,
+        name: str,
+        robot: RobotDescription,
+        cycle_s: float,
+        bodies: Mapping[str, int],
+        others: tuple[str, ...],
+    ) -> None:
+        self.name, self._others = name, others
         self.feed = RobotFeed(robot, cycle_s, bodies)
         self.seat = Seat(name)
         self.report: driving.DriverReport | None = None
@@ -71,8 +81,10 @@ class RobotSide:
         """
         if jog.option is not None:
             return driving.Wish(option=jog.option)
+        if jog.led:
+            return self._led_wish(jog)
         if jog.hand:
-            hand = self._hand(jog.hand)
+            hand = self._free_hand(jog.hand)
             if len(jog.wish) != _TWIST:
                 raise ValueError(f"wish: a twist has {_TWIST} elements, got {len(jog.wish)}")
             for what, bound, part in (("m/s", MOST_M_S, jog.wish[:3]), ("rad/s", MOST_RAD_S, jog.wish[3:])):
@@ -90,6 +102,28 @@ class RobotSide:
                 raise ValueError(f"wish: {joint} at {speed:g} {self.units[joint]}/s; bound {bound:g}")
         return driving.Wish(joints=jog.wish)
 
+    def _led_wish(self, jog: Jog) -> driving.Wish:
+        if any(jog.wish):
+            raise ValueError("wish: the master leads, and a wish beside it moves too; leave one of them out")
+        if self.report is None or not self.report.master:
+            raise ValueError(f"led: no master was chosen for {self.name}; it may be {self._may_lead}")
+        return driving.Wish(hand=self._free_hand(jog.hand or ALL_HANDS), led=True)
+
+    @property
+    def _may_lead(self) -> str:
+        return " or ".join(self._others) or "no robot: there is no other in the cell"
+
+    def _free_hand(self, hand: str) -> str:
+        """The hand that is moved, none for all of them; while all hold an object none of them moves alone."""
+        if hand == ALL_HANDS:
+            return ""
+        known = self._hand(hand)
+        if known and self.report is not None and self.report.grip == "object":
+            raise ValueError(
+                f"hand: {hand} would move alone, and the hands hold an object: move it, or choose grip free first"
+            )
+        return known
+
     def _hand(self, hand: str) -> str:
         """The hand as the driver knows it: a robot with one hand calls it by no name."""
         if hand not in self._hands:
@@ -105,7 +139,17 @@ class RobotSide:
         if isinstance(command, SetMode):
             if command.mode is driving.DrivingMode.FOLLOW and not self._has_camera:
                 raise ValueError(f"mode: {self.name} carries no camera to follow with")
-            return driving.ChangeMode(id=request, mode=command.mode, frame=command.frame)
+            if command.grip == "object" and len(self._hands) < 2:
+                raise ValueError(
+                    f"grip: {self.name} has one hand, and an object is held by two or more; it has grip free"
+                )
+            return driving.ChangeMode(id=request, mode=command.mode, frame=command.frame, grip=command.grip)
+        if isinstance(command, SetMaster):
+            if command.master and command.master not in self._others:
+                raise ValueError(
+                    f"master: {command.master!r} cannot lead {self.name}; it may be {self._may_lead}"
+                )
+            return driving.Lead(id=request, master=command.master, scale=command.scale)
         if isinstance(command, ViewDistance):
             if not self._has_camera:
                 raise ValueError(f"value_m: {self.name} carries no camera")
@@ -175,6 +219,10 @@ class RobotSide:
             lease=lease,
             mode=None if report is None else report.mode,
             frame="world" if report is None else report.frame,
+            grip="free" if report is None else report.grip,
+            hands_off=None if report is None else report.hands_off,
+            master="" if report is None else report.master,
+            master_scale=1.0 if report is None else report.master_scale,
             driving=said,
             view_distance_m=self._view_distance_m(),
             search=None if report is None else report.search,

@@ -2,8 +2,10 @@
 
 import { advisorCards } from "./advisor_cards.js";
 import { el, part, say } from "./dom.js";
+import { ALL, handsPanel, OBJECT } from "./hands.js";
 import { holdsFor } from "./hold.js";
 import { jogPad } from "./jog.js";
+import { masterPanel } from "./master.js";
 import { posePanel } from "./pose_panel.js";
 
 const TAKE_OVER_MS = 1000;
@@ -22,7 +24,7 @@ export const MODES = [
 export class Driven extends EventTarget {
   constructor(live, scene) {
     super();
-    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3 });
+    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3, _hands: new Map() });
   }
 
   get scenery() {
@@ -35,6 +37,24 @@ export class Driven extends EventTarget {
 
   get frame() {
     return this.live.robot(this.name)?.frame ?? "world";
+  }
+
+  get grip() {
+    return this.live.robot(this.name)?.grip ?? "free";
+  }
+
+  /** Names of the robot's hands. */
+  get hands() {
+    return this.scenery.tools.map(({ name }) => name);
+  }
+
+  /** What is moved: one hand, all of them, or the object between them. */
+  get moved() {
+    return this.grip === OBJECT ? OBJECT : (this._hands.get(this.name) ?? ALL);
+  }
+
+  chooseHand(hand) {
+    this._hands.set(this.name, hand);
   }
 
   /** Whether wishes are speeds of joints in this mode; else they are twists of the hand. */
@@ -56,12 +76,16 @@ export class Driven extends EventTarget {
   jogs = () => this.isJogged;
   robot = () => this.name;
   length = () => (this.isByJoints ? this.scenery.joints.length : 6);
-  hand = () => (this.isByJoints ? "" : this.scenery.tools[0].name);
+  hand() {
+    if (this.isByJoints) return "";
+    if (this.hands.length < 2) return this.hands[0];
+    return this.moved === OBJECT ? ALL : this.moved;
+  }
 }
 
-/** @param context {live, scene, driven, wish, stage, views, ways, picture, thumbnails}. */
+/** @param context {live, scene, driven, wish, stage, views, ways, picture, thumbnails, follower}. */
 export function drivingPanel(context) {
-  const { live, scene, driven, wish } = context;
+  const { live, scene, driven, wish, follower } = context;
   const panel = part("driving");
   const tabs = el("div", { class: "tabs", role: "tablist" });
   const body = el("div", { class: "driving" });
@@ -127,9 +151,11 @@ export function drivingPanel(context) {
   const signals = el("section", { class: "signals" });
   const advisor = advisorCards(context, ask);
   const pose = posePanel(context, ask);
+  const hands = handsPanel(context, ask);
+  const master = masterPanel(context, ask);
   body.append(
     el("section", { class: "card" }, phase, remedy, reset, lease, el("div", { class: "row" }, ...Object.values(verbs), takeOver), answer),
-    modeBox, advisor.box, pose.box, zoom, moveBox, signals,
+    modeBox, hands.box, advisor.box, pose.box, zoom, moveBox, master.box, signals,
   );
 
   function show() {
@@ -172,11 +198,16 @@ export function drivingPanel(context) {
     say(doing, robot.mode === "advisor" ? "" : robot.driving);
     advisor.show();
     pose.show();
+    hands.show();
+    master.show();
     zoom.hidden = robot.mode !== "follow" && !(outside && driven.scenery.camera);
     distance.disabled = !!locked; // whoever follows with the robot takes it, here or elsewhere
-    if (robot.view_distance_m && document.activeElement !== distance) {
-      distance.value = robot.view_distance_m;
-      say(distanceText, `${robot.view_distance_m.toFixed(2)} m`);
+    // a follower elsewhere that nobody told another distance does not say which it keeps: then the one that is seen
+    const seen_m = follower?.view.name === driven.name ? follower.error()?.distance : null;
+    const shown_m = robot.view_distance_m ?? seen_m;
+    if (shown_m && document.activeElement !== distance) {
+      distance.value = shown_m;
+      say(distanceText, robot.view_distance_m ? `${shown_m.toFixed(2)} m` : `${shown_m.toFixed(2)} m now`);
     }
     moveBox.hidden = !mine || !driven.isJogged;
     showSignals(robot, locked || !mine);
@@ -203,5 +234,5 @@ export function drivingPanel(context) {
   driven.addEventListener("change", show);
   setInterval(show, 500);
   show();
-  return { ask, pose };
+  return { ask, pose, hands };
 }

@@ -29,7 +29,7 @@ export function wishOf(pad, driven, joint) {
 }
 
 export class Gamepad {
-  /** @param actions what buttons do: {mode, robot, gripper, picture, nearer, farther}, each a function. */
+  /** @param actions what buttons do: {mode, robot, hand, gripper, picture, distance, stop}, each a function. */
   constructor(driven, wish, actions, show) {
     Object.assign(this, { driven, wish, actions, show, joint: 0, index: null });
     this._before = [];
@@ -79,6 +79,7 @@ export class Gamepad {
     if (pressed("a")) this.actions.gripper();
     if (pressed("x")) this.actions.picture();
     if (pressed("back")) this.actions.robot();
+    if (pressed("start")) this.actions.hand();
     if (pressed("up")) this.actions.distance(-VIEW_M_S / 5);
     if (pressed("down")) this.actions.distance(VIEW_M_S / 5);
     const last = this.driven.scenery.joints.length - 1;

@@ -6,6 +6,7 @@ import { Driven, drivingPanel, MODES } from "./driving.js";
 import { eventLog } from "./event_log.js";
 import { FollowerPicture } from "./follower.js";
 import { Gamepad } from "./gamepad.js";
+import { keepsGrip } from "./hands.js";
 import { jointBars } from "./joints.js";
 import { driveByKeys } from "./keyboard.js";
 import { Live } from "./live.js";
@@ -78,8 +79,8 @@ export async function start(holder) {
   const wish = new Wish(live, driven);
   const ways = new Ways(live);
   const wayPicture = new WayPicture(stage, views);
-  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage) };
-  const { ask, pose } = drivingPanel(context);
+  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage), follower: picture };
+  const { ask, pose, hands } = drivingPanel(context);
   eventLog(live);
   const player = replayBar(live, scene);
   recordings(live, scene, player.open);
@@ -87,7 +88,7 @@ export async function start(holder) {
   livePlots(live, scene, picture, bars);
   const actions = {
     mode() {
-      const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode);
+      const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode).filter((mode) => keepsGrip(mode, driven.grip));
       const next = shown[(shown.indexOf(driven.mode) + 1) % shown.length] ?? MODES[0][0];
       ask("mode", { mode: next, frame: driven.frame });
     },
@@ -95,6 +96,7 @@ export async function start(holder) {
       const names = scene.robots.map(({ name }) => name);
       driven.choose(names[(names.indexOf(driven.name) + 1) % names.length]);
     },
+    hand: () => hands.next(),
     picture: () => picture?.toggle(),
     gripper() {
       const outputs = Object.entries(live.robot(driven.name)?.outputs ?? {});
@@ -102,7 +104,7 @@ export async function start(holder) {
     },
     distance(change) {
       const name = follower?.name;
-      const now = live.robot(name)?.view_distance_m;
+      const now = live.robot(name)?.view_distance_m ?? picture?.error()?.distance;
       if (now) live.send("view_distance", { robot: name, value_m: Math.min(2.5, Math.max(0.4, now + change)) });
     },
     stop: () => stop.press(),

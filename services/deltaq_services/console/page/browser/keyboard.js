@@ -20,6 +20,8 @@ export function driveByKeys(driven, wish, choose) {
     if (event.code === "KeyM") choose.mode();
     else if (event.code === "KeyG") choose.robot();
     else if (event.code === "KeyV") choose.picture();
+    else if (event.code === "KeyH") choose.hand();
+    else if (event.code === "KeyC" && !driven.isByJoints) wish.hold("key KeyC", { led: true });
     else if (digit && driven.isByJoints) joint = Math.min(Number(digit[1]) - 1, driven.length() - 1);
     else if (driven.isByJoints && ["ArrowUp", "ArrowDown"].includes(event.code)) {
       event.preventDefault();

@@ -5,7 +5,7 @@ import { el, say } from "./dom.js";
 
 const ROUND = { y: [196, 40], b: [212, 56], a: [196, 72], x: [180, 56] };
 const CROSS = { up: [64, 84, 12, 14], down: [64, 108, 12, 14], left: [50, 97, 14, 12], right: [76, 97, 14, 12] };
-const LETTERS = { y: "mode", b: "STOP", a: "gripper", x: "picture", up: "view nearer", down: "view farther", left: "joint −", right: "joint +", back: "robot", lb: "hold: move", rb: "hold: turn" };
+const LETTERS = { y: "mode", b: "STOP", a: "gripper", x: "picture", up: "view nearer", down: "view farther", left: "joint −", right: "joint +", back: "robot", start: "hand", lb: "hold: move", rb: "hold: turn" };
 
 export function padDrawing(driven) {
   const lights = {};

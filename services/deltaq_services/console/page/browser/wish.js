@@ -23,7 +23,7 @@ export class Wish {
     return this._held.size > 0;
   }
 
-  /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}, or {option: rank} to go along that way. */
+  /** `source` wants to move so; parts are {index: speed [rad/s or m/s]}, {option: rank} to go along that way, or {led: true}. */
   hold(source, parts) {
     const name = this.target.robot();
     const isJog = parts.option === undefined;
@@ -57,9 +57,10 @@ export class Wish {
     if (text) this._forget = setTimeout(() => (this.refused = ""), TOLD_MS);
   }
 
-  /** What is held, as a jog has it: a way, or the sum of all speeds. */
+  /** What is held, as a jog has it: a way, the master's lead, or the sum of all speeds. */
   _sum() {
     for (const { option } of this._held.values()) if (option !== undefined) return { option };
+    for (const { led } of this._held.values()) if (led) return { led };
     const wish = new Array(this.target.length()).fill(0);
     for (const parts of this._held.values()) {
       for (const [index, speed] of Object.entries(parts)) wish[index] += speed;
@@ -83,7 +84,7 @@ export class Wish {
 
   _put(wanted) {
     if (!this._robot) return;
-    const hand = wanted.wish && this.target.hand();
+    const hand = (wanted.wish || wanted.led) && this.target.hand();
     this.live.send("jog", { robot: this._robot, ...wanted, ...(hand ? { hand } : {}) }).then((ack) => {
       if (ack.outcome === "refused") this._refuse(ack.text);
     });

@@ -1,0 +1,68 @@
+"""Advisor mode where the hands may leave their place on the way to an option, and come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from advising import advised, advisor_of, cell_of
+from driving import PlainDrive, model
+from test_advisor_mode import go_to
+
+from deltaq_controllers.advisor.advisor import Progress
+from deltaq_controllers.advisor.answered import Answered
+from deltaq_controllers.advisor.near_home import near_home
+from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
+from deltaq_controllers.modes.advisor import tracker_of
+from deltaq_controllers.modes.limitation import Limit
+from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
+
+IN_PLACE_M = 1e-3
+
+
+def off_m(run: PlainDrive) -> float:
+    """How far the hand is from where it was at home [m]."""
+    robot = run.robot
+    return float(np.linalg.norm((robot.forward(run.now) - robot.forward(robot.home))[:3, 3]))
+
+
+def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
+    run = PlainDrive("gr", ModeName.JOINT)
+    advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3, hands_may_leave=True)
+    run.teleoperator = advised(run.robot, advisor=advisor)
+    run.drive(0.3)
+    options = advisor_of(run.teleoperator).options
+    ranks = [rank for rank, option in enumerate(options, start=1) if option.path is not None]
+    leaving = next(rank for rank in ranks if options[rank - 1].hands_leave)
+    keeping = next(rank for rank in ranks if not options[rank - 1].hands_leave)
+    while off_m(run) < 10 * IN_PLACE_M:
+        run.step(OperatorCommand(option=leaving))
+    go_to(run, keeping)
+    assert run.teleoperator.arrived_at == keeping
+    assert off_m(run) < IN_PLACE_M
+    assert run.violations == 0
+    assert advisor_of(run.teleoperator).options[keeping - 1].hands_leave, (
+        "it is told that they left it on this way"
+    )
+
+
+def test_hands_that_hold_an_object_do_not_leave_their_place_for_an_option() -> None:
+    robot = model("dawm")
+    tracker = tracker_of(robot)
+    end = robot.home + np.where([name == "left_1" for name in robot.joint_names], 0.2, 0.0)
+    moved = replace(
+        near_home(tracker), q=end, path=np.array([robot.home, end]), hands_move=True, hands_leave=True
+    )
+    run = PlainDrive("dawm", ModeName.JOINT)
+    run.teleoperator = advised(robot, advisor=Answered(tracker, Progress("", 1.0, 0.0, 0, (moved,))))
+    run.step(OperatorCommand(grip=Grip.OBJECT))
+    run.drive(0.3)
+    go_to(run, 1, 100)
+    np.testing.assert_array_equal(run.now, robot.home)
+    limitation = run.teleoperator.limitation
+    assert limitation is not None
+    assert limitation.limit is Limit.NO_WAY
+    assert "would part hands that hold an object" in limitation.text
+    run.step(OperatorCommand(grip=Grip.FREE))
+    go_to(run, 1)
+    assert run.teleoperator.arrived_at == 1
