@@ -116,12 +116,6 @@ class RobotModel:
         """(n,) home configuration [rad or m], read-only."""
         return self.description.home
 
-    @property
-    def tool_offset(self) -> Array:
-        """(3,) the tool's origin in the frame of the joint that carries it [m]."""
-        offset: Array = self.model.frames[self.frame_of("tool")].placement.translation
-        return offset
-
     @cached_property
     def revolute(self) -> NDArray[np.bool_]:
         """(n,) True for revolute joints, False for prismatic ones."""

@@ -200,11 +200,9 @@ class _Choice:
                 operator = terminal.enter_context(self._input(running, teleoperator))
                 display = Display(teleoperator, operator, signals)
 
-                reflect = getattr(operator, "reflect", lambda _: None)
-
                 def watch(q: Any) -> None:
                     log.add(q)
-                    reflect(teleoperator.reflection.share)
+                    operator.reflect(teleoperator.reflection.share)
                     display.show()
 
                 ended_by = None

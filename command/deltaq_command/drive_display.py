@@ -53,12 +53,8 @@ class Display:
         held = ", object held" if teleoperator.grip is Grip.OBJECT else ""
         mode = f"{teleoperator.mode.value} ({teleoperator.frame.value}{held})"
         if self._is_terminal:
-            chosen = getattr(self._operator, "status", "")
-            parts = (
-                part
-                for part in (through, mode, chosen, teleoperator.status, limit, self._signals.status)
-                if part
-            )
+            chosen, signals = self._operator.status, self._signals.status
+            parts = (part for part in (through, mode, chosen, teleoperator.status, limit, signals) if part)
             sys.stderr.write(f"\r\x1b[2K{' | '.join(parts)[:WIDTH]}")
             sys.stderr.flush()
         elif f"{mode} {limitation and limitation.what}" != self._told:

@@ -26,6 +26,12 @@ def impair(
     jitter_s: Annotated[
         float, typer.Option(min=0.0, max=10.0, help="Largest additional delay of each.")
     ] = 0.0,
+    keep_order: Annotated[
+        bool,
+        typer.Option(
+            "--keep-order", help="Let none overtake another for its jitter; a byte stream never does."
+        ),
+    ] = False,
     loss_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is lost.")] = 0.0,
     duplicate_share: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Fraction that is duplicated.")
@@ -62,11 +68,16 @@ def impair(
     from deltaq_verification.impairment.relay import unit_of, wire_faults
     from deltaq_verification.impairment.schedule import impair_for_a_while
 
+    if keep_order and not jitter_s:
+        raise typer.BadParameter(
+            "without --jitter-s none overtakes another; give one above 0", param_hint="--keep-order"
+        )
     near, far = Endpoint.parse(listen), Endpoint.parse(to)
     chosen = unit_of(near, unit)
     asked: dict[str, Any] = {
         "delay_s": delay_s,
         "jitter_s": jitter_s,
+        "keeps_order": keep_order,
         "drop": loss_share,
         "duplicate": duplicate_share,
         "reorder": reorder_share,

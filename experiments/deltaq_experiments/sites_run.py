@@ -17,9 +17,9 @@ from typing import Any
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.load import load_cell
 from deltaq_launch.child_process import Child
-from deltaq_protocol.client import TOKEN_VARIABLE
 from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.role_prover import TOKEN_VARIABLE
 from deltaq_services.guarded_key import KEY_FILE, write_new_key
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
 from deltaq_verification.impairment.packets import within as thread_within

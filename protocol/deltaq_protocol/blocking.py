@@ -38,6 +38,7 @@ from deltaq_protocol.messages import (
     ViewReply,
 )
 from deltaq_protocol.opening import Opening
+from deltaq_protocol.subscriptions import SILENCE_S
 
 T = TypeVar("T")
 
@@ -164,7 +165,7 @@ class BlockingCell:
         newest, seen = self._cell.newest(robot), 0
         while True:
             try:
-                state, seen = newest.wait_after(seen, asynchronous.SILENCE_S)
+                state, seen = newest.wait_after(seen, SILENCE_S)
             except TimeoutError:
                 self.status()  # raises if the server is gone
                 continue

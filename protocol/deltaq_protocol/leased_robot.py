@@ -7,18 +7,16 @@ import contextlib
 import itertools
 import queue
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 
 import zenoh
 
 from deltaq_protocol import topics
-from deltaq_protocol.codec import pack, unpack
+from deltaq_protocol.codec import unpack
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
 from deltaq_protocol.held_lease import HeldLease
+from deltaq_protocol.increments_out import IncrementsOut
 from deltaq_protocol.messages import (
-    EarlierIncrement,
-    Increment,
     IoReply,
     IoRequest,
     LeaseReply,
@@ -32,15 +30,11 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.newest import Newest
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.sent_verdicts import SentVerdicts
-from deltaq_protocol.stamps import StampStation, stamps_if_asked
 from deltaq_protocol.wire import Wire
 
 VERDICT_DEADLINE_S = 0.25
 """Twice as long as an increment may be in flight: a verdict that has not come by then was lost."""
 _FIRST_STATE_DEADLINE_S = 0.5
-REPEATED = 2
-"""Increments that each one repeats where the lease has a playout buffer: of links that lose a packet in a hundred,
-three in a row are lost once in three hours."""
 
 
 class LeasedRobot:
@@ -72,14 +66,11 @@ class LeasedRobot:
         self.lease = HeldLease(wire, cell, name, granted)
         self._states = states
         self._newest = newest
-        self._key = topics.INCREMENT.key(cell, robot=name)
-        self._publisher = wire.publisher(topics.INCREMENT, cell, name)
-        self._stamps = stamps_if_asked(f"client-{name}", [name])
+        self._out = IncrementsOut(wire, cell, name, self.lease.prover, playout)
         self._seqs = itertools.count(1)
         self._awaited: dict[int, asyncio.Queue[Verdict] | queue.SimpleQueue[Verdict]] = {}
         self._verdicts = SentVerdicts()
         self._releasing: asyncio.Future[None] | None = None
-        self._earlier: deque[EarlierIncrement] = deque(maxlen=REPEATED if playout else 0)
 
     @property
     def state(self) -> RobotState | None:
@@ -95,8 +86,7 @@ class LeasedRobot:
         """
         async for state in self._states():
             self.lease.check()
-            if self._stamps is not None:
-                self._stamps.add(StampStation.STATE_AT_CLIENT, self.name, state.cycle)
+            self._out.state_came(state.cycle)
             yield state
 
     async def move(self, dq: Iterable[float]) -> Verdict:
@@ -120,7 +110,7 @@ class LeasedRobot:
         verdicts: asyncio.Queue[Verdict] = asyncio.Queue()
         self._awaited[seq] = verdicts
         try:
-            self._ask_for(dq, seq, state.cycle)
+            self._out.send(dq, seq, state.cycle, self.sight)
             async with asyncio.timeout(VERDICT_DEADLINE_S):
                 return await self._own(verdicts)
         except TimeoutError:
@@ -145,7 +135,7 @@ class LeasedRobot:
         self._awaited[seq] = verdicts
         give_up_s = time.monotonic() + VERDICT_DEADLINE_S
         try:
-            self._ask_for(dq, seq, state.cycle)
+            self._out.send(dq, seq, state.cycle, self.sight)
             while True:
                 verdict = verdicts.get(timeout=max(0.0, give_up_s - time.monotonic()))
                 if not _is_about_lease(verdict):
@@ -186,7 +176,7 @@ class LeasedRobot:
             raise self._without_state()
         seq = next(self._seqs)
         self._verdicts.expect(seq)
-        self._ask_for(dq, seq, state.cycle if cycle is None else cycle)
+        self._out.send(dq, seq, state.cycle if cycle is None else cycle, self.sight)
         return seq
 
     async def verdicts(self) -> AsyncIterator[Verdict]:
@@ -260,7 +250,7 @@ class LeasedRobot:
     async def _release(self) -> None:
         self.lease.end()
         with contextlib.suppress(DeltaqError, zenoh.ZError):
-            self._publisher.undeclare()
+            self._out.end()
             await self.lease.release()
 
     async def _answerable(self) -> RobotState:
@@ -277,27 +267,6 @@ class LeasedRobot:
             f"no state of {self.name} within {_FIRST_STATE_DEADLINE_S:g} s; "
             "is its Robot Server up (`deltaq status`)?"
         )
-
-    def _ask_for(self, dq: Iterable[float], seq: int, cycle: int) -> None:
-        # not validated here: only the server decides what is refused
-        increment = Increment.model_construct(
-            robot=self.name,
-            seq=seq,
-            cycle=cycle,
-            dq=tuple(float(element) for element in dq),
-            sight=self.sight,
-            earlier=tuple(self._earlier),
-        )
-        self._earlier.append(EarlierIncrement.model_construct(seq=seq, cycle=cycle, dq=increment.dq))
-        if self._stamps is not None:
-            self._stamps.add(StampStation.INCREMENT_OUT, self.name, cycle, seq)
-        payload = pack(increment)
-        try:
-            self._publisher.put(payload, attachment=self.lease.prover.prove(self._key, payload))
-        except zenoh.ZError as error:
-            raise ServiceUnreachableError(
-                f"{self.name} cannot be moved: the connection was closed; connect again"
-            ) from error
 
     async def _own(self, verdicts: asyncio.Queue[Verdict]) -> Verdict:
         """The next verdict on an increment of this client."""

@@ -9,7 +9,7 @@ from deltaq_protocol.codec import InvalidMessageError, from_map, line_to_map, to
 from deltaq_protocol.messages import Increment, LeaseReply, LeaseRequest, Message, RobotState
 from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.tcp_connection import REQUESTS
+from deltaq_services.hli.line_requests import REQUESTS
 from deltaq_testing.controller_process import ControllerProcess
 from deltaq_verification.faults.actions import Misbehaviour
 from deltaq_verification.faults.controller import increment_of, misbehaved

@@ -26,6 +26,8 @@ def command(*options: str) -> list[str]:
         (("--loss-share", "0.2"), 2, "loss cannot befall bytes, only lines, messages, datagrams"),
         (("--unit", "packets"), 2, "no unit 'packets'; there are bytes, lines, messages, datagrams"),
         (("--loss-share", "1.2"), 2, "--loss-share"),
+        (("--jitter-s", "0.1", "--keep-order"), 2, "kept order cannot befall bytes, only lines, messages"),
+        (("--unit", "lines", "--keep-order"), 2, "without --jitter-s none overtakes another"),
         (("--listen", "tcp/192.0.2.1:9"), 3, "cannot listen on tcp/192.0.2.1:9"),
     ],
 )
@@ -65,6 +67,31 @@ def test_a_wire_is_cut_for_as_long_as_was_said_and_carried_before_and_after() ->
             finally:
                 relay.terminate()
         assert relay.returncode == 0
+
+
+@pytest.mark.service
+def test_lines_that_are_late_unevenly_overtake_none_where_their_order_is_kept() -> None:
+    listen, to = endpoint(), endpoint()
+    port = int(listen.rpartition(":")[2])
+    sent = b"".join(b"%d\n" % number for number in range(200))
+    with socket.create_server(("127.0.0.1", int(to.rpartition(":")[2]))) as server:
+        server.settimeout(300)
+        words = command(
+            "--listen", listen, "--to", to, "--unit", "lines", "--jitter-s", "0.2", "--keep-order"
+        )
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as relay:
+            assert relay.stdout is not None
+            try:
+                assert relay.stdout.readline().startswith(f"carries lines from {listen} to {to}")
+                assert relay.stdout.readline() == 'impaired: {"jitter_s":0.2,"keeps_order":true}\n'
+                with socket.create_connection(("127.0.0.1", port), timeout=300) as client:
+                    there, _ = server.accept()
+                    with there, there.makefile("rb") as lines:
+                        there.settimeout(300)
+                        client.sendall(sent)
+                        assert lines.read(len(sent)) == sent
+            finally:
+                relay.terminate()
 
 
 @pytest.mark.service

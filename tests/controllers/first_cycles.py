@@ -40,6 +40,7 @@ from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.signals import SignalLog
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
@@ -165,7 +166,7 @@ class QuietCell(Cell):
 
 
 @dataclass
-class Operator:
+class Operator(OperatorInput):
     """Wishes one after the other, each for a number of cycles or until it is so."""
 
     commands: list[tuple[OperatorCommand, Callable[[int], bool]]]

@@ -11,12 +11,13 @@ from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, PlacedTool
 from deltaq_controllers.operator_input.master import MOST_M_S, STALE_S, Master
 from deltaq_protocol.arrays import Array
 
 
-class Clutch:
+class Clutch(OperatorInput):
     """A device on which an operator holds a button, or not."""
 
     status = "a button"
@@ -25,6 +26,10 @@ class Clutch:
         self.hand: str | None = None
         self.is_clutched = True
         self.command: OperatorCommand | None = OperatorCommand()
+        self.felt: list[float] = []
+
+    def reflect(self, share: float) -> None:
+        self.felt.append(share)
 
     def read(self, time_s: float) -> OperatorCommand | None:
         return self.command
@@ -98,6 +103,12 @@ def test_a_master_that_is_not_coupled_or_never_seen_moves_nothing() -> None:
     unseen = Master(led.slave.teleoperator, model("fr"), lambda: (None, None), Clutch(), 1.0)
     assert unseen.read(0.0) == OperatorCommand()
     assert "is not seen" in unseen.status
+
+
+def test_what_goes_through_is_felt_in_the_hand_that_couples_the_master() -> None:
+    led = Led()
+    led.input.reflect(0.25)
+    assert led.clutch.felt == [0.25]
 
 
 def test_a_master_that_falls_silent_is_rest_until_it_is_coupled_anew() -> None:

@@ -12,6 +12,16 @@ SPEED_STEP = 1.5
 _LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
 
 
+def choices_help(
+    *, mode: str, frame: str, hand: str, speed: str, end: str, outputs: str, on: str, off: str
+) -> str:
+    """What every device lets choose, and by which of its keys or buttons."""
+    return (
+        f"{mode} next mode, {frame} world/tool, {hand} next hand, {speed} speed, {end} ends\n"
+        f"outputs: {outputs} next, {on} on, {off} off"
+    )
+
+
 def next_mode(teleoperator: Teleoperator) -> ModeName:
     """The mode after the present one that the robot can be driven in."""
     modes = list(ModeName)

@@ -13,19 +13,31 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.choices import (
     OutputChoice,
     changed_speed,
+    choices_help,
     grip_of,
     hand_axis,
     next_hand,
     next_mode,
     other_frame,
 )
+from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
 from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis, Trigger
 
+_CHOICES = choices_help(
+    mode="Y",
+    frame="X",
+    hand="A",
+    speed="cross up/down",
+    end="B or back",
+    outputs="start",
+    on="right trigger",
+    off="left trigger",
+)
 HELP = (
+    f"{_CHOICES}\n"
     "hold the left shoulder button to move, the right one to turn: left stick x and y, right stick z\n"
-    "Y next mode, X world/tool, A next hand; cross left/right: joint or option, up/down: speed; B or back ends\n"
-    "outputs: start next, right trigger on, left trigger off"
+    "cross left/right: next joint, or option of the advisor"
 )
 ENDING = {PadButton.B, PadButton.BACK}
 
@@ -39,7 +51,7 @@ _OPTIONS = 9
 _PUSHED = 0.5
 
 
-class Gamepad:
+class Gamepad(OperatorInput):
     """Commands from a gamepad.
 
     In a mode that drives joints alone the left stick drives the joint chosen, in advisor mode it goes to the option

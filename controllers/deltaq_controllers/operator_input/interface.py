@@ -15,6 +15,15 @@ class OperatorInput(Protocol):
         """The command at a time of the robot's clock [s]; empty while nobody touches anything, None when it is over."""
         ...
 
+    @property
+    def status(self) -> str:
+        """The present choice, for the operator."""
+        return ""
+
+    def reflect(self, share: float) -> None:
+        """Tell the hand which share of what it asks for goes through, 0 to 1."""
+        del share
+
     def __enter__(self) -> Self: ...
 
     def __exit__(

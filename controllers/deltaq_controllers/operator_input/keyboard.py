@@ -21,6 +21,7 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.choices import (
     OutputChoice,
     changed_speed,
+    choices_help,
     grip_of,
     hand_axis,
     next_hand,
@@ -28,6 +29,7 @@ from deltaq_controllers.operator_input.choices import (
     other_frame,
 )
 from deltaq_controllers.operator_input.held_key import HOLD_S, TAP_S, HeldKey
+from deltaq_controllers.operator_input.interface import OperatorInput
 
 HAND_KEYS = {
     "w": ("x", 1), "s": ("x", -1), "a": ("y", 1), "d": ("y", -1), "r": ("z", 1), "f": ("z", -1),
@@ -36,11 +38,11 @@ HAND_KEYS = {
 """Key to axis of the hand and direction."""
 
 HELP = (
-    "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; h next hand; joints: arrows up/down drive, left/right choose\n"
+    f"{choices_help(mode='m', frame='t', hand='h', speed='+/-', end='q', outputs='g', on='.', off=',')}\n"
+    "hand: w/s x, a/d y, r/f z, j/l rx, i/k ry, u/o rz; joints: arrows up/down drive, left/right choose\n"
     f"a tap moves as far as full speed does in {TAP_S:g} s; a held key moves slowly until it repeats, then at full\n"
     f"speed until {HOLD_S:g} s after its last repeat; space stops\n"
-    "1-9 go to an option of the advisor, any other key stops; m mode, t world/tool, +/- speed, q quit\n"
-    "outputs: g next, . on, , off"
+    "1-9 go to an option of the advisor, any other key stops"
 )
 
 OPTION_KEYS = "123456789"
@@ -52,7 +54,7 @@ TURN_RAD_M = 3.5
 _SWITCH_KEYS = {".": True, ",": False}
 
 
-class Keyboard:
+class Keyboard(OperatorInput):
     """Commands from key presses.
 
     Args:

@@ -54,13 +54,8 @@ class Clutch(OperatorInput, Protocol):
         """Whether the master leads."""
         ...
 
-    @property
-    def status(self) -> str:
-        """The present choice."""
-        ...
 
-
-class Master:
+class Master(OperatorInput):
     """Commands from the measured motion of another robot's tool.
 
     A master that is not seen any more, or that jumped, is uncoupled until the operator couples it again.
@@ -165,7 +160,7 @@ class Master:
 
     def reflect(self, share: float) -> None:
         """Hand on what goes through to a device that can tell it."""
-        getattr(self._clutch, "reflect", lambda _: None)(share)
+        self._clutch.reflect(share)
 
     def __enter__(self) -> Self:
         self._clutch.__enter__()

@@ -8,12 +8,13 @@ from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.interface import OperatorInput
 
 PATIENCE_S = 3.0
 """Time without progress, on the robot's clock, after which the drive ends."""
 
 
-class GoToOption:
+class GoToOption(OperatorInput):
     """Commands to be at an option, and is over when the robot is there.
 
     Args:

@@ -14,6 +14,7 @@ from deltaq_cell.yaml_tree import parse
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.motion import HAND_AXES, Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.operator_input.interface import OperatorInput
 
 _UNITS = {"_m_s": ("m", 1.0), "_mm_s": ("m", 1e-3), "_rad_s": ("rad", 1.0), "_deg_s": ("rad", math.pi / 180)}
 
@@ -37,7 +38,7 @@ class ScriptStep(BaseModel):
     """Digital outputs to switch as the step begins, by name: `gripper: on`."""
 
 
-class Script:
+class Script(OperatorInput):
     """Commands from a list of steps, one after the other on the robot's clock.
 
     What a step to an option comes to must not depend on how quick a computer the advisor has, so its time

@@ -10,6 +10,7 @@ from typing import Self
 from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.choices import hand_axis, next_hand
+from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M, Keyboard
 from deltaq_controllers.operator_input.six_axis import SixAxis, SixAxisState
 from deltaq_controllers.operator_input.spacemouse_device import SpaceMouseDevice
@@ -22,7 +23,7 @@ RUN, NEXT_HAND = 0, 1
 """Buttons of the device."""
 
 
-class SpaceMouse:
+class SpaceMouse(OperatorInput):
     """Commands from a SpaceMouse, and from keys.
 
     Args:

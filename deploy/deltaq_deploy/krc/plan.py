@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import PurePath
 
-from deltaq_cell.check import KRC_CYCLES_S
+from deltaq_cell.check_description import KRC_CYCLES_S
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.rsi import AxisMap

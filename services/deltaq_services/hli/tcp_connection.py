@@ -9,33 +9,27 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from deltaq_protocol.audit import AuditKind, AuditOutcome
-from deltaq_protocol.codec import MAX_MESSAGE_BYTES, InvalidMessageError, from_map, line_to_map, to_line
+from deltaq_protocol.codec import InvalidMessageError, from_map, line_to_map, to_line
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
     PROTOCOL_VERSION,
-    ContactRequest,
     DescribeRequest,
-    DryRunRequest,
     Error,
     Hello,
     Increment,
-    IoRequest,
     LeaseReply,
-    LeaseRequest,
     Message,
-    ResetRequest,
     StopRequest,
-    ViewRequest,
 )
-from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.handshake import identity_of
+from deltaq_services.hli.line_requests import hello_of, of_client, request_type
 from deltaq_services.hli.port import Port
+from deltaq_services.hli.received_lines import MAX_LINE_BYTES, ReceivedLines
 from deltaq_services.hli.refusals import answered_by_error
 from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
-MAX_LINE_BYTES = MAX_MESSAGE_BYTES
 MAX_MALFORMED_IN_A_ROW = 100
 MAX_UNREAD_BYTES = 1024 * 1024
 """Answers that a client has asked for and not read; beyond, the connection ends."""
@@ -44,24 +38,8 @@ CLOSE_DEADLINE_S = 2.0
 """Time for a dismissed client to read the reason."""
 STOP_DEADLINE_S = 1.0
 """Time for a stop on a connection that has no place for anything else."""
-_STOPS_LOOKED_FOR = 4
-"""Lines that may be stops and are looked at before their turn, each time that bytes come."""
 _SEND_BUFFER_BYTES = 64 * 1024
 """The kernel buffers no more than about this: buffered states can no longer be replaced by newer ones."""
-
-REQUESTS: dict[str, type[Message]] = {
-    "hello": Hello,
-    "lease": LeaseRequest,
-    "increment": Increment,
-    "io": IoRequest,
-    "stop": StopRequest,
-    "reset": ResetRequest,
-    "dry_run": DryRunRequest,
-    "contact": ContactRequest,
-    "view": ViewRequest,
-    "describe": DescribeRequest,
-}
-"""What a client may say, by the `type` of its line."""
 
 
 class Front(Protocol):
@@ -105,8 +83,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._port = port
         self._front = front
         self._client: Hello | None = None
-        self._received = bytearray()
-        self._searched = 0
+        self._lines = ReceivedLines()
         self._malformed_in_a_row = 0
         self._is_slow = False
         self._for_stop_alone = False
@@ -136,11 +113,14 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     def data_received(self, data: bytes) -> None:
         """Bytes have come."""
-        begin = len(self._received)
-        self._received += data
-        self._obey_stops(begin)
+        begin = len(self._lines)
+        self._lines.add(data)
+        if self._lines.take_stop(begin):
+            self._port.carry_out(self._port.core.take(StopRequest(), self._port.now(), self))
         if self._for_stop_alone:
-            self._forget_lines()
+            self._lines.forget_whole()
+            if len(self._lines) > MAX_LINE_BYTES:  # what has begun is too long for a stop
+                self.close()
         elif self._has_line():
             self._front.wants_turn(self)
 
@@ -204,11 +184,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         """Serve the line that waits; whether another one does."""
         if self._transport.is_closing():
             return False
-        end = self._received.find(b"\n", self._searched)
-        if end >= 0:
-            line = bytes(self._received[:end])
-            del self._received[: end + 1]
-            self._searched = 0
+        line = self._lines.take()
+        if line is not None:
             self._serve(line)
         return self._has_line()
 
@@ -216,41 +193,17 @@ class TcpConnection(asyncio.Protocol, Sender):
         """Whether a whole line waits; a line without an end that is too long ends the connection."""
         if self._transport.is_closing():
             return False
-        end = self._received.find(b"\n", self._searched)
-        length = end if end >= 0 else len(self._received)
+        length, is_whole = self._lines.first()
         if length > MAX_LINE_BYTES:
             text = f"a line of {length} bytes or more; at most {MAX_LINE_BYTES} are allowed"
             self._give_up(text, "end every message with a newline")
             return False
-        self._searched = length
         # what waits in the system's buffers keeps its sender waiting, and nobody else
-        if end >= 0 and len(self._received) > MAX_LINE_BYTES:
+        if is_whole and len(self._lines) > MAX_LINE_BYTES:
             self._transport.pause_reading()
         else:
             self._transport.resume_reading()
-        return end >= 0
-
-    def _obey_stops(self, begin: int) -> None:
-        """Obey a stop that has come whole, whatever came before it and waits; `begin`: what was looked at before."""
-        start = self._received.rfind(b"\n", 0, begin) + 1
-        for _ in range(_STOPS_LOOKED_FOR):
-            found = self._received.find(b'"stop"', start)
-            end = self._received.find(b"\n", found) if found >= 0 else -1
-            if end < 0:
-                return
-            start = self._received.rfind(b"\n", 0, found) + 1
-            if end - start <= MAX_LINE_BYTES and _is_stop(bytes(self._received[start:end])):
-                del self._received[start : end + 1]
-                self._searched = 0
-                self._port.carry_out(self._port.core.take(StopRequest(), self._port.now(), self))
-                return
-            start = end + 1
-
-    def _forget_lines(self) -> None:
-        """Keep only the line that has not ended yet, of a length that a stop can have."""
-        del self._received[: self._received.rfind(b"\n") + 1]
-        if len(self._received) > MAX_LINE_BYTES:
-            self.close()
+        return is_whole
 
     def _serve(self, line: bytes) -> None:
         increments, now = self._port.core.increments, self._port.now()
@@ -270,20 +223,15 @@ class TcpConnection(asyncio.Protocol, Sender):
 
     def _outputs(self, data: dict[str, Any], now: float) -> list[Output]:
         core = self._port.core
-        kind = data.get("type")
-        message_type = REQUESTS.get(kind) if isinstance(kind, str) else None
-        if message_type is None:
-            known = ", ".join(REQUESTS)
-            text = f"type: must be one of {known}, got {shown(kind)}"
-            raise InvalidMessageError(text, ReasonCode.MALFORMED, data)
+        message_type = request_type(data)
         if message_type is Hello:
-            return self._greet(_hello(data))
+            return self._greet(hello_of(data))
         if message_type is StopRequest:
             # anybody may stop, and a stop is obeyed whatever else the line says
             return core.take(StopRequest(), now, self)
         client = self._client
         if client is None:
-            text = f"a {kind} before the hello"
+            text = f"a {data['type']} before the hello"
             hint = f'begin with {{"type":"hello","protocol":{PROTOCOL_VERSION},"client":"your name"}}'
             answered = answered_by_error(data)
             self._tell(AuditKind.MESSAGE, ReasonCode.NOT_PERMITTED, text)
@@ -291,18 +239,9 @@ class TcpConnection(asyncio.Protocol, Sender):
         if message_type is Increment:
             return self._increment(data, now)
         request = from_map(message_type, data)
-        fields: dict[str, str | None] = {}
-        match request:
-            case LeaseRequest():
-                lease = self.leases.get(request.robot)
-                fields = {"lease": lease, "client": client.client, "token": client.token}
-            case IoRequest():
-                fields = {"lease": self.leases.get(request.robot)}
-            case ContactRequest() | ResetRequest() | ViewRequest():
-                fields = {"token": client.token}
-            case DescribeRequest():
-                return self._told(core.description)
-        return core.take(request.model_copy(update=fields), now, self)
+        if isinstance(request, DescribeRequest):
+            return self._told(core.description)
+        return core.take(of_client(request, client, self.leases), now, self)
 
     def _greet(self, hello: Hello) -> list[Output]:
         if hello.token is not None and not self._front.token_may_be_used(hello, self._address):
@@ -368,18 +307,3 @@ def address_of(transport: asyncio.BaseTransport) -> str:
         return ""
     host = f"[{peer[0]}]" if ":" in peer[0] else peer[0]
     return f"{host}:{peer[1]}"
-
-
-def _is_stop(line: bytes) -> bool:
-    try:
-        return line_to_map(line).get("type") == "stop"
-    except InvalidMessageError:
-        return False
-
-
-def _hello(data: dict[str, Any]) -> Hello:
-    """The hello; one of another version may have fields that this one does not know."""
-    protocol = data.get("protocol")
-    if isinstance(protocol, int) and protocol not in LINE_VERSIONS:
-        data = {"type": "hello", "protocol": protocol, "client": "of another version"}
-    return from_map(Hello, data)

@@ -38,6 +38,7 @@ class TrafficUnit(StrEnum):
 
 
 _WORDS = {
+    "keeps_order": "kept order",
     "drop": "loss",
     "duplicate": "duplication",
     "reorder": "reordering",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.codec import InvalidMessageError
-from deltaq_protocol.guarded import Admission, Command, CommandReply, Request, ServerState, Supervision
+from deltaq_protocol.guarded import Admission, ServerState, Supervision
 from deltaq_protocol.messages import Message, ResetRequest, RobotState, Status, StopRequest, Verdict
 from deltaq_protocol.topic import Realm
 from deltaq_services.hli.core import HliCore
@@ -33,21 +33,12 @@ from deltaq_verification.virtual_cell.clients import (
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Life, Link, Process, VirtualProcess
 from deltaq_verification.virtual_cell.wires import MessageWire
+from deltaq_verification.virtual_cell.wiring import GUARDED_WAYS, Wiring
 
 _BEGAN_S = 1e9
 """Time of day at the beginning: epochs and ids are counted from it [s since 1970]."""
 _START_CYCLES = 100
 _ROUNDING_S = 1e-9
-
-_GUARDED: dict[type[Message], tuple[Link, Process]] = {
-    Admission: (Link.SIM_SERVER, Process.ROBOT_SERVER),
-    Supervision: (Link.SIM_SERVER, Process.ROBOT_SERVER),
-    Verdict: (Link.HLI_SIM, Process.HLI),
-    CommandReply: (Link.HLI_SIM, Process.HLI),
-    Request: (Link.HLI_SIM, Process.SIM),
-    Command: (Link.HLI_SIM, Process.SIM),
-}
-"""How a message of the guarded realm goes, and to whom."""
 
 
 class VirtualCellError(Exception):
@@ -83,14 +74,13 @@ class VirtualCell:
         self._connections: list[Connection] = []
         self._stepped: dict[str, SteppedController] = {}
         self._sim, self._hli = VirtualProcess(self._new_sim), VirtualProcess(self._new_hli)
-        self._wires: dict[tuple[Link, Process, str | None, type[Message] | None], MessageWire] = {}
-        self._plugged: list[tuple[MessageWire, Process]] = []
+        self._wiring = Wiring(self._arrive)
         self.states: dict[str, RobotState] = {}
         self.arms = {
             name: self._arm(name, (start or {}).get(name, robot.home), seed)
             for name, robot in self.cell.robots.items()
         }
-        self._links = [link for arm in self.arms.values() for link in arm.links]
+        self._wiring.watch(link for arm in self.arms.values() for link in arm.links)
 
     @property
     def sim(self) -> Sim:
@@ -121,7 +111,7 @@ class VirtualCell:
         for arm in ticking:
             arm.begin_cycle(self.now_s)
         # what is due exactly at the end belongs to the next cycle, up to rounding
-        while (due_s := self._next_arrival_s()) is not None and due_s < end_s - _ROUNDING_S:
+        while (due_s := self._wiring.next_s) is not None and due_s < end_s - _ROUNDING_S:
             self.now_s = max(self.now_s, due_s)
             self._pump()
         for arm in ticking:
@@ -159,9 +149,7 @@ class VirtualCell:
             robots: whose messages; None for those of no robot.
             kind: only messages of this kind; None for all that have no wire of their own.
         """
-        self._wires |= {(link, to, robot, kind): wire for robot in robots}
-        self._plugged.append((wire, to))
-        self._links.append(wire.link)
+        self._wiring.plug(link, to, wire, robots, kind)
 
     def process(
         self, process: Process, robot: str
@@ -187,7 +175,7 @@ class VirtualCell:
         """Connect a client that `begin` makes, to which what sends is given; over wires to the HLI and from it."""
         connection = Connection(begin, lambda: self.now_s, self._to_hli, up, down)
         self._connections.append(connection)
-        self._links += [wire.link for wire in (up, down) if wire is not None]
+        self._wiring.watch(wire.link for wire in (up, down) if wire is not None)
         return connection
 
     def acquire(self, robot: str, client: str) -> None:
@@ -238,7 +226,7 @@ class VirtualCell:
             if isinstance(output, ToSender):
                 output.sender.deliver(output.message)
             elif output.topic.realm is Realm.GUARDED:
-                self._send(*_GUARDED[type(output.message)], output.message)
+                self._send(*GUARDED_WAYS[type(output.message)], output.message)
             elif isinstance(output.message, RobotState):
                 self.states[output.robot] = output.message
                 for connection in self._connections:
@@ -250,12 +238,7 @@ class VirtualCell:
         self._send(Link.HLI_SERVER, Process.HLI, state)
 
     def _send(self, link: Link, to: Process, message: Message) -> None:
-        robot = getattr(message, "robot", None)
-        wire = self._wires.get((link, to, robot, type(message))) or self._wires.get((link, to, robot, None))
-        if wire is None or wire.perfect:
-            self._arrive(to, message)
-        else:
-            wire.send(self.now_s, message)
+        self._wiring.send(self.now_s, link, to, message)
 
     def _arrive(self, to: Process, message: Message) -> None:
         if to is Process.SIM:
@@ -268,7 +251,7 @@ class VirtualCell:
 
     def _ask_gate(self, message: Message) -> None:
         for output in self.gate_takes(message):
-            self._send(*_GUARDED[type(output.message)], output.message)
+            self._send(*GUARDED_WAYS[type(output.message)], output.message)
 
     def _to_hli(self, said: Message | InvalidMessageError, sender: Sender | None) -> None:
         self._hli.do(lambda: self.carry_out(self.hli.take(said, self._hli_s, sender)))
@@ -278,17 +261,12 @@ class VirtualCell:
         self._to_hli(request, ClientPort(answers.append))
         return answers
 
-    def _next_arrival_s(self) -> float | None:
-        return min((due_s for link in self._links if (due_s := link.next_s) is not None), default=None)
-
     def _pump(self) -> None:
         for arm in self.arms.values():
             arm.pump(self.now_s)
         for connection in self._connections:
             connection.pump(self.now_s)
-        for wire, to in self._plugged:
-            for message in wire.take(self.now_s):
-                self._arrive(to, message)
+        self._wiring.pump(self.now_s)
 
     # --- beginnings ---------------------------------------------------------------------------------------
 

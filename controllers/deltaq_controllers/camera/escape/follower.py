@@ -13,35 +13,26 @@ from deltaq_controllers.camera.escape.plan import EscapePlan
 from deltaq_controllers.camera.escape.pursuit import Pursuit
 from deltaq_controllers.camera.escape.rollout import CourseStart
 from deltaq_controllers.camera.qp_follower import Evasion, QpFollower
-from deltaq_controllers.camera.qp_gains import QpGains
-from deltaq_controllers.camera.qp_tasks import TaskGains
-from deltaq_controllers.camera.scene import Scene
 from deltaq_protocol.arrays import Array
 
 
 class EscapingFollower(QpFollower):
-    """Arguments and attributes as of `QpFollower`; `escape_gains` are those of the plan."""
+    """Arguments and attributes as of `QpFollower`."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        desired_distance_m: float,
-        focus: Array | None = None,
-        gains: QpGains | None = None,
-        escape_gains: EscapeGains | None = None,
-    ) -> None:
-        led = self._escape_gains = escape_gains or EscapeGains()
-        self._gains_led = TaskGains.of(gains or QpGains())._replace(
+    def _warm_up(self) -> None:
+        """Make the plan, of which the first cycles are part, and make it anew after them."""
+        led = self._escape_gains = EscapeGains()
+        self._gains_led = self._gains_near._replace(
             evasion_weight=led.led_evasion_weight, distance_weight=led.led_weight, room_weight=led.led_weight
         )
-        self._arm = arm_of(scene)
-        self._think_anew(scene)
-        super().__init__(scene, desired_distance_m, focus, gains)
-        self._think_anew(scene)  # warming up it has seen an attacker that is none
+        self._arm = arm_of(self._scene)
+        self._think_anew()
+        super()._warm_up()
+        self._think_anew()  # warming up it has seen an attacker that is none
 
-    def _think_anew(self, scene: Scene) -> None:
-        self._plan = EscapePlan(self._arm, self._escape_gains, scene.cycle_s)
-        self._pursuit = Pursuit(scene)
+    def _think_anew(self) -> None:
+        self._plan = EscapePlan(self._arm, self._escape_gains, self._cycle_s)
+        self._pursuit = Pursuit(self._scene)
 
     def _retreat(self, q: Array, dq_last: Array, focus: Array, evade: bool) -> Evasion:
         camera = self._camera

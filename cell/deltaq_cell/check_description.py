@@ -1,0 +1,134 @@
+"""What is wrong with a cell description by itself and beside the files that it names; no robot is modelled for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from deltaq_cell.description import CellDescription, RobotDescription, RsiDescription
+from deltaq_cell.find import resolve_near
+from deltaq_cell.krc_files import judge_krc_files
+from deltaq_cell.models import nearest_name
+from deltaq_cell.open_realm import ALLOWS_ANYBODY, NEEDS_TOKENS, off_loopback
+from deltaq_cell.placed_problems import FieldPath, PlacedProblems
+from deltaq_cell.problems import Problem
+
+KRC_CYCLES_S = {"krc2": (0.012,), "krc4": (0.004, 0.012)}
+"""Sample times of RSI by generation of the KRC."""
+
+
+class DescriptionCheck:
+    """Checks, each a generator of problems.
+
+    Args:
+        path: of the cell's file.
+        cell: as it says.
+        placed: makes the problems.
+    """
+
+    def __init__(self, path: Path, cell: CellDescription, placed: PlacedProblems) -> None:
+        self._path, self._cell, self._at = path, cell, placed.at
+
+    def of_cell(self) -> Iterator[Problem]:
+        """What is wrong with the cell, whatever its robots are."""
+        yield from self._ports()
+        yield from self._open_realm()
+        yield from self._timing()
+
+    def of_robot(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
+        """What is wrong with a robot."""
+        yield from self._references(name, robot)
+        yield from self._cycle(name, robot)
+        yield from self._krc_files(name, robot)
+
+    def _ports(self) -> Iterator[Problem]:
+        """No two listeners share a port."""
+        taken: dict[int, str] = {}
+        listeners: list[tuple[FieldPath, int]] = [
+            (("hli",), _port(self._cell.hli)),
+            (("sim",), _port(self._cell.sim)),
+            (("tcp_port",), self._cell.tcp_port),
+        ]
+        for name, robot in self._cell.robots.items():
+            listeners.append((("robots", name, "server"), _port(robot.server)))
+            if isinstance(robot.driver, RsiDescription):
+                listeners.append((("robots", name, "driver", "port"), robot.driver.port))
+                if robot.driver.control_port is not None:
+                    listeners.append((("robots", name, "driver", "control_port"), robot.driver.control_port))
+        for field, port in listeners:
+            if not 1 <= port <= 65535:
+                yield self._at(field, f"port {port} does not exist; take one of 1 to 65535", port, 65535)
+            elif port in taken:
+                yield self._at(field, f"port {port} is that of {taken[port]} already; take another", port)
+            else:
+                taken[port] = ".".join(str(part) for part in field)
+
+    def _open_realm(self) -> Iterator[Problem]:
+        """Nobody on another machine moves a robot without a token, unless the cell says so."""
+        exposed = off_loopback(self._cell)
+        if exposed is None or self._cell.clients_need_tokens:
+            return
+        field, value = exposed
+        if self._cell.anyone_who_connects_may_move_the_robots:
+            told = "anyone who reaches this address may move the robots, reset a stop and set outputs"
+            yield self._at((field,), told, value, severity="warning")
+            return
+        told = (
+            "other machines reach this address, and would need no token to move the robots; set "
+            f"`{NEEDS_TOKENS}: true` and give the HLI the tokens, listen on 127.0.0.1, or set `{ALLOWS_ANYBODY}: true`"
+        )
+        yield self._at((field,), told, value)
+
+    def _timing(self) -> Iterator[Problem]:
+        """No deadline of the gate is so short that a healthy cycle misses it."""
+        least = 2 * self._cell.cycle_s
+        for name in ("max_request_age_s", "gate_timeout_s", "hli_timeout_s", "krc_timeout_s"):
+            value = getattr(self._cell.gate, name)
+            if value < least:
+                message = f"{value:g} s is less than two cycles; allow at least {least:g} s"
+                yield self._at(("gate", name), message, value, least)
+
+    def _references(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
+        """Bodies and files that a robot names exist."""
+        structure = self._cell.structure
+        for index, body in enumerate(robot.mounted_on):
+            if body not in structure:
+                allowed, near = ", ".join(structure) or "none", nearest_name(body, structure)
+                message = f"no body '{body}' in the structure" + (f"; did you mean '{near}'?" if near else "")
+                yield self._at(("robots", name, "mounted_on", index), message, body, allowed, near)
+        if isinstance(robot.driver, RsiDescription):
+            try:
+                resolve_near(self._path, robot.driver.ethernet_xml)
+            except FileNotFoundError as error:
+                field = ("robots", name, "driver", "ethernet_xml")
+                yield self._at(field, str(error), robot.driver.ethernet_xml)
+
+    def _cycle(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
+        """The cell's cycle is a whole number of the KRC's."""
+        if not isinstance(robot.driver, RsiDescription):
+            return
+        cycles = KRC_CYCLES_S[robot.driver.krc]
+        multiples = [self._cell.cycle_s / cycle for cycle in cycles]
+        if not any(math.isclose(m, round(m), abs_tol=1e-6) and round(m) >= 1 for m in multiples):
+            allowed = " or ".join(f"{1000 * cycle:g} ms" for cycle in cycles)
+            message = (
+                f"{1000 * self._cell.cycle_s:g} ms is no multiple of the cycle of robots.{name}.driver.krc "
+                f"'{robot.driver.krc}', which is {allowed}"
+            )
+            yield self._at(("cycle_s",), message, self._cell.cycle_s, cycles[0])
+
+    def _krc_files(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
+        """The KRC's files can be safe and agree with the cell."""
+        try:
+            found = judge_krc_files(self._path, robot)
+        except FileNotFoundError:
+            return  # reported as a reference that leads nowhere
+        for finding in found:
+            field = ("robots", name, "driver", *finding.field)
+            yield self._at(field, str(finding), finding.value, finding.bound, severity=finding.severity)
+
+
+def _port(endpoint: str) -> int:
+    """Its port, also one that does not exist, which `Endpoint` refuses: the problem names it and its bound."""
+    return int(endpoint.rsplit(":", 1)[1])

@@ -1,0 +1,143 @@
+"""What is wrong with a cell description beside the models of its robots, and with the bodies of them all together."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from deltaq_cell.cell_model import MOST_TOLD_BYTES, CellModel, LongDescriptionError
+from deltaq_cell.description import CellDescription
+from deltaq_cell.never_checked import SAMPLES, Pair, farthest_apart, ordered, samples
+from deltaq_cell.placed_problems import PlacedProblems
+from deltaq_cell.problems import Problem
+from deltaq_cell.proximity import ProximityEngine
+from deltaq_cell.robot import RobotModel
+
+
+class ModelCheck:
+    """Checks, each a generator of problems.
+
+    Args:
+        cell: as its file says.
+        placed: makes the problems.
+    """
+
+    def __init__(self, cell: CellDescription, placed: PlacedProblems) -> None:
+        self._cell, self._at = cell, placed.at
+
+    def of_robot(self, robot: RobotModel) -> Iterator[Problem]:
+        """What is wrong with a robot."""
+        yield from self._limits(robot)
+        yield from self._tolerances(robot)
+
+    def of_cell(self, cell: CellModel) -> Iterator[Problem]:
+        """What is wrong with the robots among one another and with what is around them."""
+        yield from self._contacts(cell)
+        yield from self._homes(cell)
+        yield from self._told(cell)
+
+    def _limits(self, robot: RobotModel) -> Iterator[Problem]:
+        """A joint's limits lie inside those of the robot's own data sheet, as its URDF has them."""
+        for index, (name, joint) in enumerate(robot.description.joints.items()):
+            unit, factor = ("deg", math.degrees(1.0)) if joint.revolute else ("m", 1.0)
+            sheet = {
+                f"lower_{unit}": (joint.lower, float(robot.model.lowerPositionLimit[index]), -1),
+                f"upper_{unit}": (joint.upper, float(robot.model.upperPositionLimit[index]), 1),
+                f"max_velocity_{unit}_s": (joint.max_velocity, float(robot.model.velocityLimit[index]), 1),
+            }
+            for field, (value, bound, sign) in sheet.items():
+                if sign * (value - bound) > 1e-6:
+                    word = "below" if sign < 0 else "above"
+                    given, allowed = round(value * factor, 4), round(bound * factor, 4)
+                    message = f"{given:g} is {word} what the robot's model allows, {allowed:g}"
+                    yield self._at(("robots", robot.name, "joints", name, field), message, given, allowed)
+
+    def _tolerances(self, robot: RobotModel) -> Iterator[Problem]:
+        """No joint that is off by its tolerance moves the tool by more than the stop distance."""
+        stop = self._cell.gate.stop_distance_m
+        for index, (name, joint) in enumerate(robot.description.joints.items(), start=1):
+            lever = _lever(robot, index) if joint.revolute else 1.0
+            if joint.tracking_tolerance * lever > stop:
+                field = "tracking_tolerance_deg" if joint.revolute else "tracking_tolerance_m"
+                factor = math.degrees(1.0) if joint.revolute else 1.0
+                value, bound = joint.tracking_tolerance * factor, round(stop / lever * factor, 3)
+                message = (
+                    f"{value:g} lets this joint alone carry the tool {joint.tracking_tolerance * lever:.3f} m off its "
+                    f"path, more than the stop distance of {stop:g} m; at most {bound:g} is sound"
+                )
+                place = ("robots", robot.name, "joints", name, field)
+                yield self._at(place, message, value, bound, severity="warning")
+
+    def _contacts(self, cell: CellModel) -> Iterator[Problem]:
+        """Bodies that contacts name exist, and those that touch are a robot's."""
+        own = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
+        known = [*own, *(body.name for body in cell.structure)]
+        for name, contact in self._cell.contacts.items():
+            for field, names, bodies in (
+                ("bodies", contact.bodies, own),
+                ("against", contact.against, known),
+            ):
+                for index, body in enumerate(names):
+                    if body not in bodies:
+                        yield self._at(
+                            ("contacts", name, field, index),
+                            f"no body is named {body!r}" + (" on a robot" if field == "bodies" else ""),
+                            body,
+                            suggestion=next(iter(difflib.get_close_matches(body, bodies, n=1)), None),
+                        )
+
+    def _homes(self, cell: CellModel) -> Iterator[Problem]:
+        """With every robot at home, no two bodies are nearer than their stop distance."""
+        proximity = ProximityEngine(cell)
+        for name, robot in cell.robots.items():
+            proximity.place(name, robot.home, np.zeros(robot.n))
+        groups = [(name, group) for name in cell.robots for group in proximity.alone[name]]
+        for first, second in combinations(cell.robots, 2):
+            groups += [(second, group) for group in proximity.between[first, second]]
+        for name, group in groups:
+            distance = round(proximity.least(group), 4)
+            if distance < group.stop_distance_m:
+                one, other = group.nearest().pair
+                remedy = _remedy(cell.robots[name], ordered(one, other), group.stop_distance_m)
+                message = (
+                    f"at home {one} and {other} are {distance:g} m apart, nearer than the stop distance of "
+                    f"{group.stop_distance_m:g} m; {remedy}"
+                )
+                yield self._at(("robots", name, "joints"), message, distance, group.stop_distance_m)
+
+    def _told(self, cell: CellModel) -> Iterator[Problem]:
+        """The description is not too long to be sent to clients."""
+        try:
+            cell.description_message()
+        except LongDescriptionError as error:
+            yield self._at(("robots",), str(error), bound=MOST_TOLD_BYTES)
+
+
+def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
+    """What to do about two bodies that are too near at home."""
+    if not all(name.startswith(f"{robot.name}/") for name in pair):
+        return "choose another home, or name what the robot stands on in mounted_on"
+    drawn = samples(robot.lower, robot.upper)
+    farthest = farthest_apart(robot.model, list(robot.geometry.geometryObjects), [pair], drawn, stop_m)[pair]
+    if farthest > stop_m:
+        return "choose another home"
+    return (
+        f"in none of {SAMPLES} configurations within the joint limits are they farther apart than {farthest:.3f} m: "
+        "lower gate.self_stop_distance_m, or, if they cannot touch, name them in never_checked"
+    )
+
+
+def _lever(robot: RobotModel, joint: int) -> float:
+    """Largest distance of a hand from the axis of a joint that carries it [m], joints counted from 1."""
+    levers = [0.0]
+    for hand in robot.hands:
+        frame = robot.model.frames[robot.frame_of(hand)]
+        chain = [other for other in robot.model.supports[frame.parentJoint] if other > joint]
+        if joint in robot.model.supports[frame.parentJoint]:
+            links = [np.linalg.norm(robot.model.jointPlacements[other].translation) for other in chain]
+            levers.append(float(sum(links) + np.linalg.norm(frame.placement.translation)))
+    return max(levers)

@@ -1,0 +1,33 @@
+"""What shows the server a client's role: its identity or its token, neither of which is sent."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Protocol
+
+from deltaq_protocol.certified.names import CLIENT_IDENTITY
+from deltaq_protocol.certified.prover import identity_prover
+from deltaq_protocol.proof import Prover
+
+TOKEN_VARIABLE = "DELTAQ_CLIENT_TOKEN"
+"""Environment variable: the token of a client that is given none by its program."""
+
+
+class RoleProver(Protocol):
+    """Shows a client's role, and with an identity its name."""
+
+    def prove(self, key: str, message: bytes, nonce: bytes) -> bytes:
+        """A proof for a message under a zenoh key, in answer to a challenge."""
+
+
+def role_prover(token: str | None, identity: str | os.PathLike[str] | None) -> RoleProver | None:
+    """What shows the role of a client, which its program or the environment names; None: nothing does.
+
+    Raises:
+        IdentityError: the identity is missing, not valid, or a service's.
+    """
+    if folder := identity or os.environ.get(CLIENT_IDENTITY):
+        return identity_prover(Path(folder))
+    known = token or os.environ.get(TOKEN_VARIABLE)
+    return Prover(known) if known else None
