@@ -30,6 +30,10 @@ class WishedClutch:
         """Nothing is chosen by it but the coupling."""
         return OperatorCommand()
 
+    def reflect(self, share: float) -> None:
+        """What goes through is shown where the wishes come from."""
+        del share
+
     def __enter__(self) -> Self:
         return self
 
