@@ -89,7 +89,7 @@ class Recorder:
         self.writer.close()
 
     def run(self, duration_s: float | None = None, on_progress: Callable[[], None] | None = None) -> None:
-        """Write the messages that come, for ever or for `duration_s`.
+        """Write the messages that come, for ever or for `duration_s`; at the end, those too that came and still wait.
 
         Raises:
             RecordingError: the file cannot be written to any more.
@@ -97,19 +97,31 @@ class Recorder:
         end_s = None if duration_s is None else time.monotonic() + duration_s
         # an input of the gate is written with all of its outputs, or a replay would find some missing
         with HeldInterrupts() as held:
-            while end_s is None or time.monotonic() < end_s:
-                held.let_go()
-                try:
-                    topic, payload, time_ns = self._came.get(timeout=0.1)
-                except queue.Empty:
-                    continue
-                finally:
+            try:
+                while end_s is None or time.monotonic() < end_s:
+                    held.let_go()
+                    self._write_next(within_s=0.1)
                     if on_progress is not None:
                         on_progress()
-                try:
-                    self._write(topic, payload, time_ns)
-                except InvalidMessageError:
-                    self.invalid += 1
+            except KeyboardInterrupt:
+                self._write_what_waits()
+                raise
+            self._write_what_waits()
+
+    def _write_what_waits(self) -> None:
+        """Write what has come by now; the cell goes on, and more would come for ever."""
+        for _ in range(self._came.qsize()):
+            self._write_next(within_s=0.0)
+
+    def _write_next(self, within_s: float) -> None:
+        try:
+            topic, payload, time_ns = self._came.get(timeout=within_s)
+        except queue.Empty:
+            return
+        try:
+            self._write(topic, payload, time_ns)
+        except InvalidMessageError:
+            self.invalid += 1
 
     def _put(self, topic: Topic, sample: Any) -> None:
         if self._came.qsize() < _MOST_WAITING:
