@@ -41,7 +41,7 @@ class DrivingMode(StrEnum):
 
 Axes = Literal["world", "tool"]
 """In which hands are moved."""
-Grip = Literal["free", "object"]
+HandGrip = Literal["free", "object"]
 """Whether hands move by themselves, or hold one object together."""
 MasterScale = Annotated[float, Field(ge=0.01, le=5.0, allow_inf_nan=False)]
 """Way of a hand for each metre of its master's."""
@@ -73,7 +73,7 @@ class ChangeMode(Message):
     id: RequestId
     mode: DrivingMode
     frame: Axes = "world"
-    grip: Grip | None = None
+    grip: HandGrip | None = None
 
 
 class Wish(Message):
@@ -93,10 +93,10 @@ class Wish(Message):
     option: Annotated[int, Field(ge=1, le=99)] | None = None
 
 
-class Lead(Message):
+class ChooseMaster(Message):
     """Choose another robot of the cell as the master, whose tool leads a hand while wishes say `led`; empty: none."""
 
-    type: Literal["lead"] = "lead"
+    type: Literal["choose_master"] = "choose_master"
     id: RequestId
     master: Annotated[str, Field(max_length=64)] = ""
     scale: MasterScale = 1.0
@@ -143,7 +143,7 @@ class Reach(Message):
     quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
-DriverRequest = Take | Release | ChangeMode | Wish | Lead | ViewAt | Switch | Advise | Reach
+DriverRequest = Take | Release | ChangeMode | Wish | ChooseMaster | ViewAt | Switch | Advise | Reach
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 
@@ -202,7 +202,7 @@ class DriverReport(Message):
     stage: DriverStage
     mode: DrivingMode
     frame: Axes = "world"
-    grip: Grip = "free"
+    grip: HandGrip = "free"
     hands_off: HandsOff | None = None
     master: str = ""
     master_scale: FiniteFloat = 1.0

@@ -43,7 +43,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
         # as if the disk had room for so much more, which ends in the middle of a chunk
         full = filling.stat().st_size + 10_000
         resource.prlimit(recorders[1].pid, resource.RLIMIT_FSIZE, (full, full))
-        _, said = recorders[1].communicate(timeout=40)
+        _, said = recorders[1].communicate(timeout=300)
         stack.wait_until_moving()  # nobody misses the recorder
         with connect(stack.cell, "test") as running:
             fingerprint = running.status().gate_fingerprint
@@ -91,7 +91,7 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
 
 
 def wait_until_longer(stack: Stack, file: Path, size: int) -> None:
-    deadline = time.monotonic() + 40
+    deadline = time.monotonic() + 300
     while not file.exists() or file.stat().st_size < size:
         assert time.monotonic() < deadline, file
         stack.wait_cycles(4)

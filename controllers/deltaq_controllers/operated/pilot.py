@@ -73,7 +73,9 @@ class Pilot:
         elif mode is not DrivingMode.POSE:
             self._teleoperator.mode_named(ModeName(mode.value))
 
-    def change_mode(self, mode: DrivingMode, frame: driving.Axes, grip: driving.Grip | None = None) -> None:
+    def change_mode(
+        self, mode: DrivingMode, frame: driving.Axes, grip: driving.HandGrip | None = None
+    ) -> None:
         """Drive in a mode that was prepared and with a grip, None for the present one, from the next rest on.
 
         Raises:

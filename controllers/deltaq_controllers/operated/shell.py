@@ -20,13 +20,13 @@ from deltaq_protocol.driving import (
     REQUESTS,
     Advise,
     ChangeMode,
+    ChooseMaster,
     DriverAnswer,
     DriverMessage,
     DriverReport,
     DriverRequest,
     DriverStage,
     DriverWays,
-    Lead,
     Reach,
     Release,
     Switch,
@@ -116,14 +116,14 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: ChangeMode | Lead | ViewAt | Switch | Advise | Reach) -> None:
+    async def _do(self, request: ChangeMode | ChooseMaster | ViewAt | Switch | Advise | Reach) -> None:
         text = ""
         try:
             match request:
                 case ChangeMode():
                     await asyncio.to_thread(self._pilot.prepare, request.mode)
                     self._pilot.change_mode(request.mode, request.frame, request.grip)
-                case Lead():
+                case ChooseMaster():
                     await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
                 case ViewAt():
                     # the robot's states tell it to whoever follows, this process or another

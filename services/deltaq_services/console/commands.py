@@ -16,7 +16,7 @@ from deltaq_protocol.driving import (
     Axes,
     Coordinate,
     DrivingMode,
-    Grip,
+    HandGrip,
     MasterScale,
     QuaternionPart,
     TradeOff,
@@ -111,7 +111,7 @@ class SetMode(ConsoleCommand):
     robot: Name
     mode: DrivingMode
     frame: Axes = "world"
-    grip: Grip | None = None
+    grip: HandGrip | None = None
 
 
 class SetMaster(ConsoleCommand):

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from deltaq_protocol.driving import Axes, DrivingMode, Grip, HandsOff, Search, Way
+from deltaq_protocol.driving import Axes, DrivingMode, HandGrip, HandsOff, Search, Way
 from deltaq_protocol.messages import Count, Message, Outcome, Phase
 from deltaq_protocol.reasons import ReasonCode
 
@@ -104,7 +104,7 @@ class RobotStatusView(Message):
     lease: LeaseView = LeaseView()
     mode: DrivingMode | None = None
     frame: Axes = "world"
-    grip: Grip = "free"
+    grip: HandGrip = "free"
     hands_off: HandsOff | None = None
     master: str = ""
     master_scale: FiniteFloat = 1.0

@@ -149,7 +149,7 @@ class RobotSide:
                 raise ValueError(
                     f"master: {command.master!r} cannot lead {self.name}; it may be {self._may_lead}"
                 )
-            return driving.Lead(id=request, master=command.master, scale=command.scale)
+            return driving.ChooseMaster(id=request, master=command.master, scale=command.scale)
         if isinstance(command, ViewDistance):
             if not self._has_camera:
                 raise ValueError(f"value_m: {self.name} carries no camera")
