@@ -20,6 +20,7 @@ from deltaq_launch.services import recorder
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditEntry, AuditKind, AuditOutcome
 from deltaq_services.recorder.reader import Recording
+from deltaq_services.recorder.shell import Recorder
 from deltaq_verification.replay import replay
 
 pytestmark = pytest.mark.live
@@ -88,6 +89,17 @@ def test_a_moving_cell_is_recorded_to_the_last_bit_and_outlives_a_recorder_whose
     assert cut.messages > 50
     assert len(cut.notices) == 1
     assert "cut off" in cut.notices[0]
+
+
+def test_what_has_come_is_written_though_the_recorder_is_told_to_end(
+    ready_stack: SharedStack, tmp_path: Path
+) -> None:
+    file, stack = tmp_path / "run.mcap", ready_stack
+    with Recorder(stack.cell, file) as recorder:
+        while recorder._came.qsize() < 10:
+            stack.wait_cycles(4)
+        recorder.run(duration_s=0.0)
+    assert list(Recording.open(file).messages())
 
 
 def wait_until_longer(stack: Stack, file: Path, size: int) -> None:
