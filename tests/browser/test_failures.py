@@ -50,7 +50,8 @@ def comes_to_rest(served_cell, cycles=STANDS_CYCLES):
                 return
 
 
-@pytest.mark.parametrize("lost_s", [2, pytest.param(9, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("lost_s", [2, 9])
 def test_while_the_network_is_lost_the_robot_rests_and_afterwards_nothing_old_is_carried_out(
     opened, served_cell, lost_s
 ):
@@ -96,6 +97,7 @@ def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_i
     release(page)
 
 
+@pytest.mark.nightly
 def test_a_page_behind_another_lets_go(opened, served_cell):
     page = opened()
     take_control(page)
@@ -117,6 +119,7 @@ def test_a_page_behind_another_lets_go(opened, served_cell):
     release(page)
 
 
+@pytest.mark.nightly
 def test_while_the_browser_lets_a_page_sleep_in_motion_the_robot_comes_to_rest(opened, served_cell):
     page = opened()
     take_control(page)

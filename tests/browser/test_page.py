@@ -58,7 +58,7 @@ def test_the_browser_places_links_where_pinocchio_does(opened, served_cell):
                 np.testing.assert_allclose(np.reshape(columns, (4, 4)).T, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("way", ["pointer", "escape"])
+@pytest.mark.parametrize("way", ["pointer", pytest.param("escape", marks=pytest.mark.nightly)])
 def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
     page = opened()
     take_control(page)
@@ -75,6 +75,7 @@ def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
     assert page.evaluate(AT_REST)
 
 
+@pytest.mark.nightly
 def test_a_page_that_is_loaded_again_in_motion_leaves_the_robot_at_rest_and_free(opened):
     page = opened()
     take_control(page)
@@ -114,6 +115,7 @@ def test_a_line_that_is_cut_locks_the_page_and_nothing_is_sent_when_it_is_back(o
     assert not [message for message in line["sent"] if '"jog"' in message]
 
 
+@pytest.mark.nightly
 def test_of_two_operators_one_drives_and_the_other_sees_who_and_asks(opened):
     first, second = opened(), opened()
     take_control(first)

@@ -52,6 +52,7 @@ def shown_a6(page):
     return page.evaluate(f"{SHOWN}.at(-1)")
 
 
+@pytest.mark.nightly
 def test_a_recording_is_scrubbed_in_the_scene_and_is_never_taken_for_the_cell(opened, served_cell, turned):
     page = opened()
     take_control(page)

@@ -51,6 +51,7 @@ def let_go(page):
     page.wait_for_function(f"!deltaq.wish.isActive && {AT_REST}")
 
 
+@pytest.mark.nightly
 def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     page = opened()
     in_mode(page, "advisor")
@@ -120,6 +121,7 @@ def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, ser
     page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
 
 
+@pytest.mark.nightly
 def test_a_pose_out_of_reach_or_behind_a_body_is_told_and_out_of_reach_cannot_be_gone_to(opened, served_cell):
     page = opened()
     in_mode(page, "pose")

@@ -55,6 +55,7 @@ class Recording(threading.Thread):
         return self.states
 
 
+@pytest.mark.nightly
 def test_octave_keeps_the_camera_on_the_moving_leader(ready_stack):
     stack = ready_stack
     leader = ("-m", "deltaq_controllers.leader", "--url", stack.cell.hli)

@@ -75,6 +75,7 @@ def written(folder: Path, text: str) -> str:
     return str(file)
 
 
+@pytest.mark.nightly
 def test_a_script_drives_every_mode_in_turn_and_says_where_the_hand_went(cell: Path, tmp_path: Path) -> None:
     script = written(tmp_path, SCRIPT)
     arguments = (
@@ -212,6 +213,7 @@ def test_q_ends_a_drive_while_the_robot_moves_and_later_keys_are_not_for_the_she
     assert status(cell).lease.holder is None
 
 
+@pytest.mark.nightly
 def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Path, tmp_path: Path) -> None:
     terminal = Terminal(cell, "--mode", "coupled", "--master", "fr", "--master-scale", "0.5")
     wait_for_phase(cell, "engaged")  # before, keys are not for the robot
@@ -234,9 +236,11 @@ def test_a_robot_that_somebody_drives_leads_another_while_it_is_coupled(cell: Pa
 @pytest.mark.parametrize(
     "number",
     [
-        signal.SIGINT,
         signal.SIGTERM,
-        *(pytest.param(number, marks=pytest.mark.nightly) for number in (signal.SIGHUP, signal.SIGQUIT)),
+        *(
+            pytest.param(number, marks=pytest.mark.nightly)
+            for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
+        ),
     ],
 )
 def test_a_signal_ends_a_drive_and_leaves_the_terminal_as_it_was(cell: Path, number: int) -> None:

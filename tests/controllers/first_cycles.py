@@ -1,8 +1,8 @@
 """Drive one controller by its own shell on a cell that admits everything, and tell what its cycles had to wait for.
 
-Run as a program, `python first_cycles.py CASE ...`, each case in a process of its own. For each it prints a JSON
-object: the functions that were compiled or loaded from numba's cache, and the modules that were imported, while the
-controller held its lease (`late`) and before (`early`).
+Run as a program, `python first_cycles.py CASE`, it prints a JSON object: the functions that were compiled or loaded
+from numba's cache, and the modules that were imported, while the controller held its lease (`late`) and before
+(`early`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import sys
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Mapping
 from contextlib import ExitStack, asynccontextmanager
@@ -313,9 +312,4 @@ def main(case: str) -> None:
 
 
 if __name__ == "__main__":
-    for one in sys.argv[1:]:
-        if not (child := os.fork()):  # what every case imports is imported once
-            main(one)
-            os._exit(0)
-        if os.waitpid(child, 0)[1]:
-            sys.exit(f"{one} failed")
+    main(sys.argv[1])

@@ -79,6 +79,7 @@ def test_what_the_cell_cannot_do_is_said_and_ends_with_2(
     assert summary["cycles"] == 0
 
 
+@pytest.mark.nightly
 def test_a_running_follower_takes_another_distance_and_another_target(url: str) -> None:
     follower = start(FOLLOWER, "--url", url, "--controller", "predictive")
     lab = CellModel.load("lab")
@@ -141,6 +142,7 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
     assert followed["distance_m"]["max"] < 1.0
 
 
+@pytest.mark.nightly
 def test_a_second_follower_is_refused_the_lease_and_exits_with_1(url: str) -> None:
     first = start(FOLLOWER, "--url", url)
     try:

@@ -84,7 +84,9 @@ def test_coupled_goes_as_far_as_decoupled_and_as_pink_on_its_line(robot: str, ax
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("robot", ["dawm", "fr", "gr"])
+@pytest.mark.parametrize(
+    "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
+)
 def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
     for rates in commands(model(robot)):
         goes_as_far(robot, rates)

@@ -19,35 +19,36 @@ import deltaq_controllers
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
 COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker"))]
-
+EACH_KIND = ("modes-gr", "modes-dawm", "criteria-panda", "qp", "attacker", "counsel-gr")
+"""Cases that stand for their kind in every run; the others take their turn at night."""
 
 SUPPORT = Path(published_arms.__file__).parent
 
 
-def waited(*cases: str, before: Path | None = None) -> dict[str, dict[str, Any]]:
-    """By case, what it waited for before its lease, and while it held it; packages in `before` go before all others."""
+def waited(case: str, before: Path | None = None) -> dict[str, Any]:
+    """What a case waited for before its lease, and while it held it; packages in `before` go before all others."""
     paths = [str(before)] * (before is not None) + [str(SUPPORT), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
-        [sys.executable, first_cycles.__file__, *cases],
+        [sys.executable, first_cycles.__file__, case],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return {told["case"]: told for told in map(json.loads, done.stdout.splitlines())}
+    told: dict[str, Any] = json.loads(done.stdout)
+    return told
 
 
-@pytest.fixture(scope="module")
-def all_cases() -> dict[str, dict[str, Any]]:
-    return waited(*first_cycles.CASES)
-
-
-@pytest.mark.parametrize("case", first_cycles.CASES)
-def test_nothing_is_compiled_loaded_or_imported_while_a_robot_is_leased(
-    all_cases: dict[str, dict[str, Any]], case: str
-) -> None:
-    told = all_cases[case]
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=() if case in EACH_KIND else pytest.mark.nightly)
+        for case in first_cycles.CASES
+    ],
+)
+def test_nothing_is_compiled_loaded_or_imported_while_a_robot_is_leased(case: str) -> None:
+    told = waited(case)
     assert told["late"] == {"functions": [], "modules": []}
     # what it needs was seen, so that it would have been seen late
     assert bool(told["early"]["functions"]) == (case in COMPILED)
@@ -62,7 +63,7 @@ def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
 ) -> None:
     package = Path(deltaq_controllers.__file__).parent
     shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
-    told = waited(case, before=tmp_path)[case]
+    told = waited(case, before=tmp_path)
     assert told["late"] == {"functions": [], "modules": []}
     assert told["early"]["functions"]
 
@@ -71,8 +72,7 @@ def test_nothing_is_compiled_while_a_robot_is_leased_where_nothing_was_before(
 def test_nothing_is_compiled_while_an_arm_without_a_closed_form_is_leased(tmp_path: Path) -> None:
     (tmp_path / "eaik").mkdir()
     (tmp_path / "eaik" / "__init__.py").write_text("raise ImportError('not installed')\n")
-    cases = ("modes-panda", "counsel-panda")
-    told = waited(*cases, before=tmp_path)
-    for case in cases:
-        assert told[case]["late"] == {"functions": [], "modules": []}
-        assert told[case]["early"]["functions"]
+    for case in ("modes-panda", "counsel-panda"):
+        told = waited(case, before=tmp_path)
+        assert told["late"] == {"functions": [], "modules": []}
+        assert told["early"]["functions"]

@@ -287,6 +287,7 @@ def test_a_trade_off_that_is_none_is_refused_and_nothing_is_looked_for(names, to
     assert bench.pilot.ways() is ways
 
 
+@pytest.mark.nightly
 def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_for_without():
     bench = Bench(teleoperator=advised(CellModel.load("lab").robots["gr"]))
     bench.pilot.change_mode(DrivingMode.ADVISOR, "world")

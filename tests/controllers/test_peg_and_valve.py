@@ -37,7 +37,7 @@ def figures(mode: str, seed: int = 0, **others: float | str) -> ModeFigures:
     return ModeFigures.model_validate(plain | rest | known | {"mode": mode, "seed": seed} | others)
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_task_is_done_by_an_operator_who_errs_and_again_in_the_same_way() -> None:
     first, second = run(modes=["coupled"], seeds=(1, 1))
     assert first == second

@@ -63,6 +63,7 @@ def test_a_fast_leader_keeps_its_limits_too(speed_m_s: float) -> None:
     assert 0.8 * speed_m_s < speed.max() < 1.01 * speed_m_s
 
 
+@pytest.mark.nightly
 def test_around_its_home_in_the_lab_the_leader_stays_clear_of_everything() -> None:
     cell, oracle = lab(), ClearanceOracle(lab())
     stop, self_stop = cell.description.gate.stop_distance_m, cell.description.gate.self_stop_distance_m

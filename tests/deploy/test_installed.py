@@ -53,6 +53,7 @@ def test_a_complete_install_lacks_nothing_and_checks_a_cell(complete: Installed)
     assert done.stdout.startswith("lab: good\n")
 
 
+@pytest.mark.nightly
 def test_an_install_for_training_has_what_the_environment_imports(wheel: Path, tmp_path: Path) -> None:
     training = install(wheel, tmp_path / "venv", "gymnasium")
     done = training.run("python", "-c", "import deltaq_experiments.training.environment")

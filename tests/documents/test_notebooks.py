@@ -62,7 +62,7 @@ def test_an_own_controller_is_recorded_and_replayed(tmp_path: Path) -> None:
     assert seen.pictures == 1
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_advisor_shows_options_and_a_way(tmp_path: Path) -> None:
     seen = executed("advisor.ipynb", tmp_path)
     assert "1: energy" in seen.printed

@@ -65,7 +65,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_python_api_is_there_with_its_docstrings_and_can_be_searched_for(site: Path) -> None:
     found = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
     texts = {entry["location"]: entry["text"] for entry in found}
@@ -100,7 +100,7 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
     assert (site / "diagrams" / "index.js").exists()
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_a_version_of_the_site_is_published_beside_the_one_before(tmp_path: Path) -> None:
     programs = Path(sys.executable).parent
     author = {f"GIT_{who}_{what}": "test" for who in ("AUTHOR", "COMMITTER") for what in ("NAME", "EMAIL")}

@@ -20,7 +20,7 @@ def test_what_was_made_of_the_starts_is_told_as_one_object(capsys: pytest.Captur
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("robot", ["dawm", "gr"])
+@pytest.mark.parametrize("robot", ["dawm", pytest.param("gr", marks=pytest.mark.nightly)])
 def test_the_best_option_of_a_start_is_reached_through_the_gate_with_the_hands_in_place(robot: str) -> None:
     found = run(robot, 2, seed=6, drive=1)
     assert (found.driven, found.reached) == (1, 1)

@@ -39,6 +39,7 @@ from deltaq_verification.oracle import ClearanceOracle
 PNG = b"\x89PNG\r\n"
 
 
+@pytest.mark.nightly
 def test_an_approach_tells_each_start_and_draws_both_panels(tmp_path: Path) -> None:
     outcome = approach.run(Options(controller="qp", duration_s=0.7))
     report = outcome.report

@@ -33,7 +33,7 @@ def test_a_link_that_loses_too_much_in_too_long_a_time_makes_robots_brake_and_pa
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", ["3", "4"])
+@pytest.mark.parametrize("seed", [pytest.param("3", marks=pytest.mark.nightly), "4"])
 def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
     capsys: pytest.CaptureFixture[str], seed: str
 ) -> None:

@@ -172,7 +172,7 @@ def test_the_speed_command_refuses_no_steps_at_all(capsys: pytest.CaptureFixture
     assert capsys.readouterr().err.splitlines()[-1].endswith("error: --steps 0: at least 1")
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_scripts_of_the_page_run_as_they_are_printed(tmp_path: Path) -> None:
     scripts = [step for step in pages.steps(PAGE.read_text(encoding="utf-8")) if step.argument == "python"]
     assert scripts

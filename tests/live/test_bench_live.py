@@ -60,6 +60,7 @@ def judge(run: dict[str, Any]) -> None:
     assert 0.0 <= run["rows"][-1]["value"] <= 100.0
 
 
+@pytest.mark.nightly
 def test_every_station_of_a_running_cell_is_stamped(tmp_path: Path) -> None:
     cell = str(write_private_cell(tmp_path))
     judge(run_once(LiveOptions(cell, "paper", warm_up_s=0.5, duration_s=2.0)).model_dump(mode="json"))

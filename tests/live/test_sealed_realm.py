@@ -71,7 +71,7 @@ def publish_forged_stops(stranger):
         stranger.put(supervision, close(supervision, order))
 
 
-@pytest.mark.parametrize("transport", ["tcp", "tls"])
+@pytest.mark.parametrize("transport", [pytest.param("tcp", marks=pytest.mark.nightly), "tls"])
 def test_services_under_identities_move_a_robot_and_one_of_another_authority_is_not_heard(
     tmp_path, monkeypatch, transport
 ):

@@ -60,6 +60,7 @@ def wait_until_led(running: TwoSites, leader: Running) -> None:
     pytest.fail(f"the leader did not move its robot: {leader.text()}")
 
 
+@pytest.mark.nightly
 def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road(running: TwoSites) -> None:
     status = running.ask("status")
     assert status["mismatches"] == []

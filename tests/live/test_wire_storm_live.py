@@ -22,6 +22,7 @@ def storm(folder, telegrams):
     return report
 
 
+@pytest.mark.nightly
 def test_no_datagram_of_six_thousand_moves_a_robot_that_a_controller_moves(tmp_path):
     report = storm(tmp_path, 6_000)
     assert report.replies["by an admission"] > 10

@@ -115,6 +115,7 @@ def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_bac
     assert not np.any(arm.sent[-30:])
 
 
+@pytest.mark.nightly
 @settings(deadline=None, max_examples=200)
 @given(
     mode=st.sampled_from(["absolute", "relative"]),

@@ -19,8 +19,8 @@ from deltaq_verification.faults.catalogue import CATALOGUE
 COMMAND = "from deltaq_command import main; main()"
 
 
+@pytest.mark.nightly
 @pytest.mark.live
-@pytest.mark.long
 def test_ctrl_c_ends_a_soak_with_the_report_so_far_and_leaves_nothing_running(tmp_path: Path) -> None:
     words = ["soak", "--hours", "1", "--cell", "lab", "--seed", "3", "--to", str(tmp_path / "made")]
     with subprocess.Popen(

@@ -20,10 +20,16 @@ from deltaq_verification.model_checker.explore import explore
 from deltaq_verification.model_checker.one_joint import CYCLE_S, IPOC_STEP, STEP
 from deltaq_verification.model_checker.rsi_line import SECOND_AT
 from deltaq_verification.model_checker.safety_monitor import Property
-from deltaq_verification.model_checker.seeded_bugs import BROKEN
+from deltaq_verification.model_checker.seeded_bugs import (
+    BROKEN,
+    ChainIsNotLookedAt,
+    ResetIgnoresRest,
+    SilentGateIsIgnored,
+)
 from deltaq_verification.model_checker.system import System
 
 MOST_CYCLES = 40
+LONG_TO_BE_FOUND = (ChainIsNotLookedAt, ResetIgnoresRest, SilentGateIsIgnored)
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "what-is-proved-of-the-phases.md"
 
 
@@ -34,19 +40,17 @@ def documented():
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("lookahead_cycles", "cycles"), [(1, MOST_CYCLES), (2, 9), pytest.param(3, 14, marks=pytest.mark.nightly)]
+    ("lookahead_cycles", "cycles"),
+    [(1, MOST_CYCLES), *(pytest.param(*bound, marks=pytest.mark.nightly) for bound in ((2, 9), (3, 14)))],
 )
 def test_the_services_hold_every_property_whatever_is_asked_of_them(lookahead_cycles, cycles):
     assert explore(System(lookahead_cycles), faults=0, cycles=cycles).counterexample is None
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "line",
-    [
-        *(pytest.param(line, marks=pytest.mark.nightly) for line in documented()[:-1]),
-        documented()[-1],
-    ],
+    documented(),
     ids=[line.partition("model ")[2] for line in documented()],
 )
 def test_a_documented_command_finds_every_property_to_hold_and_the_states_that_the_page_tells(line):
@@ -68,7 +72,14 @@ def test_with_more_faults_every_property_holds(lookahead_cycles, faults, cycles)
     assert explore(System(lookahead_cycles), faults, cycles).counterexample is None
 
 
-@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.system.__name__)
+@pytest.mark.parametrize(
+    "broken",
+    [
+        pytest.param(one, marks=pytest.mark.nightly if one.system in LONG_TO_BE_FOUND else ())
+        for one in BROKEN
+    ],
+    ids=lambda broken: broken.system.__name__,
+)
 def test_a_broken_system_is_found_out(broken):
     found = explore(broken.system(), broken.faults, cycles=10)
     assert found.counterexample is not None

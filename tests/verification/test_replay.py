@@ -267,6 +267,7 @@ def test_differences_are_found_in_lists_maps_and_the_sign_of_zero() -> None:
     assert list(differing_fields(was, was)) == []
 
 
+@pytest.mark.nightly
 def test_the_figure_of_a_recording_shows_both_robots_and_where_the_gate_stepped_in(
     recorded: Path, tmp_path: Path
 ) -> None:

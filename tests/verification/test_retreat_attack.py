@@ -19,7 +19,7 @@ def test_nothing_comes_nearer_than_it_was(attack):
     assert figures["decisions"]["admitted"] + figures["decisions"]["scaled"] > 50
 
 
-@pytest.mark.long
+@pytest.mark.nightly
 def test_who_stands_in_a_violation_is_let_out_of_it(attack):
     outwards = [attack.run(seed, ask="outwards") for seed in range(100, 118)]
     figures = summary(outwards)
