@@ -9,15 +9,18 @@ from advising import advised, advisor_of, cell_of
 from driving import PlainDrive, model
 from test_advisor_mode import go_to
 
-from deltaq_controllers.advisor.advisor import Progress
+from deltaq_controllers.advisor.advisor import Option, Progress
 from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.near_home import near_home
+from deltaq_controllers.advisor.session import AdvisorSession
 from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
 from deltaq_controllers.modes.advisor import tracker_of
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 
 IN_PLACE_M = 1e-3
+NEIGHBOURS_RAD = 0.1
+"""Configurations of a way that are further apart leap."""
 
 
 def off_m(run: PlainDrive) -> float:
@@ -44,6 +47,37 @@ def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_pl
     assert advisor_of(run.teleoperator).options[keeping - 1].hands_leave, (
         "it is told that they left it on this way"
     )
+
+
+def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_lead_back() -> None:
+    cell = cell_of("gr")
+    session = AdvisorSession(cell, "gr", options=12, effort=0.3, hands_may_leave=True)
+    home = cell.robots["gr"].home
+    others = {name: robot.home for name, robot in cell.robots.items() if name != "gr"}
+    found: list[tuple[Option, ...]] = []
+
+    def note(progress: Progress) -> bool:
+        found.append(progress.options)
+        return True
+
+    session.ask(home, others, note)
+    asked = found[-1]
+    leaving = next(option for option in asked if option.path is not None and option.hands_leave)
+    keeping = next(
+        rank
+        for rank, option in enumerate(asked, start=1)
+        if option.path is not None and not option.hands_leave
+    )
+    assert leaving.path is not None
+    back = leaving.path[: len(leaving.path) // 2][::-1]
+    session.seek(back, keeping, others, note)
+    way = found[-1][keeping - 1].path
+    assert way is not None
+    np.testing.assert_array_equal(way[0], back[0])
+    assert np.abs(np.diff(way, axis=0)).max() < NEIGHBOURS_RAD
+    onwards = asked[keeping - 1].path
+    assert onwards is not None
+    assert len(way) < len(back) + len(onwards)
 
 
 def test_hands_that_hold_an_object_do_not_leave_their_place_for_an_option() -> None:
