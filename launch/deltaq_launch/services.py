@@ -181,8 +181,8 @@ def console_service(
 ) -> Service:
     """The operator's console: a client like any other, and nothing needs it.
 
-    It says that the robots are emulated only if emulators for all of them run beside it. It waits for no HLI: it says
-    that there is none until there is one.
+    It says that the robots are emulated only if emulators of all that are driven over RSI run beside it; behind a
+    kinematic driver there is no robot that moves. It waits for no HLI: it says that there is none until there is one.
 
     Args:
         cell: the cell's description.
@@ -194,7 +194,8 @@ def console_service(
     if recordings:
         arguments = (*arguments, "--recordings", recordings)
     emulators = {service.robot: service.name for service in services if service.role is Role.EMULATOR}
-    is_emulated = set(emulators) == set(cell.robots)
+    driven = {name for name, robot in cell.robots.items() if isinstance(robot.driver, RsiDescription)}
+    is_emulated = driven == set(emulators)
     return Service(
         name="console",
         role=Role.CONSOLE,

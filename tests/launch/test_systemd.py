@@ -136,6 +136,12 @@ def test_real_robots_have_no_emulator_and_a_console_that_does_not_say_so() -> No
     assert "emulated" in units()["deltaq-console.service"]
 
 
+def test_a_console_of_kinematic_robots_alone_does_not_call_them_real() -> None:
+    cell = load_cell("dawm")
+    console = console_service(cell, "dawm", cell_services(cell, "dawm"))
+    assert "--emulated" in console.arguments
+
+
 def test_one_machine_of_several_gets_its_own_services(tmp_path: Path) -> None:
     cell = tmp_path / "plant.yaml"
     cell.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
