@@ -102,14 +102,6 @@ class ChooseMaster(Message):
     scale: MasterScale = 1.0
 
 
-class ViewAt(Message):
-    """The distance that whoever follows with the robot keeps from its target [m]: the driver asks the HLI for it."""
-
-    type: Literal["view_at"] = "view_at"
-    id: RequestId
-    distance_m: Annotated[float, Field(ge=0.2, le=4.0, allow_inf_nan=False)]
-
-
 class Switch(Message):
     """Switch digital outputs, by name."""
 
@@ -143,7 +135,7 @@ class Reach(Message):
     quaternion_wxyz: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart]
 
 
-DriverRequest = Take | Release | ChangeMode | Wish | ChooseMaster | ViewAt | Switch | Advise | Reach
+DriverRequest = Take | Release | ChangeMode | Wish | ChooseMaster | Switch | Advise | Reach
 REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Field(discriminator="type")])
 
 

@@ -2,48 +2,16 @@
 
 import asyncio
 import json
-from contextlib import asynccontextmanager
 from dataclasses import replace
 
 import pytest
 import websockets
+from served_console import live, served, told
 
-from deltaq_cell.cell_model import CellModel
-from deltaq_launch.private_cell import free_ports, write_private_cell
+from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.console.settings import NoTokenError, Settings
-from deltaq_services.console.shell import Console
-from deltaq_services.console.web import application, listening_socket, server_of
-
-
-@asynccontextmanager
-async def served(folder, token=""):
-    """A console whose HLI is not there."""
-    cell = CellModel.load(write_private_cell(folder))
-    settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, token)
-    console = Console(cell, True, settings.token_needed, None)
-    server = server_of(application(console, settings))
-    with listening_socket(settings) as listening:
-        running = asyncio.ensure_future(console.run())
-        serving = asyncio.ensure_future(server.serve(sockets=[listening]))
-        try:
-            yield console, f"127.0.0.1:{settings.port}"
-        finally:
-            server.should_exit = True
-            running.cancel()
-            await asyncio.gather(running, serving, return_exceptions=True)
-
-
-def live(host, **query):
-    return f"ws://{host}/live?" + "&".join(f"{name}={value}" for name, value in query.items())
-
-
-async def told(websocket, kind):
-    """The next text message of that type."""
-    while True:
-        message = await websocket.recv()
-        if isinstance(message, str) and json.loads(message)["type"] == kind:
-            return json.loads(message)
+from deltaq_services.console.web import listening_socket
 
 
 async def answered(host, head):

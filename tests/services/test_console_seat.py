@@ -149,15 +149,14 @@ def test_an_answer_that_nobody_waits_for_changes_nothing(bench, desk):
     assert desk.send("jog", **JOG).outcome is DONE
 
 
-def test_mode_view_distance_and_outputs_reach_the_driver(bench):
+def test_mode_and_outputs_reach_the_driver(bench):
     desk = bench.browser()
     desk.takes("fr")
     desk.takes("gr")
     desk.send("mode", id="m", robot="fr", mode="follow", frame="tool")
-    desk.send("view_distance", robot="fr", value_m=1.5)
     desk.send("output", id="o", robot="gr", index=1, value=True)
-    change, view = bench.driver_requests()[-2:]
-    assert (change.mode, change.frame, view.distance_m) == ("follow", "tool", 1.5)
+    change = bench.driver_requests()[-1]
+    assert (change.mode, change.frame) == ("follow", "tool")
     assert bench.driver_requests("gr")[-1].outputs == {"tool_changer": True}
     assert desk.acks("o")[-1].outcome is ASKED
     desk.hears(bench.driver_answers("gr", done=False, text="held"))
@@ -169,7 +168,9 @@ def test_mode_view_distance_and_outputs_reach_the_driver(bench):
 def test_a_view_distance_is_for_whoever_follows_and_needs_no_seat(bench):
     desk = bench.browser()
     assert desk.send("view_distance", robot="fr", value_m=1.5).outcome is ASKED
-    assert bench.driver_requests()[-1].distance_m == 1.5
+    view = bench.asked("view")[-1]
+    assert (view.robot, view.distance_m) == ("fr", 1.5)
+    assert not bench.driver_requests()  # no process has to be started for it
     assert "not yours to move" in desk.send("mode", robot="fr", mode="follow").text
 
 

@@ -42,8 +42,6 @@ from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
 from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode, Reach
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
-OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
-"""Environment variable with the operator's token."""
 FOLLOWS = "paper"
 """The camera's law."""
 _PATIENT = 10
@@ -63,9 +61,7 @@ async def operate(options: argparse.Namespace) -> None:
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     say(DriverReport(stage=DriverStage.STARTING, mode=DrivingMode.JOINT))
-    # taking a robot from its holder is a privilege where the HLI was given a token
-    token = os.environ.get(OPERATOR_TOKEN) or None
-    async with connect(options.url, client=f"driver of {options.robot}", token=token) as cell:
+    async with connect(options.url, client=f"driver of {options.robot}") as cell:
         with ExitStack() as stack:
             teleoperator = teleoperator_for(cell, options.robot, stack)
             has_camera = teleoperator.robot.description.camera is not None

@@ -31,7 +31,6 @@ from deltaq_protocol.driving import (
     Release,
     Switch,
     Take,
-    ViewAt,
     Wish,
 )
 from deltaq_protocol.errors import DeltaqError
@@ -116,7 +115,7 @@ class OperatedRobot:
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
 
-    async def _do(self, request: ChangeMode | ChooseMaster | ViewAt | Switch | Advise | Reach) -> None:
+    async def _do(self, request: ChangeMode | ChooseMaster | Switch | Advise | Reach) -> None:
         text = ""
         try:
             match request:
@@ -125,9 +124,6 @@ class OperatedRobot:
                     self._pilot.change_mode(request.mode, request.frame, request.grip)
                 case ChooseMaster():
                     await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
-                case ViewAt():
-                    # the robot's states tell it to whoever follows, this process or another
-                    await self._cell.view(self._robot, request.distance_m)
                 case Advise():
                     self._pilot.advise(again=request.action == "ask", trade_off=request.trade_off)
                 case Reach():

@@ -201,8 +201,8 @@ class ReplayShown(ConsoleCommand):
     shown: bool
 
 
-DriverCommand = SetMode | SetMaster | ViewDistance | SetOutput | AskAdvisor | DragPose
+DriverCommand = SetMode | SetMaster | SetOutput | AskAdvisor | DragPose
 """What a robot's driver is asked to do."""
-RobotCommand = Reset | LeaseCommand | Jog | DryRun | DriverCommand
+RobotCommand = Reset | LeaseCommand | ViewDistance | Jog | DryRun | DriverCommand
 AnyCommand = Ping | Stop | Record | ReplayShown | RobotCommand
 COMMANDS: TypeAdapter[AnyCommand] = TypeAdapter(Annotated[AnyCommand, Field(discriminator="type")])

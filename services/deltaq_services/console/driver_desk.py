@@ -107,8 +107,12 @@ class DriverDesk:
             )
         if isinstance(command, LeaseCommand):
             return self._lease(client, command, side, now_s)
-        # another view is for whoever follows with the robot, here or elsewhere
-        if not isinstance(command, ViewDistance) and not side.seat.is_held_by(client):
+        if isinstance(command, ViewDistance):  # for whoever follows with the robot, here or elsewhere
+            asked = AskHli(
+                self._pending.new_id(), "view", side.name, distance_m=side.view_distance_of(command)
+            )
+            return self._pending.ask(client, command.id, asked)
+        if not side.seat.is_held_by(client):
             holder = side.seat.holder
             raise ValueError(
                 f"robot: {side.name} is not yours to move: "

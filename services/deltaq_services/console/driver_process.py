@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from pydantic import ValidationError
 
 from deltaq_protocol import driving
+from deltaq_protocol.role_prover import TOKEN_VARIABLE
 
 _ENDS_WITHIN_S = 3.0
 _MOST_WAITING_BYTES = 64 * 1024
@@ -29,6 +31,7 @@ class DriverProcess:
         robot: its name.
         said: called with each line that it says.
         ended: called with why it has ended, when it has.
+        token: shows its role to the HLI; None if it needs to show none.
     """
 
     def __init__(
@@ -37,8 +40,10 @@ class DriverProcess:
         robot: str,
         said: Callable[[driving.DriverMessage], None],
         ended: Callable[[str], None],
+        token: str | None,
     ) -> None:
         self._command = ("-m", "deltaq_controllers.operated", "--url", hli, "--robot", robot)
+        self._environment = {**os.environ, TOKEN_VARIABLE: token} if token else None
         self._said, self._ended = said, ended
         self._process: Process | None = None
         self._running: asyncio.Task[None] | None = None
@@ -79,6 +84,7 @@ class DriverProcess:
                 stdout=PIPE,
                 limit=_LONGEST_LINE_BYTES,
                 start_new_session=True,
+                env=self._environment,
             )
             self._process = process
             waiting, self._waiting = self._waiting, []

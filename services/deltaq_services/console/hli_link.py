@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from deltaq_protocol import topics
+from deltaq_protocol.asking import Asking
 from deltaq_protocol.in_order import in_order
-from deltaq_protocol.messages import Message
+from deltaq_protocol.role_prover import RoleProver
 from deltaq_protocol.session import open_session
-from deltaq_protocol.topic import Topic
 from deltaq_protocol.wire import Wire
 
 _MOST_VERDICTS = 1000
@@ -81,13 +81,16 @@ class HliLink:
         hli: where it serves.
         cell: name of the cell.
         robots: names of its robots.
+        role: shows the console's role; None if it has none to show.
     """
 
-    def __init__(self, hli: str, cell: str, robots: tuple[str, ...]) -> None:
-        self._hli, self._cell = hli, cell
+    def __init__(self, hli: str, cell: str, robots: tuple[str, ...], role: RoleProver | None) -> None:
+        self._hli, self._cell, self._role = hli, cell, role
         self._ears = {robot: _Ear() for robot in robots}
         self._proximity: deque[bytes] = deque(maxlen=1)
         self._wire: Wire | None = None
+        self._asking: Asking
+        self._entered = asyncio.Event()
 
     async def __aenter__(self) -> HliLink:
         session = await asyncio.to_thread(open_session, connect=[self._hli])
@@ -96,11 +99,18 @@ class HliLink:
             wire.subscribe_unqueued(topics.STATE.key(self._cell, robot=robot), in_order(ear.state))
             wire.subscribe_unqueued(topics.VERDICT.key(self._cell, robot=robot), ear.verdict)
         wire.subscribe_unqueued(topics.PROXIMITY.key(self._cell), self._put_proximity)
+        self._asking = Asking(wire, self._cell, self._role)
+        self._entered.set()
         return self
 
     async def __aexit__(self, *_: object) -> None:
         if self._wire is not None:
             await asyncio.to_thread(self._wire.close)
+
+    async def asking(self) -> Asking:
+        """What asks the HLI; who wants it before there is a session waits for one."""
+        await self._entered.wait()
+        return self._asking
 
     def heard(self, robot: str) -> RobotNews:
         """What came of a robot since this was asked last."""
@@ -111,11 +121,6 @@ class HliLink:
         with contextlib.suppress(IndexError):
             return self._proximity.pop()
         return None
-
-    async def ask(self, topic: Topic, request: Message, robot: str = "") -> bytes:
-        """Ask the HLI, and return its answer as it came; raises as `Wire.ask`."""
-        assert self._wire is not None  # entered
-        return await self._wire.ask(topic, self._cell, request, robot)
 
     def _put_proximity(self, sample: Any) -> None:
         self._proximity.append(sample.payload.to_bytes())

@@ -22,9 +22,10 @@ class AskHli:
     """Ask the HLI, and tell the core its answer to `request`."""
 
     request: str
-    kind: Literal["stop", "reset", "dry_run"]
+    kind: Literal["stop", "reset", "dry_run", "view"]
     robot: str = ""
     dq: tuple[float, ...] = ()
+    distance_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,10 +150,6 @@ class RobotSide:
                     f"master: {command.master!r} cannot lead {self.name}; it may be {self._may_lead}"
                 )
             return driving.ChooseMaster(id=request, master=command.master, scale=command.scale)
-        if isinstance(command, ViewDistance):
-            if not self._has_camera:
-                raise ValueError(f"value_m: {self.name} carries no camera")
-            return driving.ViewAt(id=request, distance_m=command.value_m)
         if isinstance(command, AskAdvisor):
             return driving.Advise(id=request, action=command.action, trade_off=command.trade_off)
         if isinstance(command, DragPose):
@@ -167,6 +163,16 @@ class RobotSide:
         if command.index >= len(names):
             raise ValueError(f"index: {self.name} has {len(names)} outputs, got {command.index}")
         return driving.Switch(id=request, outputs={names[command.index]: command.value})
+
+    def view_distance_of(self, command: ViewDistance) -> float:
+        """The distance that a follower is asked to keep [m].
+
+        Raises:
+            ValueError: the robot cannot follow.
+        """
+        if not self._has_camera:
+            raise ValueError(f"value_m: {self.name} carries no camera")
+        return command.value_m
 
     def checked(self, command: DryRun) -> tuple[float, ...]:
         """The increment of a dry run.

@@ -31,7 +31,7 @@ class Settings:
         address: it is bound to.
         port: it is bound to.
         token: makes an operator of whoever knows it; empty: whoever is on this machine is one.
-        operator_token: the HLI's, which a reset needs where it was given one.
+        operator_token: the HLI's, which resets and drivers need where it was given one.
         recordings: folder in which recordings are written and opened; None for none.
 
     Raises:

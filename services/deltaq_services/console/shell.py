@@ -13,12 +13,14 @@ from typing import TypeVar
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.identity import content_identity
 from deltaq_protocol import driving, topics
+from deltaq_protocol.asking import Asking
 from deltaq_protocol.codec import InvalidMessageError, unpack
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 from deltaq_protocol.heartbeat import Heartbeat
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import (
     DescribeRequest,
+    Done,
     DryRunReply,
     DryRunRequest,
     IoReply,
@@ -30,7 +32,10 @@ from deltaq_protocol.messages import (
     Status,
     StopRequest,
     Verdict,
+    ViewReply,
+    ViewRequest,
 )
+from deltaq_protocol.role_prover import role_prover
 from deltaq_services.console.client import Client
 from deltaq_services.console.connection import BrowserConnection
 from deltaq_services.console.core import ConsoleCore
@@ -68,7 +73,7 @@ class Console:
         cell: the cell's model.
         emulated: no robot of it is real.
         token_needed: whether a client without the token is an observer.
-        operator_token: the HLI's, which a reset needs where it was given one.
+        operator_token: the HLI's, which resets and drivers need where it was given one.
         cell_name: name or file of the cell, for the recorder.
         recordings: folder of recordings; None for none.
 
@@ -97,15 +102,20 @@ class Console:
             description, self.scene.bodies, token_needed, has_recordings=recordings is not None
         )
         self._identity = content_identity(description)
-        self._operator_token = operator_token
-        self._link = HliLink(description.hli, description.cell, tuple(description.robots))
+        self._link = HliLink(
+            description.hli, description.cell, tuple(description.robots), role_prover(operator_token, None)
+        )
         self._signalling = [
             name for name, robot in description.robots.items() if robot.outputs or robot.inputs
         ]
         self._connections: dict[int, BrowserConnection] = {}
         self._drivers = {
             robot: DriverProcess(
-                description.hli, robot, partial(self._driver_said, robot), partial(self._driver_ended, robot)
+                description.hli,
+                robot,
+                partial(self._driver_said, robot),
+                partial(self._driver_ended, robot),
+                operator_token,
             )
             for robot in description.robots
         }
@@ -179,26 +189,34 @@ class Console:
         verdict: Verdict | None = None
         done, text = True, ""
         try:
-            if asked.kind == "stop":
-                await self._ask_to_stop()
-            elif asked.kind == "reset":
-                reset = ResetRequest(robot=asked.robot, client=_NAME, token=self._operator_token)
-                await self._link.ask(topics.RESET, reset)
-            else:
-                run = DryRunRequest(robot=asked.robot, dq=asked.dq)
-                reply = await self._link.ask(topics.DRY_RUN, run, asked.robot)
-                verdict = unpack(DryRunReply, reply).verdict
+            verdict = await self._answer(asked, await self._link.asking())
         except DeltaqError as error:
             done, text = False, str(error)
         self._carry_out(self.core.answered(asked.request, done, text, self.now_s(), verdict))
         if asked.kind == "stop":
             self._carry_out(self.core.tick(self.now_s()))
 
-    async def _ask_to_stop(self) -> None:
+    async def _answer(self, asked: AskHli, asking: Asking) -> Verdict | None:
+        """Ask the HLI; a dry run has a verdict."""
+        match asked.kind:
+            case "stop":
+                await self._ask_to_stop(asking)
+            case "reset":
+                reset = ResetRequest(robot=asked.robot, client=_NAME)
+                await asking.ask_with_role(Done, topics.RESET, reset)
+            case "view":
+                view = ViewRequest(robot=asked.robot, distance_m=asked.distance_m, client=_NAME)
+                await asking.ask_with_role(ViewReply, topics.VIEW, view, asked.robot)
+            case "dry_run":
+                run = DryRunRequest(robot=asked.robot, dq=asked.dq)
+                return (await asking.ask(DryRunReply, topics.DRY_RUN, run, asked.robot)).verdict
+        return None
+
+    async def _ask_to_stop(self, asking: Asking) -> None:
         """Ask until the HLI has heard it: what it answers then stands."""
         for attempt in range(1, _MOST_STOPS + 1):
             try:
-                await self._link.ask(topics.STOP, StopRequest(client=_NAME))
+                await asking.ask(Done, topics.STOP, StopRequest(client=_NAME))
                 return
             except ServiceUnreachableError:
                 if attempt == _MOST_STOPS or self.core.stop.phase is not StopPhase.ASKED:
@@ -270,12 +288,13 @@ class Console:
 
     async def _look(self) -> None:
         """Ask who holds leases, and for the digital signals."""
-        status = unpack(Status, await self._link.ask(topics.STATUS, DescribeRequest()))
+        asking = await self._link.asking()
+        status = await asking.ask(Status, topics.STATUS, DescribeRequest())
         theirs = CellIdentity.parse(status.identity)
         if not self._identity.is_same(theirs):
             raise RefusedError("cell_mismatch", mismatch("the HLI", theirs, self._identity))
         for robot in self._signalling:
-            io = unpack(IoReply, await self._link.ask(topics.IO, IoRequest(robot=robot), robot))
+            io = await asking.ask(IoReply, topics.IO, IoRequest(robot=robot), robot)
             self.core.signals(robot, io.outputs, io.inputs)
         holders = {name: robot.lease.holder for name, robot in status.robots.items()}
         self.core.board.heard(holders, self.now_s())

@@ -1,0 +1,88 @@
+"""A console whose HLI was given tokens: it shows the operator's where a role is needed, and sends it to nobody."""
+
+from contextlib import asynccontextmanager
+
+import pytest
+import websockets
+import zenoh
+from guarded_peer import guarded_peer
+from served_console import Browser, live, served
+from small_cell import tool_pose
+
+from deltaq_cell.cell_model import CellModel
+from deltaq_launch.private_cell import write_private_cell
+from deltaq_protocol.codec import pack
+from deltaq_protocol.messages import Challenge
+from deltaq_protocol.session import open_session
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.shell import Hli
+
+OPERATOR, CONTROLLER = "0123456789abcdef-operator", "0123456789abcdef-controller"
+
+
+@asynccontextmanager
+async def operated(folder, operator_token):
+    """The HLI of a cell with tokens, and a browser at its console."""
+    cell = CellModel.load(write_private_cell(folder))
+    description = cell.description
+    roles = ClientRoles(OPERATOR, CONTROLLER)
+    async with (
+        guarded_peer(description) as peer,
+        Hli(description, cell.description_message(), tool_pose, roles) as hli,
+    ):
+        await peer.turn("fr")
+        async with (
+            served(folder, cell=cell, operator_token=operator_token) as (_, host),
+            websockets.connect(live(host)) as websocket,
+        ):
+            browser = Browser(websocket)
+            while not (await browser.status())["hli"]:
+                pass
+            yield browser, hli
+
+
+async def test_a_console_with_the_operators_token_frees_robots_and_asks_for_views(tmp_path):
+    async with operated(tmp_path, OPERATOR) as (browser, hli):
+        assert (await browser.ask("reset", robot="fr"))["outcome"] == "done"
+        assert (await browser.ask("view_distance", robot="fr", value_m=1.5))["outcome"] == "done"
+        assert hli.core.counters["views_asked"] == 1
+
+
+async def test_a_console_without_it_is_told_what_is_missing(tmp_path):
+    async with operated(tmp_path, None) as (browser, _):
+        for kind, fields in (("reset", {}), ("view_distance", {"value_m": 1.5})):
+            answer = await browser.ask(kind, robot="fr", **fields)
+            assert answer["outcome"] == "refused"
+            assert "token" in answer["text"]
+
+
+async def test_whoever_listens_where_the_hli_does_learns_no_token(tmp_path):
+    cell = CellModel.load(write_private_cell(tmp_path))
+    asked = {}
+    with open_session(listen=[cell.description.hli]) as impostor:
+
+        def answer(query):
+            name = str(query.key_expr).rpartition("/")[2]
+            asked[name] = query.payload.to_bytes() + (
+                query.attachment.to_bytes() if query.attachment else b""
+            )
+            if name == "challenge":
+                query.reply(query.key_expr, pack(Challenge(challenge="00" * 16)))
+
+        impostor.declare_queryable("deltaq/**", zenoh.handlers.Callback(answer, indirect=False))
+        async with (
+            served(tmp_path, cell=cell, operator_token=OPERATOR) as (_, host),
+            websockets.connect(live(host)) as websocket,
+        ):
+            await Browser(websocket).ask("reset", robot="fr")
+    assert "reset" in asked
+    assert all(OPERATOR.encode() not in said for said in asked.values())
+
+
+@pytest.mark.service
+async def test_its_drivers_take_leases_by_the_same_token(tmp_path):
+    async with operated(tmp_path, OPERATOR) as (browser, hli):
+        await browser.ask("lease", robot="fr", action="take")
+        while not (lease := (await browser.status())["robots"]["fr"]["lease"])["mine"]:
+            assert "token" not in lease["text"]
+        assert hli.status().robots["fr"].lease.holder
