@@ -83,6 +83,7 @@ def test_while_the_network_is_lost_the_robot_rests_and_afterwards_nothing_old_is
     release(page)
 
 
+@pytest.mark.nightly
 def test_a_stop_pressed_while_the_network_is_lost_says_so_and_goes_out_when_it_is_back(opened):
     line = Line()
     page = opened(lambda page: page.route_web_socket("**/live**", line.route))

@@ -51,6 +51,7 @@ def url(shared_stack: SharedStack) -> str:
     return shared_stack.renewed().cell.hli
 
 
+@pytest.mark.nightly
 def test_where_nobody_serves_both_say_so_and_exit_with_3() -> None:
     nowhere = f"tcp/127.0.0.1:{free_ports(1)[0]}"
     for module in (FOLLOWER, LEADER):
@@ -64,8 +65,8 @@ def test_where_nobody_serves_both_say_so_and_exit_with_3() -> None:
 @pytest.mark.parametrize(
     ("module", "arguments", "message"),
     [
-        (FOLLOWER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr"),
         (FOLLOWER, ("--robot", "gr", "--leader", "fr"), "'gr' has no camera"),
+        pytest.param(FOLLOWER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr", marks=pytest.mark.nightly),
         (LEADER, ("--speed-m-s", "-1"), "speed_m_s"),
     ],
 )

@@ -99,6 +99,7 @@ def at_rest_and_free(robot):
     return robot.phase is Phase.READY and robot.lease.holder is None
 
 
+@pytest.mark.nightly
 def test_a_stop_in_motion_ends_at_rest_and_a_reset_ends_it(cell):
     with browser(cell, "desk") as desk:
         desk.moves(cell)

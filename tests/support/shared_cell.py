@@ -23,6 +23,8 @@ from deltaq_protocol.errors import RefusedError, ServiceUnreachableError
 from deltaq_protocol.messages import Phase
 from deltaq_verification.faults.panel import PanelClient, recovery
 
+PATIENT = "extends: lab\nlease_s: 3.0\n"
+"""A holder that waits for a processor of a busy machine is no dead one as soon as it is in the cell as it is shipped."""
 APPROACH, OF_FASTEST = 0.2, 0.2
 """Share of what is missing to home that is asked for in a cycle, and of the largest increment."""
 
@@ -108,7 +110,9 @@ class SharedStack(Stack):
 
 @contextmanager
 def shared_cell(folder: Path) -> Iterator[SharedStack]:
-    with live_stack(folder) as stack:
+    patient = folder / "patient.yaml"
+    patient.write_text(PATIENT)
+    with live_stack(folder, base=patient) as stack:
         yield SharedStack.of(stack, folder)
 
 

@@ -54,8 +54,8 @@ def test_stop_on_the_same_cell(live_cell):
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.live
-@pytest.mark.long
 def test_a_session_has_one_live_cell_which_is_made_ready_again_between_tests(pytester):
     pytester.makepyfile(program=PROGRAM, test_live=TESTS)
     result = pytester.runpytest(
