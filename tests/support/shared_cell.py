@@ -24,7 +24,7 @@ from deltaq_protocol.messages import Phase
 from deltaq_verification.faults.panel import PanelClient, recovery
 
 PATIENT = "extends: lab\nlease_s: 3.0\n"
-"""A holder that waits for a processor of a busy machine is no dead one as soon as it is in the cell as it is shipped."""
+"""A holder that waits for a processor of a busy machine is given up less soon than in the cell that is shipped."""
 APPROACH, OF_FASTEST = 0.2, 0.2
 """Share of what is missing to home that is asked for in a cycle, and of the largest increment."""
 
