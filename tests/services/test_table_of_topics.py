@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import queue
 from collections import Counter
@@ -170,6 +171,16 @@ def _cycle(number: int) -> bytes:
     return bytes(msgpack.packb("cycle") + msgpack.packb(number))
 
 
+def _published_until_heard(link: GuardedLink, states: queue.SimpleQueue[Any], cycle: int, at_s: float) -> Any:
+    """The sample of a state; published again where a connection that stood still has dropped it."""
+    while True:
+        link.publish(server_state("fr", cycle), at_s)
+        with contextlib.suppress(queue.Empty):
+            while _cycle(cycle) not in (state := states.get(timeout=2.0)).payload.to_bytes():
+                pass
+            return state
+
+
 class _Listened:
     """What a listener hears over zenoh of a Robot Server's link in ten seconds of that server's clock."""
 
@@ -186,9 +197,7 @@ class _Listened:
                 link.publish(server_state("fr"), 0.0)
             for cycle in range(500):
                 # the listener keeps step: of what comes faster than it is taken, some would be dropped
-                link.publish(server_state("fr", 1000 + cycle), 1000.0 + cycle * 0.02)
-                while _cycle(1000 + cycle) not in (state := states.get(timeout=60.0)).payload.to_bytes():
-                    pass
+                state = _published_until_heard(link, states, 1000 + cycle, 1000.0 + cycle * 0.02)
             link.publish(None, 1011.0, lambda: "end")  # a marker: a heartbeat that is out of turn
             samples = [state]
             while b"end" not in samples[-1].payload.to_bytes():
