@@ -46,5 +46,8 @@ ConsoleOption = Annotated[
 ]
 TokenOption = Annotated[
     str | None,
-    typer.Option(envvar="DELTAQ_OPERATOR_TOKEN", help="The operator's token, if the HLI was given one."),
+    typer.Option(
+        help="The operator's token, if the HLI was given one; by default that of DELTAQ_OPERATOR_TOKEN, "
+        "or of the file that DELTAQ_OPERATOR_TOKEN_FILE names."
+    ),
 ]

@@ -19,9 +19,9 @@ from deltaq_cell.load import load_cell
 from deltaq_launch.child_process import Child
 from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.role_prover import TOKEN_VARIABLE
+from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_services.guarded_key import KEY_FILE, write_new_key
-from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN, OPERATOR_TOKEN
+from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
 from deltaq_verification.impairment.packets import within as thread_within
 from deltaq_verification.two_sites import Sites, within, write_cell
 
@@ -126,7 +126,7 @@ class TwoSites:
     def controller(self, name: str, module: str, *arguments: str) -> Running:
         """Start a controller far away."""
         command = (sys.executable, "-m", module, "--url", self.cell.hli, *arguments)
-        return self.run(name, self.sites.controller, command, **{TOKEN_VARIABLE: self._controller_token})
+        return self.run(name, self.sites.controller, command, **{CLIENT_TOKEN: self._controller_token})
 
     def run(self, name: str, namespace: str, command: Sequence[str], **environment: str) -> Running:
         """Start a program at a site; it is ended with the block."""

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from deltaq_protocol import topics
 from deltaq_protocol.asking import Asking
 from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.given_token import CLIENT_TOKEN
 from deltaq_protocol.leased_robot import LeasedRobot
 from deltaq_protocol.messages import Description, LeaseAction, LeaseReply, LeaseRequest
 from deltaq_protocol.reasons import EXPLANATIONS, ReasonCode
@@ -79,5 +80,11 @@ def _not_granted(reply: LeaseReply) -> RefusedError:
     text = f"the lease of {reply.robot} was not granted: {EXPLANATIONS[code]}"
     if reply.holder is not None and reply.expires_s is not None:
         text += f"; {reply.holder} holds it for another {max(0.0, reply.expires_s):.1f} s unless renewed"
-    hint = "wait for it, or take it (`take=True`)" if code is ReasonCode.LEASE_TAKEN else ""
-    return RefusedError(code, text, hint)
+    return RefusedError(code, text, _HINTS.get(code, ""))
+
+
+_HINTS = {
+    ReasonCode.LEASE_TAKEN: "wait for it, or take it (`take=True`)",
+    ReasonCode.NOT_PERMITTED: f"give the controller's token, or the operator's to take it from its holder: "
+    f"`connect(token=...)`, {CLIENT_TOKEN}, or the file that {CLIENT_TOKEN}_FILE names",
+}

@@ -8,10 +8,8 @@ from typing import Protocol
 
 from deltaq_protocol.certified.names import CLIENT_IDENTITY
 from deltaq_protocol.certified.prover import identity_prover
+from deltaq_protocol.given_token import CLIENT_TOKEN, given_token
 from deltaq_protocol.proof import Prover
-
-TOKEN_VARIABLE = "DELTAQ_CLIENT_TOKEN"
-"""Environment variable: the token of a client that is given none by its program."""
 
 
 class RoleProver(Protocol):
@@ -26,8 +24,9 @@ def role_prover(token: str | None, identity: str | os.PathLike[str] | None) -> R
 
     Raises:
         IdentityError: the identity is missing, not valid, or a service's.
+        GivenTokenError: the file of the token cannot be read, or is no secret.
     """
     if folder := identity or os.environ.get(CLIENT_IDENTITY):
         return identity_prover(Path(folder))
-    known = token or os.environ.get(TOKEN_VARIABLE)
+    known = token or given_token(CLIENT_TOKEN)
     return Prover(known) if known else None

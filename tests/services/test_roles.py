@@ -8,7 +8,7 @@ import pytest
 from small_cell import small_cell
 
 from deltaq_protocol.client_rights import ClientRole
-from deltaq_services.given_token import GivenTokenError
+from deltaq_protocol.given_token import GivenTokenError
 from deltaq_services.hli.client_roles import MOST_TRIES_S, ClientRoles, Tries
 from deltaq_services.hli.client_tokens import LEAST_CHARACTERS, client_roles
 from deltaq_services.hli.line_encryption import LineEncryptionError, line_encryption

@@ -7,12 +7,11 @@ from pathlib import Path
 
 from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.given_token import OPERATOR_TOKEN, given_token
 from deltaq_services.console.settings import Settings
-from deltaq_services.given_token import given_token
 from deltaq_services.process import run
 
 TOKEN_VARIABLE = "DELTAQ_CONSOLE_TOKEN"
-OPERATOR_TOKEN_VARIABLE = "DELTAQ_OPERATOR_TOKEN"
 
 
 class NotInstalledError(DeltaqError):
@@ -35,7 +34,7 @@ def main() -> None:
         address=options.address or description.console_address,
         port=options.port if options.port is not None else description.console_port,
         token=given_token(TOKEN_VARIABLE) or "",
-        operator_token=given_token(OPERATOR_TOKEN_VARIABLE),
+        operator_token=given_token(OPERATOR_TOKEN),
         recordings=options.recordings,
     )
     # after the settings were found good: this import takes seconds

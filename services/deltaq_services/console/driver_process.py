@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pydantic import ValidationError
 
 from deltaq_protocol import driving
-from deltaq_protocol.role_prover import TOKEN_VARIABLE
+from deltaq_protocol.given_token import CLIENT_TOKEN
 
 _ENDS_WITHIN_S = 3.0
 _MOST_WAITING_BYTES = 64 * 1024
@@ -43,7 +43,7 @@ class DriverProcess:
         token: str | None,
     ) -> None:
         self._command = ("-m", "deltaq_controllers.operated", "--url", hli, "--robot", robot)
-        self._environment = {**os.environ, TOKEN_VARIABLE: token} if token else None
+        self._environment = {**os.environ, CLIENT_TOKEN: token, f"{CLIENT_TOKEN}_FILE": ""} if token else None
         self._said, self._ended = said, ended
         self._process: Process | None = None
         self._running: asyncio.Task[None] | None = None

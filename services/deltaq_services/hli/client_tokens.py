@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from deltaq_cell.description import CellDescription
 from deltaq_cell.open_realm import ALLOWS_ANYBODY, NEEDS_TOKENS, off_loopback
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
-from deltaq_services.given_token import MAKE_ONE, GivenTokenError, given_token
+from deltaq_protocol.given_token import MAKE_ONE, OPERATOR_TOKEN, GivenTokenError, given_token
 from deltaq_services.hli.client_roles import ClientRoles
 
-OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
 """Environment variable: where set, `take`, `reset` and `contact` need this token."""
 CONTROLLER_TOKEN = "DELTAQ_CONTROLLER_TOKEN"
 """Environment variable: where set, a lease needs this token, or the operator's."""

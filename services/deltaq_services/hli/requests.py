@@ -8,6 +8,7 @@ from dataclasses import replace
 from deltaq_protocol import topics
 from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.client_rights import ClientRole, least_role
+from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
 from deltaq_protocol.messages import (
     ContactRequest,
     Done,
@@ -34,6 +35,8 @@ from deltaq_services.outputs import ClientOrigin, Output, Sender, ToSender
 
 _Request = ContactRequest | DryRunRequest | IoRequest | ResetRequest | ViewRequest
 _WithRole = ContactRequest | LeaseRequest | ResetRequest | ViewRequest
+
+_GIVE_IT = f"over lines in the hello; to `deltaq` and in Python by {OPERATOR_TOKEN} or {CLIENT_TOKEN}"
 
 
 class Requests:
@@ -116,9 +119,7 @@ class Requests:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if self._role(request, sender) < least_role(topics.RESET):
             text = f"reset of {request.robot} needs the operator's token"
-            return self._error(
-                sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
-            )
+            return self._error(sender, request, ReasonCode.NOT_PERMITTED, text, _GIVE_IT)
         self._state.counters["resets"] += 1
         command = self._state.new_command(kind="reset", robot=request.robot)
         return self._state.command(command, sender, Done(what=f"reset {request.robot}"), time_s)
@@ -147,9 +148,7 @@ class Requests:
             )
         if self._role(request, sender) < least_role(topics.CONTACT):
             text = f"contact {request.contact} needs the operator's token"
-            return self._error(
-                sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
-            )
+            return self._error(sender, request, ReasonCode.NOT_PERMITTED, text, _GIVE_IT)
         self._state.counters["contacts_switched"] += 1
         command = self._state.new_command(
             kind="contact",
@@ -166,9 +165,7 @@ class Requests:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))
         if self._role(request, sender) < least_role(topics.VIEW):
             text = f"another view of {request.robot} needs the controller's token"
-            return self._error(
-                sender, request, ReasonCode.NOT_PERMITTED, text, "give it in the hello or the request"
-            )
+            return self._error(sender, request, ReasonCode.NOT_PERMITTED, text, _GIVE_IT)
         problem = problem_of(request, self._state.cell)
         if problem is not None:
             return self._error(sender, request, ReasonCode.MALFORMED, *problem)

@@ -1,4 +1,4 @@
-"""A token that whoever starts a service gives it: in a variable of the environment, or in a file that one names."""
+"""A token that a service or client is given: in a variable of the environment, or in a file that one names."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from pathlib import Path
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.secret_file import contents, faults_of_secret
 
+OPERATOR_TOKEN = "DELTAQ_OPERATOR_TOKEN"
+"""Environment variable: the operator's token, for the HLI, the console, and commands of an operator."""
+CLIENT_TOKEN = "DELTAQ_CLIENT_TOKEN"
+"""Environment variable: the token of a client that is given none by its program."""
 MAKE_ONE = "`openssl rand -hex 16 > FILE; chmod 600 FILE` makes one"
 
 

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from guarded_peer import guarded_peer
+from small_cell import small_cell, told, tool_pose
 
+from deltaq_cell.description import CellDescription
+from deltaq_launch import cell_connection
+from deltaq_protocol import connect
+from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.given_token import GivenTokenError, given_token
 from deltaq_services.console.settings import Settings
-from deltaq_services.given_token import GivenTokenError, given_token
+from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.shell import Hli
 
 SECRET = "0123456789abcdef-secret"
 
@@ -66,3 +75,33 @@ def test_settings_do_not_show_their_tokens() -> None:
     shown = repr(Settings("lab", True, "127.0.0.1", 7480, SECRET, SECRET))
     assert SECRET not in shown
     assert "7480" in shown
+
+
+async def test_a_client_and_a_command_take_theirs_from_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    operator = tmp_path / "operator.token"
+    operator.write_text(SECRET)
+    operator.chmod(0o600)
+    controller = secret(tmp_path, b"0123456789abcdef-controller")
+    description = small_cell()
+    roles = ClientRoles(SECRET, "0123456789abcdef-controller")
+    async with guarded_peer(description) as peer, Hli(description, told(description), tool_pose, roles):
+        await peer.turn("fr")
+        async with connect(description.hli) as cell:
+            with pytest.raises(RefusedError, match="DELTAQ_CLIENT_TOKEN_FILE"):
+                async with cell.lease("fr"):
+                    pass
+        with pytest.raises(RefusedError, match="DELTAQ_OPERATOR_TOKEN"):
+            await asyncio.to_thread(reset, description)
+        monkeypatch.setenv("DELTAQ_CLIENT_TOKEN_FILE", controller)
+        monkeypatch.setenv("DELTAQ_OPERATOR_TOKEN_FILE", str(operator))
+        async with connect(description.hli) as cell, cell.lease("fr"):
+            pass
+        await asyncio.to_thread(reset, description)
+
+
+def reset(description: CellDescription) -> None:
+    """What `deltaq reset` does."""
+    with cell_connection.connect(description, "an operator") as cell:
+        cell.reset("fr")
