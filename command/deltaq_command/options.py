@@ -44,10 +44,19 @@ HandsMayLeaveOption = Annotated[
 ConsoleOption = Annotated[
     bool, typer.Option("--console/--no-console", help="Start the operator's console, for a browser.")
 ]
+
+
+def _operators_token(given: str | None) -> str | None:
+    from deltaq_protocol.given_token import OPERATOR_TOKEN, given_token
+
+    return given or given_token(OPERATOR_TOKEN)
+
+
 TokenOption = Annotated[
     str | None,
     typer.Option(
+        callback=_operators_token,
         help="The operator's token, if the HLI was given one; by default that of DELTAQ_OPERATOR_TOKEN, "
-        "or of the file that DELTAQ_OPERATOR_TOKEN_FILE names."
+        "or of the file that DELTAQ_OPERATOR_TOKEN_FILE names.",
     ),
 ]

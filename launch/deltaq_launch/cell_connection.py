@@ -12,7 +12,6 @@ from deltaq_protocol import blocking
 from deltaq_protocol.blocking import BlockingCell
 from deltaq_protocol.endpoint import Endpoint
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.given_token import OPERATOR_TOKEN, given_token
 from deltaq_protocol.identity import CellIdentity, mismatch
 from deltaq_protocol.messages import Description
 from deltaq_protocol.session import open_session
@@ -79,14 +78,13 @@ def connect(cell: CellDescription | Where, client: str, token: str | None = None
     Args:
         cell: where it is; a whole description is compared with that of the running cell.
         client: a name for others to see.
-        token: the operator's token, where the HLI was given one; by default that of the environment.
+        token: the operator's token, where the HLI was given one.
 
     Raises:
-        GivenTokenError: if the file of the environment's token cannot be read, or is no secret.
         ServiceUnreachableError: if no HLI is there.
         OtherCellError: if it serves another cell, or has read another description of it.
     """
-    with blocking.connect(cell.hli, client, token or given_token(OPERATOR_TOKEN)) as running:
+    with blocking.connect(cell.hli, client, token) as running:
         if cell.cell is not None and running.description.cell != cell.cell:
             raise OtherCellError(
                 f"{cell.hli} serves cell {running.description.cell}, not {cell.cell}; name the right one with --cell"

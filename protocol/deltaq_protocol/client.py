@@ -263,9 +263,11 @@ def connect(
         address: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
         client: name that others see.
         token: the operator's or the controller's, where the server asks for one; it is not sent. None: what the
-            environment holds in `DELTAQ_CLIENT_TOKEN`, if anything.
+            environment holds in `DELTAQ_CLIENT_TOKEN`, or in the file that `DELTAQ_CLIENT_TOKEN_FILE` names.
         identity: folder of an operator's or a controller's identity, which goes before a token; None: what the
             environment names in `DELTAQ_CLIENT_IDENTITY`, if anything.
+
+    What the environment names is read when a role is needed, and what is wrong with it told then: a stop needs none.
 
     Raises:
         IdentityError: the identity is missing, not valid, or a service's.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -19,14 +20,33 @@ class RoleProver(Protocol):
         """A proof for a message under a zenoh key, in answer to a challenge."""
 
 
+class RoleOfEnvironment:
+    """Shows the role that the environment names, which is read when a role is needed: a stop needs none."""
+
+    def prove(self, key: str, message: bytes, nonce: bytes) -> bytes:
+        """A proof, as `RoleProver` has it.
+
+        Raises:
+            IdentityError: the identity is missing, not valid, or a service's.
+            GivenTokenError: the file of the token cannot be read, or is no secret.
+        """
+        return self._prover.prove(key, message, nonce)
+
+    @cached_property
+    def _prover(self) -> RoleProver:
+        folder = os.environ.get(CLIENT_IDENTITY)
+        return identity_prover(Path(folder)) if folder else Prover(given_token(CLIENT_TOKEN) or "")
+
+
 def role_prover(token: str | None, identity: str | os.PathLike[str] | None) -> RoleProver | None:
     """What shows the role of a client, which its program or the environment names; None: nothing does.
 
     Raises:
-        IdentityError: the identity is missing, not valid, or a service's.
-        GivenTokenError: the file of the token cannot be read, or is no secret.
+        IdentityError: the identity that the program names is missing, not valid, or a service's.
     """
-    if folder := identity or os.environ.get(CLIENT_IDENTITY):
-        return identity_prover(Path(folder))
-    known = token or given_token(CLIENT_TOKEN)
-    return Prover(known) if known else None
+    if identity:
+        return identity_prover(Path(identity))
+    if token and not os.environ.get(CLIENT_IDENTITY):
+        return Prover(token)
+    named = (CLIENT_IDENTITY, CLIENT_TOKEN, f"{CLIENT_TOKEN}_FILE")
+    return RoleOfEnvironment() if any(map(os.environ.get, named)) else None

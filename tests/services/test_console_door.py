@@ -10,6 +10,7 @@ from served_console import live, served, told
 
 from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.console.web import listening_socket
 
@@ -116,3 +117,10 @@ def test_an_address_beyond_this_machine_needs_a_token():
         assert replace(here, address=address, token="t").token_needed
     for address in ("127.0.0.2", "::1", "localhost"):
         assert not replace(here, address=address).token_needed
+
+
+async def test_who_asks_before_there_is_a_session_waits_for_it():
+    link = HliLink(f"tcp/127.0.0.1:{free_ports(1)[0]}", "lab", ("fr",), None)
+    asking = asyncio.ensure_future(link.asking())
+    async with link:
+        assert await asking is await link.asking()

@@ -12,7 +12,6 @@ from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
 from deltaq_protocol.given_token import MAKE_ONE, OPERATOR_TOKEN, GivenTokenError, given_token
 from deltaq_services.hli.client_roles import ClientRoles
 
-"""Environment variable: where set, `take`, `reset` and `contact` need this token."""
 CONTROLLER_TOKEN = "DELTAQ_CONTROLLER_TOKEN"
 """Environment variable: where set, a lease needs this token, or the operator's."""
 LEAST_CHARACTERS = 16

@@ -13,14 +13,14 @@ from guarded_peer import guarded_peer
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_cell.description import CellDescription
-from deltaq_launch import cell_connection
 from deltaq_protocol import connect
-from deltaq_protocol.errors import RefusedError
+from deltaq_protocol.errors import DeltaqError, RefusedError
 from deltaq_protocol.given_token import GivenTokenError, given_token
 from deltaq_services.console.settings import Settings
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
+DELTAQ = str(Path(sys.executable).with_name("deltaq"))
 SECRET = "0123456789abcdef-secret"
 
 
@@ -92,8 +92,9 @@ async def test_a_client_and_a_command_take_theirs_from_a_file(
             with pytest.raises(RefusedError, match="DELTAQ_CLIENT_TOKEN_FILE"):
                 async with cell.lease("fr"):
                     pass
-        with pytest.raises(RefusedError, match="DELTAQ_OPERATOR_TOKEN"):
+        with pytest.raises(subprocess.CalledProcessError) as refused:
             await asyncio.to_thread(reset, description)
+        assert b"DELTAQ_OPERATOR_TOKEN" in refused.value.stderr
         monkeypatch.setenv("DELTAQ_CLIENT_TOKEN_FILE", controller)
         monkeypatch.setenv("DELTAQ_OPERATOR_TOKEN_FILE", str(operator))
         async with connect(description.hli) as cell, cell.lease("fr"):
@@ -101,7 +102,30 @@ async def test_a_client_and_a_command_take_theirs_from_a_file(
         await asyncio.to_thread(reset, description)
 
 
+@pytest.mark.parametrize(
+    "names", ["DELTAQ_CLIENT_TOKEN_FILE", "DELTAQ_OPERATOR_TOKEN_FILE", "DELTAQ_CLIENT_IDENTITY"]
+)
+async def test_a_secret_that_is_not_there_keeps_nobody_from_a_stop(
+    names: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    description = small_cell()
+    monkeypatch.setenv(names, "/nowhere")
+    async with guarded_peer(description) as peer, Hli(description, told(description), tool_pose):
+        await peer.turn("fr")
+        await asyncio.to_thread(command, "stop", description)
+        if names.startswith("DELTAQ_CLIENT"):
+            async with connect(description.hli) as cell:
+                with pytest.raises(DeltaqError, match="/nowhere"):
+                    async with cell.lease("fr"):
+                        pass
+        else:
+            with pytest.raises(subprocess.CalledProcessError):
+                await asyncio.to_thread(reset, description)
+
+
+def command(verb: str, description: CellDescription, *arguments: str) -> None:
+    subprocess.run([DELTAQ, verb, "--url", description.hli, *arguments], check=True, capture_output=True)
+
+
 def reset(description: CellDescription) -> None:
-    """What `deltaq reset` does."""
-    with cell_connection.connect(description, "an operator") as cell:
-        cell.reset("fr")
+    command("reset", description, "--robot", "fr")
