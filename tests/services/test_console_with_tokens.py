@@ -74,7 +74,10 @@ async def test_whoever_listens_where_the_hli_does_learns_no_token(tmp_path):
             served(tmp_path, cell=cell, operator_token=OPERATOR) as (_, host),
             websockets.connect(live(host)) as websocket,
         ):
-            await Browser(websocket).ask("reset", robot="fr")
+            browser = Browser(websocket)
+            while not asked:  # the console's session may not have found whom it takes for the HLI yet
+                await browser.status()
+            await browser.ask("reset", robot="fr")
     assert "reset" in asked
     assert all(OPERATOR.encode() not in said for said in asked.values())
 
