@@ -8,9 +8,9 @@
 // What is refused is a std::runtime_error. The destructor gives the lease back.
 #pragma once
 #include <chrono>
-#include <cstdlib>
 #include <optional>
 #include <utility>
+#include "given_token.hpp"
 #include "in_flight.hpp"
 #include "json.hpp"
 #include "lines.hpp"
@@ -20,10 +20,10 @@ class Client {
  public:
   Json welcome;  // the cycle, and names, units and limits by robot
 
-  /// Connect; the token is needed where the cell asks for one.
+  /// Connect; the token is needed where the cell asks for one, and is by default that of the environment.
   Client(const std::string& host, const std::string& port, const std::string& name = "c++",
-         const char* token = std::getenv("DELTAQ_CLIENT_TOKEN")) : lines_(host, port) {
-    const std::string secret = token && *token ? ",\"token\":" + quoted(token) : "";
+         const std::string& token = given_token()) : lines_(host, port) {
+    const std::string secret = token.empty() ? "" : ",\"token\":" + quoted(token);
     welcome = ask("\"hello\",\"protocol\":3,\"client\":" + quoted(name) + secret, "welcome");
   }
   ~Client() {

@@ -7,17 +7,32 @@
 // `deltaq schema` prints the fields of all messages. No verdict is waited for: newVerdicts() returns what has come.
 // An `error` of the server ends the connection, and the robot comes to rest.
 import { EventEmitter, once } from "node:events";
+import { readFileSync } from "node:fs";
 import net from "node:net";
 import { InFlight } from "./in_flight.mjs";
 
 const SILENCE_MS = 2000;
 
+/** The token in the file that DELTAQ_CLIENT_TOKEN_FILE names, or in DELTAQ_CLIENT_TOKEN; empty if neither is set. */
+export function givenToken() {
+  const { DELTAQ_CLIENT_TOKEN_FILE: file, DELTAQ_CLIENT_TOKEN: given = "" } = process.env;
+  if (!file) return given;
+  let text;
+  try {
+    text = readFileSync(file, "utf8").trim();
+  } catch (error) {
+    throw new Error(`DELTAQ_CLIENT_TOKEN_FILE: ${file} cannot be read: ${error.message}`);
+  }
+  if (!text) throw new Error(`DELTAQ_CLIENT_TOKEN_FILE: ${file} holds no text`);
+  return text;
+}
+
 export class Client {
   #socket; #address; #failure; #received = ""; #newest = {}; #answers = []; #verdicts = []; #seq = 0;
   #heard = new EventEmitter().on("error", () => {}); #timer; #silent_ms = 0; #inFlight;
 
-  /** Connect; the token is needed where the cell asks for one. */
-  static async connect({ host = "127.0.0.1", port = 5210, token = process.env.DELTAQ_CLIENT_TOKEN, name = "node" } = {}) {
+  /** Connect; the token is needed where the cell asks for one, and is by default that of the environment. */
+  static async connect({ host = "127.0.0.1", port = 5210, token = givenToken(), name = "node" } = {}) {
     const client = new Client(host, port);
     const hello = { type: "hello", protocol: 3, client: name, token: token || null };
     client.welcome = await client.#ask(hello, (answer) => answer.type === "welcome");

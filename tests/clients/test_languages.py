@@ -7,6 +7,7 @@ import re
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -170,6 +171,22 @@ def test_a_wrong_token_is_one_clear_line_and_the_right_one_is_taken_from_the_env
         none = run(language, language.answers(port, "fr", 0.0, 1))
         assert "controller's token" in refusal(language, none)
         answers(language, server, "fr", 0.0, 1, DELTAQ_CLIENT_TOKEN="right")
+
+
+def test_a_token_comes_from_a_file_and_one_that_gives_none_is_one_clear_line(
+    language: Language, tmp_path: Path
+) -> None:
+    right, empty, missing = (tmp_path / name for name in ("right", "empty", "missing"))
+    right.write_text("right\n")
+    empty.write_text("\n")
+    with Server("the operator's", "right") as server:
+        answers(
+            language, server, "fr", 0.0, 1, DELTAQ_CLIENT_TOKEN_FILE=str(right), DELTAQ_CLIENT_TOKEN="wrong"
+        )
+        for file, why in ((empty, "holds no text"), (missing, "cannot be read: .*[Nn]o such file")):
+            command = language.answers(server.description.tcp_port, "fr", 0.0, 1)
+            line = refusal(language, run(language, command, DELTAQ_CLIENT_TOKEN_FILE=str(file)))
+            assert re.search(f"DELTAQ_CLIENT_TOKEN_FILE: {file} {why}", line)
 
 
 def test_a_robot_that_the_cell_does_not_have_is_one_clear_line(language: Language, server: Server) -> None:

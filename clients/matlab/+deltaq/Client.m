@@ -38,11 +38,11 @@ classdef Client < handle
 
     methods
         function obj = Client(host, port, token, name)
-        % Connect. The token is needed where the cell asks for one; by default it is that of the environment variable
-        % DELTAQ_CLIENT_TOKEN, if there is any. Others see the name.
+        % Connect. The token is needed where the cell asks for one; by default it is that of the environment, if there
+        % is any (deltaq.given_token). Others see the name.
             if nargin < 1, host = '127.0.0.1'; end
             if nargin < 2, port = 5210; end
-            if nargin < 3, token = getenv('DELTAQ_CLIENT_TOKEN'); end
+            if nargin < 3, token = deltaq.given_token(); end
             if nargin < 4, name = 'matlab'; end
             obj.address = sprintf('%s:%d', char(host), port);
             obj.in_flight = deltaq.InFlight();

@@ -11,7 +11,7 @@ function camera_follower(host, port, duration_s, distance_m)
     if nargin < 2, port = 5210; end
     if nargin < 3, duration_s = Inf; end
     if nargin < 4, distance_m = 1.25; end
-    lab = deltaq.Client(host, port, getenv('DELTAQ_CLIENT_TOKEN'), 'camera-follower');
+    lab = deltaq.Client(host, port, deltaq.given_token(), 'camera-follower');
     finish = onCleanup(@() lab.close());
     camera = deltaq.kinematics(lab.describe(), 'fr', 'camera');
     lab.acquire('fr');

@@ -4,7 +4,7 @@ function turn_a1(host, port)
 %   addpath('clients/matlab', 'clients/matlab/examples'); turn_a1('127.0.0.1', 5210)
     if nargin < 1, host = '127.0.0.1'; end
     if nargin < 2, port = 5210; end
-    lab = deltaq.Client(host, port, getenv('DELTAQ_CLIENT_TOKEN'), 'turn-a1');
+    lab = deltaq.Client(host, port, deltaq.given_token(), 'turn-a1');
     finish = onCleanup(@() lab.close());
     lab.acquire('fr');
     step = pi / 6 * lab.cycle_s;  % [rad] in one cycle
