@@ -45,6 +45,27 @@ def hold(page, button, option):
     )
 
 
+def tip_at_rest(page):
+    """Where the tip is once the gizmo and the page around it stand still for three pictures."""
+    return page.evaluate(
+        f"""async () => {{
+            for (let last = [], count = 0; ; ) {{
+                await new Promise(requestAnimationFrame);
+                const tip = {TIP};
+                count = tip.every((value, k) => value === last[k]) ? count + 1 : 0;
+                if (count === 3) return tip;
+                last = tip;
+            }}
+        }}"""
+    )
+
+
+def give_back(page):
+    """Release the robot, for whoever comes next."""
+    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+    page.wait_for_function("!deltaq.live.robot('gr').lease.holder")
+
+
 def let_go(page):
     page.evaluate("clearInterval(window.pressing); deltaq.wish.release('test')")
     page.mouse.up()
@@ -91,7 +112,7 @@ def test_an_option_is_shown_gone_to_while_held_left_and_cancelled(opened):
     )
     assert len(scores) > 1
     assert scores == sorted(scores)
-    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+    give_back(page)
 
 
 def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, served_cell):
@@ -100,9 +121,10 @@ def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, ser
     page.wait_for_function("deltaq.gizmo.root.visible")
     before = page.evaluate(Q)
     hand = page.evaluate("Array.from(deltaq.gizmo.T)")
-    x, y = page.evaluate(TIP)
+    x, y = tip_at_rest(page)
     page.mouse.move(x, y)
     page.mouse.down()
+    assert page.evaluate("deltaq.gizmo.isHeld")
     page.mouse.move(x, y + 40, steps=4)
     page.mouse.up()
     dragged = page.evaluate("Array.from(deltaq.gizmo.T)")
@@ -118,7 +140,7 @@ def test_a_pose_that_is_dragged_is_shown_first_and_gone_to_when_told(opened, ser
     let_go(page)
     there = served_cell.model.robots["gr"].forward(np.array(page.evaluate(Q)))[:3, 3]
     assert there == pytest.approx(dragged[12:15], abs=2e-3)
-    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+    give_back(page)
 
 
 @pytest.mark.nightly
@@ -141,7 +163,7 @@ def test_a_pose_out_of_reach_or_behind_a_body_is_told_and_out_of_reach_cannot_be
     assert page.evaluate("deltaq.wayPicture._shown.blocked.root.visible")
     page.get_by_role("button", name="Back", exact=True).click()
     page.wait_for_function("deltaq.wayPicture.way === null")
-    page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+    give_back(page)
 
 
 def test_a_robot_is_taken_over_from_a_holder_outside_by_a_button_that_is_held(opened, served_cell):
@@ -165,4 +187,4 @@ def test_a_robot_is_taken_over_from_a_holder_outside_by_a_button_that_is_held(op
         page.wait_for_function(
             "[...document.querySelectorAll('.log li')].some((line) => line.textContent.includes('from night shift'))"
         )
-        page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+        give_back(page)

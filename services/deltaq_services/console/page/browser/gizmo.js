@@ -35,6 +35,7 @@ export class Gizmo extends EventTarget {
     this.T = Float64Array.from(T);
     this.byHand = byHand;
     this.root.visible = true;
+    this._fit(); // for a pointer that is quicker than the next picture
     this.stage.ask();
   }
 
