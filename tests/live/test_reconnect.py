@@ -118,6 +118,8 @@ class Lines:
                 cycles -= 1
             elif message["reasons"][0]["code"] == "lease_not_held":
                 self.acquire()  # whoever had it last may have left without a word
+            else:  # an answer that came late is asked for again; a robot that is held stays so
+                assert message["reasons"][0]["code"] != "held", message
 
 
 @contextmanager
