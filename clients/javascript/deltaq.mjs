@@ -83,8 +83,9 @@ export class Client {
   newVerdicts() { return this.#verdicts.splice(0); }
   /** Give the lease back, and disconnect once that was answered: otherwise the robot would be held. */
   async close() {
-    const request = { type: "lease", robot: this.robot, action: "release" };
-    if (this.robot && !this.#failure) await this.#ask(request, (answer) => answer.type === "lease" && !answer.holder);
+    const { robot } = this;
+    this.robot = undefined; // its lease is renewed no more
+    if (robot && !this.#failure) await this.#ask({ type: "lease", robot, action: "release" }, (answer) => answer.type === "lease" && !answer.holder);
     this.#fail("unreachable", "this client is closed");
   }
   #tick(period_ms) {
