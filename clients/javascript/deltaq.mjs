@@ -42,8 +42,12 @@ export class Client {
     this.#address = `${host}:${port}`;
     this.#socket = net.connect({ host, port, noDelay: true }).setEncoding("utf8");
     this.#socket.on("data", (text) => this.#take(text));
-    this.#socket.on("error", (error) => this.#fail("unreachable", `${this.#address} cannot be reached: ${error.message}`));
-    this.#socket.on("close", () => this.#fail("unreachable", `${this.#address} has closed the connection; the robot comes to rest`));
+    const closed = `${this.#address} has closed the connection; the robot comes to rest`;
+    this.#socket.on("close", () => this.#fail("unreachable", closed));
+    this.#socket.on("error", (error) => { // who is asked for more after the server has closed hears of it as an error
+      const isClosed = ["ECONNRESET", "EPIPE"].includes(error.code);
+      this.#fail("unreachable", isClosed ? closed : `${this.#address} cannot be reached: ${error.message}`);
+    });
     this.#tick(SILENCE_MS / 4);
   }
   /** Take the lease of a robot; it is renewed until the connection is closed. With a playout buffer from far away. */
