@@ -4,7 +4,6 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
-#include <iterator>
 #include <stdexcept>
 #include <string>
 
@@ -15,8 +14,9 @@ inline std::string given_token() {
   if (!file || !*file) return token ? token : "";
   const std::string named = std::string("DELTAQ_CLIENT_TOKEN_FILE: ") + file;
   std::ifstream opened(file);
-  const std::string text{std::istreambuf_iterator<char>(opened), {}};
-  if (!opened) throw std::runtime_error(named + " cannot be read: " + std::strerror(errno));
+  std::string text;
+  std::getline(opened, text, '\0');
+  if (!opened.is_open() || opened.bad()) throw std::runtime_error(named + " cannot be read: " + std::strerror(errno));
   const char* blanks = " \t\r\n";
   const auto begin = text.find_first_not_of(blanks);
   if (begin == std::string::npos) throw std::runtime_error(named + " holds no text");

@@ -78,8 +78,7 @@ class Cpp(Language):
     """Compiled once a run, with every warning an error."""
 
     name = "c++"
-    headers = ("deltaq.hpp", "given_token.hpp", "in_flight.hpp")
-    sources = (*(CLIENTS / "cpp" / name for name in headers), CLIENTS / "cpp/turn_a1.cpp")
+    sources = (CLIENTS / "cpp/deltaq.hpp", CLIENTS / "cpp/in_flight.hpp", CLIENTS / "cpp/turn_a1.cpp")
 
     def why_not(self) -> str:
         return "" if shutil.which("g++") else "g++ is not installed"
