@@ -66,8 +66,9 @@ test-services: $(INSTALLED) $(COMPILED)
 test-rest: $(INSTALLED) $(COMPILED)
 	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
-quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take no time
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service and not long'
+quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not live and not service and not long' \
+		--durations=5 --durations-min=2
 
 lint: $(INSTALLED) ## lint, format, types, rooms
 	$(BIN)/ruff check

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections import Counter
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -70,9 +71,9 @@ def pytest_collection_modifyitems(config, items):
     kept, deselected = [], []
     for item in items:
         (deselected if any(map(item.get_closest_marker, left_out)) else kept).append(item)
-    # files with long tests go first, so that no worker is left alone with one at the end
-    long = {item.path for item in kept if item.get_closest_marker("long") is not None}
-    kept.sort(key=lambda item: item.path not in long)
+    # files with most long tests go first, so that no worker is left alone with one at the end
+    long = Counter(item.path for item in kept if item.get_closest_marker("long") is not None)
+    kept.sort(key=lambda item: -long[item.path])
     if deselected:
         config.hook.pytest_deselected(items=deselected)
     items[:] = kept

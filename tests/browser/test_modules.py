@@ -17,9 +17,10 @@ HERE = Path(__file__).parent
 MODULES = HERE.parents[1] / "services" / "deltaq_services" / "console" / "page" / "browser"
 NODE = shutil.which("node")
 
-pytestmark = pytest.mark.skipif(
-    NODE is None, reason="the page's modules are tested in node, which is not here"
-)
+pytestmark = [
+    pytest.mark.skipif(NODE is None, reason="the page's modules are tested in node, which is not here"),
+    pytest.mark.long,
+]
 
 
 def node(*arguments, text=""):

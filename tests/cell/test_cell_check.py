@@ -62,6 +62,7 @@ UNSOUND = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("edits", "field", "line", "value", "bound", "suggestion", "message"),
     UNSOUND,
@@ -157,6 +158,7 @@ KRC_FILES = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("file_edits", "cell_edits", "field", "value", "bound", "severity", "message"),
     KRC_FILES,

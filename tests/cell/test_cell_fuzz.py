@@ -98,6 +98,7 @@ def test_the_cell_that_is_mutated_is_sound(tmp_path: Path) -> None:
     assert checked(tmp_path, CELL).problems == ()
 
 
+@pytest.mark.long
 @fuzzed
 @given(
     place=st.integers(0, 10**6),
@@ -127,6 +128,7 @@ def test_a_field_that_is_replaced_removed_renamed_or_swapped_is_survived(
     checked(tmp_path, text)
 
 
+@pytest.mark.long
 @fuzzed
 @given(
     cuts=st.lists(

@@ -353,6 +353,7 @@ def test_the_shipped_cells_are_found_by_name() -> None:
     assert fast.structure == lab.structure
 
 
+@pytest.mark.long
 def test_loading_a_cell_loads_no_kinematics_and_nothing_of_its_deployment() -> None:
     program = (
         "import sys\n"

@@ -56,6 +56,7 @@ def test_a_hull_measures_to_the_bit_as_the_one_whose_corners_it_was_told():
         assert distance(told, point).hex() == distance(original, point).hex()
 
 
+@pytest.mark.long
 @given(
     count=st.integers(5, 400),
     seed=st.integers(0, 10_000),

@@ -86,6 +86,7 @@ def names(groups):
     return {group.pairs[0][0].name + group.pairs[0][1].name for group in groups}
 
 
+@pytest.mark.long
 @seeded(25)
 def test_a_look_finds_what_the_readable_code_finds(cell, reference, proximity, seed):
     random = np.random.default_rng(seed)
@@ -106,6 +107,7 @@ def test_a_look_finds_what_the_readable_code_finds(cell, reference, proximity, s
             assert names(less.failing) <= names(found.failing) <= names(more.failing)
 
 
+@pytest.mark.long
 @seeded(25)
 def test_a_robot_is_placed_where_the_readable_code_has_it(cell, reference, proximity, seed):
     drawn = strips(cell, np.random.default_rng(seed))
@@ -278,6 +280,7 @@ def run(**environment):
     ).stdout.splitlines()
 
 
+@pytest.mark.long
 def test_the_machine_code_says_what_its_python_does():
     for machine, python in zip(run(), run(NUMBA_DISABLE_JIT="1"), strict=True):
         told, expected = machine.split(), python.split()

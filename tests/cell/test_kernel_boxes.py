@@ -13,6 +13,8 @@ from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.extents import Extents
 from deltaq_cell.oriented_box import oriented_box
 
+pytestmark = pytest.mark.long
+
 apart = uncompiled("boxes").apart
 
 

@@ -62,6 +62,7 @@ def searched(bodies, enough_m=np.inf, towards=(1.0, 0.0, 0.0), asked_m=np.inf):
     return gap(*bodies, *towards, enough_m, asked_m, np.zeros((4, 3)))
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_distance_lies_between_the_bounds_and_they_meet(seed):
@@ -76,6 +77,7 @@ def test_a_distance_lies_between_the_bounds_and_they_meet(seed):
         assert upper - lower < 2e-6
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
 def test_a_search_loses_no_more_than_a_hundredth_of_the_room_that_is_left(seed, room):
@@ -107,6 +109,7 @@ def test_the_bounds_meet_at_what_coal_measures_for_every_two_kinds(one, other):
     assert compared
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
 def test_a_search_that_ends_early_tells_no_more_than_there_is(seed, beyond):
@@ -155,6 +158,7 @@ def test_no_direction_to_begin_with_is_no_bound():
     assert (lower, upper) == (-np.inf, np.inf)
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
 def test_of_a_simplex_no_point_is_nearer_to_the_origin(seed, count):

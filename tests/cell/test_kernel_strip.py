@@ -23,6 +23,7 @@ def in_numpy(points):
     return middle + (low + high) / 2, direction, (high - low) / 2
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 17))
 def test_the_points_lie_within_and_the_strip_is_what_arrays_say(seed, count, joints):

@@ -32,6 +32,7 @@ print(json.dumps([first, distance()]))
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("before", ["nothing", "a cell"])
 def test_boxes_are_as_large_as_they_are_whatever_was_asked_first(before):
     done = subprocess.run(

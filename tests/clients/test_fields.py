@@ -110,6 +110,7 @@ def test_every_line_that_it_says_is_valid_by_the_exported_schema(language: Langu
         jsonschema.validate(message, schema()[message["type"]][0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)
 def test_every_field_that_it_reads_is_one_of_the_exported_schema(language: Language) -> None:
     kinds = ("welcome", "state", "verdict", "lease", "error", "description")

@@ -19,6 +19,8 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_command.app import app
 from deltaq_launch.private_cell import free_ports
 
+pytestmark = pytest.mark.long
+
 DAWM = CellModel.load("dawm").robots["dawm"]
 
 

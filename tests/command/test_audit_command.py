@@ -29,12 +29,14 @@ def entry(number: int, client: str, robot: str | None = None) -> bytes:
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_without_a_log_it_says_so(tmp_path: Path) -> None:
     done = deltaq("audit", str(tmp_path / "none.jsonl"))
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"deltaq: there is no audit log {tmp_path / 'none.jsonl'}")
 
 
+@pytest.mark.long
 def test_it_shows_the_newest_over_rotated_files_and_passes_over_torn_lines(tmp_path: Path) -> None:
     log = tmp_path / "audit.jsonl"
     (tmp_path / "audit.jsonl.2").write_bytes(entry(1, "first") + entry(2, "stranger"))

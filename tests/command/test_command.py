@@ -14,6 +14,8 @@ from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> str:

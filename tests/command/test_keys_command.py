@@ -32,6 +32,7 @@ def test_it_makes_an_identity_for_each_service_and_person_and_says_where_the_aut
         assert (identity.name, identity.cell) == (name, "lab")
 
 
+@pytest.mark.long
 def test_it_adds_what_is_missing_and_tells_programs_what_it_did(folder, tmp_path):
     for operator, made, kept in (("desk", 5, 0), ("tower", 1, 4), ("tower", 0, 5)):
         done = deltaq("keys", "lab", "--to", str(folder), "--operator", operator, "--days", "30", "--json")
@@ -64,6 +65,7 @@ def test_a_user_s_mistake_is_one_line_and_nothing_is_made(folder, arguments, sai
     assert not folder.exists()
 
 
+@pytest.mark.long
 def test_check_tells_of_the_end_before_it_comes_and_refuses_what_is_over(folder, tmp_path, monkeypatch):
     make(folder)
     monkeypatch.setenv(IDENTITY, str(folder))

@@ -74,6 +74,7 @@ def test_the_file_of_another_robot_is_a_problem_and_exit_status_1(tmp_path: Path
         assert sum(told["unanswered"].values()) > 5
 
 
+@pytest.mark.long
 def test_silence_is_exit_status_3_with_what_to_look_at() -> None:
     (port,) = free_ports(1)
     status, told = rsi("sniff", "--address", "127.0.0.1", "--port", str(port), "--duration-s", "0.1")

@@ -44,6 +44,7 @@ def test_what_is_no_address_is_wrong_usage(verb: tuple[str, ...]) -> None:
     assert "'127.0.0.1' is no endpoint; write tcp/HOST:PORT" in done.stderr
 
 
+@pytest.mark.long
 def test_a_robot_that_the_cell_does_not_have_is_named_with_those_it_has(server: Server) -> None:
     for verb in ("echo", "lease", "reset"):
         arguments = ("state",) if verb == "echo" else ()

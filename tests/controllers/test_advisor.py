@@ -100,6 +100,7 @@ def test_descent_never_climbs_and_ends_where_the_gradient_is_small() -> None:
     assert np.linalg.norm(reduced_gradient(task, lower_q[lower.argmin()][None])) < 1e-2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_configurations_that_hold_the_hands(method: str) -> None:
     task = problem()
@@ -113,11 +114,13 @@ def test_every_method_finds_configurations_that_hold_the_hands(method: str) -> N
     assert pool.best < task.energies(DAWM.home[None])[0] - 0.015
 
 
+@pytest.mark.long
 def test_one_seed_is_one_search() -> None:
     first, second = (search(problem(), np.random.default_rng(7), effort=0.3) for _ in range(2))
     np.testing.assert_array_equal(first.q, second.q)
 
 
+@pytest.mark.long
 def test_options_are_ranked_distinct_clear_and_told_with_what_limits_them(options: list[Option]) -> None:
     assert 2 <= len(options) <= 4
     energies = [option.energy for option in options]
@@ -167,6 +170,7 @@ STARTS = {robot: starts(CellModel.load(CELLS[robot]), robot, 3, seed=4711) for r
 """Configurations at random, some of which are near limits, bodies and singularities."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", STARTS)
 def test_from_almost_every_start_some_option_is_better_and_can_be_driven_to(robot: str) -> None:
     better = 0
@@ -200,6 +204,7 @@ def test_an_option_is_no_nearer_to_a_limit_than_a_fiftieth_where_the_start_is_no
             assert (np.minimum(option.q - model.lower, model.upper - option.q) / extent >= least - 1e-9).all()
 
 
+@pytest.mark.long
 def test_a_start_that_is_best_is_an_option_that_needs_no_motion() -> None:
     (best, *_) = advised_from("dawm", DAWM.home)
     again = advised_from("dawm", best.q, effort=0.2)
@@ -207,6 +212,7 @@ def test_a_start_that_is_best_is_an_option_that_needs_no_motion() -> None:
     assert again[0].path is not None
 
 
+@pytest.mark.long
 def test_hands_that_may_leave_are_offered_more_and_that_is_told() -> None:
     gr = CellModel.load("lab").robots["gr"]
     found = advised_from("gr", gr.home, hands_may_leave=True, effort=0.3)
@@ -220,6 +226,7 @@ def test_hands_that_may_leave_are_offered_more_and_that_is_told() -> None:
             assert (off_m > 0.01) == option.hands_leave
 
 
+@pytest.mark.long
 def test_an_arm_without_a_joint_to_spare_is_offered_its_other_branches() -> None:
     (q,) = starts(CellModel.load("lab"), "fr", 1, seed=3)
     found = advised_from("fr", q, hands_may_leave=True)
@@ -230,6 +237,7 @@ def test_an_arm_without_a_joint_to_spare_is_offered_its_other_branches() -> None
     assert len(here.path) == 1
 
 
+@pytest.mark.long
 def test_a_trade_off_is_a_front_of_the_two_criteria_and_all_of_it_can_be_reached() -> None:
     names = ("travel", "self_clearance")
     found = advised_from("dawm", DAWM.home, trade_off=names)
@@ -248,6 +256,7 @@ def test_a_trade_off_that_is_none_is_refused() -> None:
         advise(problem(), elsewhere, generator=np.random.default_rng(0), trade_off=("travel", "speed"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("joint", [0, 4], ids=["the torso", "an arm"])
 def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
     elsewhere = DAWM.home.copy()
@@ -265,6 +274,7 @@ def test_a_path_from_elsewhere_moves_the_hands_and_is_clear(joint: int) -> None:
         assert all(EXACT.measure(q).room_m > 0 for q in path)
 
 
+@pytest.mark.long
 def test_a_way_round_is_found_where_the_straight_way_is_barred() -> None:
     task = problem()
     space = HandsKept(TRACKER, task.poses)
@@ -329,6 +339,7 @@ def test_a_search_that_is_cancelled_ends_with_what_it_has() -> None:
     assert searching[-1].done < 0.2
 
 
+@pytest.mark.long
 def test_progress_grows_and_tells_the_least_energy_and_the_options_so_far() -> None:
     told: list[Progress] = []
     found = advise(
@@ -352,6 +363,7 @@ def test_progress_grows_and_tells_the_least_energy_and_the_options_so_far() -> N
     assert list(told[-1].options) == found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_hands_out_of_reach_give_no_option_and_no_error(method: str) -> None:
     found = advise(
@@ -382,6 +394,7 @@ def test_a_robot_without_a_joint_to_spare_is_refused() -> None:
         AdvisorProblem(lab, "xy", fr.forward(fr.home)[None])
 
 
+@pytest.mark.long
 def test_the_gantry_robot_is_advised_too() -> None:
     lab = CellModel.load("lab")
     gr = lab.robots["gr"]

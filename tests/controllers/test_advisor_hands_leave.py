@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from advising import advised, advisor_of, cell_of
 from driving import PlainDrive, model
 from test_advisor_mode import go_to
@@ -17,6 +18,8 @@ from deltaq_controllers.advisor.synchronous import SynchronousAdvisor
 from deltaq_controllers.modes.advisor import tracker_of
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
+
+pytestmark = pytest.mark.long
 
 IN_PLACE_M = 1e-3
 NEIGHBOURS_RAD = 0.1

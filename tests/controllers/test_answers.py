@@ -74,6 +74,7 @@ async def running() -> AsyncIterator[Running]:
         cycles.cancel()
 
 
+@pytest.mark.long
 async def test_where_no_verdict_comes_every_state_is_answered_and_they_are_counted(running: Running) -> None:
     running.peer.judges = False
     async with running.driving():
@@ -123,6 +124,7 @@ async def test_an_hli_that_is_gone_ends_it() -> None:
             cycles.cancel()
 
 
+@pytest.mark.long
 async def test_while_verdicts_come_each_increment_is_added_to_the_one_before(running: Running) -> None:
     async with running.driving():
         await running.until(lambda: len(running.seen) > 60)

@@ -36,6 +36,7 @@ def test_from_anywhere_the_camera_turns_to_the_focus_without_looking_back(q: np.
     assert abs(run.distance_error_m[-1]) < 0.005
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "degrees", [(0, -90, 90, 0, 0, 0), (10, -110, 100, 20, 40, 10), (0, -120, 120, 0, 0, 0)]
 )
@@ -84,6 +85,7 @@ def test_at_rest_the_robot_rests_whatever_the_delay_of_actuation(
     assert at_rest(delay_cycles, variants, from_measured=False) < 1e-3
 
 
+@pytest.mark.long
 def test_started_from_the_measured_configuration_as_printed_it_would_never_come_to_rest() -> None:
     assert at_rest(1, AS_PRINTED, from_measured=True) < 1e-3
     assert at_rest(2, AS_PRINTED, from_measured=True) > 1.0
@@ -116,6 +118,7 @@ def least_clearance(q: np.ndarray, q_leader: np.ndarray) -> float:
     return float((between - radii_a[:, None] - radii_b[None]).min())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed_m_s", [0.25, 0.75])
 def test_the_camera_gives_way_to_a_leader_that_comes_for_it_and_goes_on_looking(speed_m_s: float) -> None:
     follower, gantry = CameraFollower(FR, GR, CYCLE_S), Kinematics(GR, "tool")

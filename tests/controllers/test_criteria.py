@@ -43,6 +43,7 @@ def test_each_category_of_the_paper_has_at_least_two_criteria() -> None:
     assert len(BY_NAME) == len(TABLE)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", DATA)
 @pytest.mark.parametrize("criterion", TABLE, ids=lambda criterion: criterion.name)
 def test_a_gradient_agrees_with_finite_differences(criterion: Criterion, robot: str) -> None:

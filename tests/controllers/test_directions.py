@@ -22,6 +22,8 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_experiments.directions import DirectionGone, commands, drive, judged
 from deltaq_protocol.messages import Outcome
 
+pytestmark = pytest.mark.long
+
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
 DURATION_S = 6.0
 
@@ -83,7 +85,6 @@ def test_coupled_goes_as_far_as_decoupled_and_as_pink_on_its_line(robot: str, ax
     goes_as_far(robot, {axis: rate})
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
 )
@@ -92,7 +93,6 @@ def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
         goes_as_far(robot, rates)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
 )

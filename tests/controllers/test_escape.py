@@ -154,6 +154,7 @@ def test_what_a_tool_is_after_is_told_from_its_way(target: int) -> None:
     assert attacker.speed == pytest.approx(0.5)
 
 
+@pytest.mark.long
 def test_with_nobody_in_the_way_it_is_the_quadratic_programme() -> None:
     followers = [make(SCENE, 1.25, FOCUS) for make in (QpFollower, EscapingFollower)]
     q = np.array(FR.home)

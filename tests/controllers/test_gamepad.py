@@ -321,6 +321,7 @@ def test_b_and_back_end_the_drive(pad: VirtualPad, button: PadButton) -> None:
         assert gamepad.read(gamepad.time_s + CYCLE_S) is None
 
 
+@pytest.mark.long
 async def test_a_robot_comes_to_rest_when_its_pad_is_unplugged(pad: VirtualPad) -> None:
     cell = QuietCell("lab", Waits())
     driven = Teleoperator(cell.models["gr"], CYCLE_S, ModeName.COUPLED)

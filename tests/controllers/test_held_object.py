@@ -130,6 +130,7 @@ def test_twists_of_the_hands_are_the_derivative_of_their_poses_on_the_object(
 # --- the drive ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", HANDS_MODES)
 def test_hands_keep_to_one_another_through_every_bound_where_free_ones_part(
     dawm: RobotModel, mode: ModeName
@@ -140,6 +141,7 @@ def test_hands_keep_to_one_another_through_every_bound_where_free_ones_part(
     assert drive(dawm, mode, FREE, CYCLE_S, seed=101, directions=1)[:, 0].max() > 0.05
 
 
+@pytest.mark.long
 def test_a_gate_that_brakes_parts_the_hands_by_little_and_they_come_together_again(dawm: RobotModel) -> None:
     parted = drive(dawm, ModeName.COUPLED, OBJECT, CYCLE_S, seed=102, lost_share=LOST_SHARE, directions=4)
     assert 1e-5 < parted[:, 0].max() < BRAKED_M
@@ -147,6 +149,7 @@ def test_a_gate_that_brakes_parts_the_hands_by_little_and_they_come_together_aga
     assert np.median(parted[:, 0]) < KEPT_M
 
 
+@pytest.mark.long
 def test_an_object_turns_about_its_middle_and_goes_along_its_own_axes(dawm: RobotModel) -> None:
     run = held(frame=Frame.TOOL)
     start = poses(dawm, run.now)[1].mean(axis=0)
@@ -205,6 +208,7 @@ def test_the_object_is_taken_and_let_go_at_rest_and_the_record_tells_it_apart(da
     assert kept["object"]["twisted_deg"] < np.rad2deg(KEPT_RAD)
 
 
+@pytest.mark.long
 def test_what_stops_the_object_is_told_as_such() -> None:
     run = held(ModeName.DECOUPLED)
     run.drive(3.5, rx=0.3)

@@ -230,6 +230,7 @@ def test_a_step_that_no_tool_makes_is_no_wish() -> None:
     assert not led.is_coupled
 
 
+@pytest.mark.long
 def test_an_object_between_two_hands_is_led_as_one() -> None:
     led = Led(scale=0.5, robot="dawm")
     led.clutch.hand, led.clutch.command = "object", OperatorCommand(grip=Grip.OBJECT)
@@ -248,6 +249,7 @@ def test_an_object_between_two_hands_is_led_as_one() -> None:
     assert hands.positions.mean(axis=0) - start == pytest.approx(0.5 * way, abs=1e-3)
 
 
+@pytest.mark.long
 def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
     drive, clutch = StackDrive("gr", ModeName.COUPLED), Clutch()
     stack, leader = drive.stack, Teleoperator(model("fr"), CYCLE_S, ModeName.COUPLED)

@@ -70,6 +70,7 @@ def test_a_stick_let_go_brings_the_robot_to_rest_and_keeps_it_there(mode: ModeNa
     assert not run.step(OperatorCommand()).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", ["gr", "dawm"])
 def test_no_wish_takes_an_increment_past_a_limit_of_position_speed_or_acceleration(robot: str) -> None:
     random = np.random.default_rng(3)
@@ -145,6 +146,7 @@ def test_coupled_moves_two_hands_apart_at_once() -> None:
     assert moved[1, 2] < -0.06
 
 
+@pytest.mark.long
 def test_coupled_reaches_where_the_arm_alone_does_not() -> None:
     travelled = {}
     for mode in (DECOUPLED, COUPLED):
@@ -168,6 +170,7 @@ def driven_down(mode: CoupledMode, robot: RobotModel, cycles: int) -> np.ndarray
     return q
 
 
+@pytest.mark.long
 def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() -> None:
     robot = model("dawm")
     found = []
@@ -182,6 +185,7 @@ def test_the_criteria_of_coupled_lower_joint_travel_and_leave_the_hands_alone() 
     assert hands.error(others.rotations, others.positions) == pytest.approx(np.zeros(12), abs=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["manipulability", "smallest_singular_value", "condition"])
 def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> None:
     cell = CellModel.load("dawm")
@@ -194,6 +198,7 @@ def test_coupled_takes_any_criterion_of_the_table_and_betters_it(name: str) -> N
     assert found[0] < found[1] - 1e-3
 
 
+@pytest.mark.long
 def test_weights_given_by_name_make_an_elbow_give_way_to_what_stands_about() -> None:
     cell = CellModel.load("dawm")
     robot, data = cell.robots["dawm"], RobotData(cell, "dawm")
@@ -248,6 +253,7 @@ def test_an_axis_that_a_mode_does_not_drive_is_refused_with_those_that_it_does()
     Teleoperator(model("dawm"), CYCLE_S).check(OperatorCommand({"left.x": 0.1}), COUPLED)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("robot", "joint", "rate"), [("gr", "a2", 0.3), ("dawm", "right_6", -0.2)])
 def test_the_hands_stay_wherever_the_gate_brakes_a_self_motion(robot: str, joint: str, rate: float) -> None:
     run = PlainDrive(robot, SELF_MOTION)
@@ -309,6 +315,7 @@ def swept(robot: str, joint: str, up_s: float, down_s: float) -> tuple[float, fl
     return max(o[0] for o in off), max(o[1] for o in off), float(np.ptp(positions))
 
 
+@pytest.mark.long
 def test_measured_hands_stay_over_a_sweep_through_the_whole_stack() -> None:
     off_m, off_rad, travelled = swept("gr", "a1", 3.0, 4.5)
     assert off_m < KEPT_M

@@ -9,6 +9,8 @@ from deltaq_controllers.modes.motion import ModeName
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
+pytestmark = pytest.mark.long
+
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
 
 
@@ -84,7 +86,6 @@ def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
     assert run.robot.forward(run.now)[2, 3] > low + 0.1
 
 
-@pytest.mark.long
 def test_what_the_gate_holds_is_named_and_joint_mode_leads_out() -> None:
     run = StackDrive("gr", COUPLED)
     held = run.drive(8.0, z=-0.3)

@@ -33,6 +33,7 @@ def test_rows_are_the_derivatives_of_the_distances(seed: int) -> None:
                 assert got == pytest.approx(expected, abs=2e-2)
 
 
+@pytest.mark.long
 def test_pairs_that_are_left_out_are_measured_in_time() -> None:
     patient = Neighbours(lab(), "fr")
     ranges = np.full(len(patient.names), 0.4)

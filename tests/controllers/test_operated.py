@@ -269,6 +269,7 @@ def test_the_advisor_is_asked_in_its_mode_only(bench):
         bench.pilot.advise(again=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("names", "told"),
     [
@@ -306,6 +307,7 @@ def test_options_of_a_trade_off_are_a_front_of_its_criteria_until_it_is_asked_fo
     assert bench.pilot.report(DriverStage.LEASED).search.trade_off is None
 
 
+@pytest.mark.long
 def test_options_are_offered_driven_to_cancelled_and_asked_for_again():
     gr = CellModel.load("lab").robots["gr"]
     bench = Bench(teleoperator=advised(gr))

@@ -176,6 +176,7 @@ def test_in_a_mode_without_hands_nothing_is_led(mode):
     assert led.bench.cycles(10)[-1] is None
 
 
+@pytest.mark.long
 def test_the_hand_follows_while_the_wish_lasts_and_rests_when_it_ends():
     led = Led()
     led.bench.pilot.wishes.choose_master("fr", 0.5)

@@ -13,6 +13,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["paper", "predictive", "qp"])
 def test_it_turns_round_to_the_leader_and_then_follows_it(name: str) -> None:
     cell = seven_axes.cell()

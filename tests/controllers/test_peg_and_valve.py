@@ -50,6 +50,7 @@ def test_a_task_is_done_by_an_operator_who_errs_and_again_in_the_same_way() -> N
     assert 0.3 < first.kept <= 1.0
 
 
+@pytest.mark.long
 def test_an_unknown_mode_or_robot_is_named() -> None:
     with pytest.raises(ControllerError, match="no mode 'fly' for this task; there are joint, decoupled"):
         run(modes=["fly"])
@@ -98,6 +99,7 @@ def test_a_steady_hand_gives_what_is_meant() -> None:
     assert not hand.slips
 
 
+@pytest.mark.long
 def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() -> None:
     hand = OperatorHand(Person(slip=0.0), CYCLE_S, np.random.default_rng(1))
     for size in (0.01, 0.1):
@@ -112,6 +114,7 @@ def test_noise_grows_with_the_command_and_is_there_in_every_axis_of_the_stick() 
     assert hand.done(still, STICK, 0) == still
 
 
+@pytest.mark.long
 def test_one_action_in_fifty_goes_wrong_and_is_noticed_one_reaction_later() -> None:
     person = Person(noise=0.0)
     hand = OperatorHand(person, CYCLE_S, np.random.default_rng(2))

@@ -76,6 +76,7 @@ def test_a_ur_has_no_self_motion_and_says_so() -> None:
         AdvisorProblem(CELL, "ur", ConstraintTracker(UR).hands(UR.home))
 
 
+@pytest.mark.long
 def test_a_panda_is_advised_and_goes_to_the_option_with_its_hand_in_place() -> None:
     tracker, start = ConstraintTracker(PANDA), START["panda"]
     problem = AdvisorProblem(CELL, "panda", tracker.hands(start), None, tracker)
@@ -102,6 +103,7 @@ def test_a_panda_is_advised_and_goes_to_the_option_with_its_hand_in_place() -> N
     assert off < 1e-4
 
 
+@pytest.mark.long
 def test_a_ur_is_offered_its_other_branches_and_ways_to_another_pose(tmp_path) -> None:
     file = tmp_path / "arms.yaml"
     file.write_text(published_arms.description())

@@ -80,6 +80,7 @@ def attack(duration_s: float, seed: int = 0, gains: QpGains | None = None) -> Ar
     return seen
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("speed_m_s", "angle_deg", "distance_m"), [(0.25, 0.5, 0.01), (1.0, 1.1, 0.08)])
 def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance_m: float) -> None:
     leader = ScriptedLeader(lab().robots["gr"], CYCLE_S, speed_m_s, 0)
@@ -90,6 +91,7 @@ def test_the_leader_is_kept_in_view(speed_m_s: float, angle_deg: float, distance
     assert settled[:, 1].max() <= distance_m
 
 
+@pytest.mark.long
 def test_a_point_before_the_fingers_is_kept_in_view_while_the_tool_moves() -> None:
     controller = QpFollower(Scene(lab(), "fr", "gr", (0.0, 0.05, 0.1)), 1.25)
     seen, violations = follow(controller, ScriptedLeader(lab().robots["gr"], CYCLE_S, 0.5, 0), 4.0)
@@ -118,6 +120,7 @@ def test_a_joint_that_comes_to_its_limit_on_the_way_stops_alone() -> None:
     assert angle[round(0.6 / CYCLE_S)] < 1.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset_m", [(0.06, 0.0, 0.17), (0.0, -0.1, 0.2)])
 def test_a_camera_off_the_last_axis_ends_level_and_aimed(offset_m: tuple[float, float, float]) -> None:
     camera = Camera(pose=Pose(position_m=offset_m, rpy_deg=(0, 0, 180)), vertical_view_deg=45)
@@ -130,6 +133,7 @@ def test_a_camera_off_the_last_axis_ends_level_and_aimed(offset_m: tuple[float, 
     assert abs(seen[-1, 1]) < 1e-3
 
 
+@pytest.mark.long
 def test_it_keeps_its_distance_from_a_leader_that_comes_at_the_lens() -> None:
     cell = lab()
     q, dq_last = np.array(cell.robots["fr"].home), np.zeros(6)
@@ -153,6 +157,7 @@ def test_it_keeps_its_distance_from_a_leader_that_comes_at_the_lens() -> None:
     assert np.rad2deg(controller.errors(q, q_leader)[0]) < 1.0
 
 
+@pytest.mark.long
 def test_an_attacker_that_goes_on_does_not_drive_it_into_a_corner() -> None:
     # two attacks: who only backs away has A1 at its limit and the arm stretched out in both of them
     angle_deg, _, clearance_m = attack(13.5, seed=4).T
@@ -161,6 +166,7 @@ def test_an_attacker_that_goes_on_does_not_drive_it_into_a_corner() -> None:
     assert clearance_m.min() < 0.3, "it did come near"
 
 
+@pytest.mark.long
 def test_what_others_need_to_brake_in_gives_way_to_the_view() -> None:
     cornered = QpGains(room_weight=0.0, posture_weight=0.0)
     kept = attack(2.2, gains=cornered._replace(reserve_price=cornered.barrier_price))
@@ -183,6 +189,7 @@ class Zooming(QpFollower):
         return super().increment(view)
 
 
+@pytest.mark.long
 def test_what_the_view_leaves_free_does_not_drift_into_a_limit() -> None:
     # at its limits A3 or A5 would leave no way back to a greater distance
     controller = Zooming(Scene(lab(), "fr", "gr"), 1.25)

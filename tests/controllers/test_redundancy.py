@@ -88,6 +88,7 @@ def test_a_joint_at_its_limit_is_held_back_on_its_way_in_and_free_on_its_way_out
     assert weighted_rates(printed, q, jacobian, np.array([-1.0, 0.0]), np.zeros(6), 1.0)[1] > -0.01
 
 
+@pytest.mark.long
 @given(
     arrays(float, 6, elements=st.floats(0.0, 1.0)),
     arrays(float, (2, 6), elements=st.floats(-2, 2)),

@@ -17,6 +17,7 @@ def verdict(outcome: Outcome, scale: float) -> Verdict:
     return Verdict(robot="gr", cycle=1, seq=1, outcome=outcome, scale=scale, dq=(0.0,) * 9)
 
 
+@pytest.mark.long
 def test_what_limits_is_reflected_and_speeding_up_is_not() -> None:
     run = PlainDrive("gr", ModeName.JOINT)
     shares = []
@@ -31,6 +32,7 @@ def test_what_limits_is_reflected_and_speeding_up_is_not() -> None:
     assert run.teleoperator.reflection.share > 0.99, "nobody asks for anything"
 
 
+@pytest.mark.long
 def test_a_hand_that_is_slowed_down_on_its_line_is_told_by_how_much() -> None:
     run = PlainDrive("fr", ModeName.COUPLED)
     run.drive(0.5, x=-0.1)

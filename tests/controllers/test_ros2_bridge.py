@@ -130,6 +130,7 @@ def test_joint_states_come_as_a_ros_program_hears_them_and_the_bridge_is_in_the_
     assert sorted(peer.token() for _ in range(3)) == [(token, False) for token, _ in tokens]
 
 
+@pytest.mark.long
 def test_a_trajectory_moves_the_robot_only_where_it_was_asked_for(server: Server, peer: RosPeer) -> None:
     heard = peer.subscribe(STATES)
     command = (COMMANDS, JOINTS, (0.3, [0.15] * 6))
@@ -209,6 +210,7 @@ def test_a_router_that_ends_is_found_again(server: Server) -> None:
         first.close()
 
 
+@pytest.mark.long
 def test_whoever_is_not_there_at_the_beginning_is_named(server: Server) -> None:
     nowhere, hli = endpoint(), server.description.hli
     with pytest.raises(ServiceUnreachableError, match=f"no zenoh router answers at {nowhere}"):
@@ -258,6 +260,7 @@ def test_the_command_ends_with_its_counts_in_json(server: Server, peer: RosPeer)
     assert told[-1]["fields"]["robots"]["fr"]["joint_states"] > 0
 
 
+@pytest.mark.long
 def test_the_command_says_in_one_line_what_is_wrong(server: Server) -> None:
     wrong = {
         ("--domain-id", "233"): "less than or equal to 232",

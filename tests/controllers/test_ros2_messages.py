@@ -41,6 +41,7 @@ def trajectory(names, points, stamp=(0, 0), frame_id=""):
     return JointTrajectory(Header(RosTime(*stamp), frame_id), tuple(names), made)
 
 
+@pytest.mark.long
 @given(times, texts, names, st.tuples(floats, floats, floats))
 def test_a_joint_state_is_byte_for_byte_that_of_another_library(stamp, frame_id, names, values):
     ours = JointState(Header(RosTime(*stamp), frame_id), tuple(names), *map(tuple, values))
@@ -49,6 +50,7 @@ def test_a_joint_state_is_byte_for_byte_that_of_another_library(stamp, frame_id,
     assert JointState.decode(theirs) == ours
 
 
+@pytest.mark.long
 @given(times, texts, names, points)
 def test_a_trajectory_is_byte_for_byte_that_of_another_library(stamp, frame_id, names, points):
     ours = trajectory(names, points, stamp, frame_id)
@@ -89,6 +91,7 @@ def test_bytes_of_anybody_are_a_message_or_are_refused(body):
         assert "\n" not in refusal(start + body)
 
 
+@pytest.mark.long
 @given(points, st.data())
 def test_a_message_that_is_cut_off_or_changed_is_a_message_or_is_refused(points, data):
     whole = bytearray(trajectory(("a1", "a2"), points).encode())

@@ -21,6 +21,8 @@ from deltaq_testing.schedule import fault
 from deltaq_testing.virtual import CellUnderTest
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
 
+pytestmark = pytest.mark.long
+
 MOVED = np.array([0.3, -0.1, 0.15, 0.2, -0.2, 0.3])
 
 
@@ -212,7 +214,6 @@ def test_a_gantry_is_moved_in_metres_and_radians(lab: Any) -> None:
     assert driven.off_path() < 1e-4
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 8))]
 )

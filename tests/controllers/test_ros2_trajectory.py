@@ -141,6 +141,7 @@ def test_a_first_point_nearby_is_approached_and_one_that_is_met_is_not():
 numbers = st.floats(-2, 2)
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(st.floats(0.05, 2), numbers, numbers, st.booleans()), min_size=2, max_size=6))
 def test_a_path_passes_its_points_as_they_say_and_its_extremes_are_those_of_its_samples(rows):
     times_s = np.cumsum([row[0] for row in rows]) - rows[0][0]

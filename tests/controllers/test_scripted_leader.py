@@ -26,6 +26,7 @@ def lead(leader: ScriptedLeader, duration_s: float, robot: RobotModel = GR) -> t
     return np.array(configurations), np.array(positions)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_tool_moves_at_the_speed_given_nearly_always_and_never_faster(seed: int) -> None:
     leader = ScriptedLeader(GR, CYCLE_S, 0.25, seed)
@@ -43,6 +44,7 @@ def test_the_tool_moves_at_the_speed_given_nearly_always_and_never_faster(seed: 
     assert (np.ptp(positions, axis=0) > 0.6 * (high - low)).all()
 
 
+@pytest.mark.long
 def test_gantry_and_arm_share_the_motion() -> None:
     configurations, _ = lead(ScriptedLeader(GR, CYCLE_S, 0.25, 0), 20.0)
     travel = np.ptp(configurations, axis=0)

@@ -65,6 +65,7 @@ REPORTS = st.lists(
 )
 
 
+@pytest.mark.long
 @given(REPORTS)
 def test_no_bytes_end_a_drive_or_ask_for_more_than_full_speed(cycles: list[list[bytes]]) -> None:
     cap = Cap()

@@ -51,6 +51,7 @@ def test_the_forward_kinematics_is_that_of_the_chain_of_joints() -> None:
         assert np.abs(titan.forward(q) - chain(q)).max() < 1e-14
 
 
+@pytest.mark.long
 def test_every_branch_of_100000_poses_reaches_its_pose_to_1e_12() -> None:
     q = np.random.default_rng(2).uniform(-np.pi, np.pi, (100_000, 6))
     poses = titan.forward(q)
@@ -61,6 +62,7 @@ def test_every_branch_of_100000_poses_reaches_its_pose_to_1e_12() -> None:
     assert np.isnan(branches.q[~branches.exists]).all()
 
 
+@pytest.mark.long
 def test_among_the_branches_is_the_configuration_that_the_pose_came_from() -> None:
     q = np.random.default_rng(3).uniform(-np.pi, np.pi, (100_000, 6))
     branches = titan.inverse(titan.forward(q))

@@ -7,8 +7,9 @@ from closed_loop import track
 from deltaq_controllers.camera.follower import AS_PRINTED, CORRECTED, Variants
 from deltaq_controllers.camera.gains import BY_NAME
 
+pytestmark = pytest.mark.long
 
-@pytest.mark.long
+
 def test_the_leader_at_a_quarter_metre_per_second_is_kept_within_a_degree_and_two_centimetres() -> None:
     run = track(40.0, variants=BY_NAME["predictive"])
     angle, distance = run.after(5.0)

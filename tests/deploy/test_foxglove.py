@@ -87,6 +87,7 @@ def panels_in(node: Any) -> Iterator[str]:
         yield from panels_in(node["second"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "told"),
     [

@@ -56,6 +56,7 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tree
 
 
+@pytest.mark.long
 def test_the_source_archive_makes_the_same_wheel_as_the_tree(
     unpacked: Path, wheel: Path, tmp_path: Path
 ) -> None:
@@ -83,6 +84,7 @@ def test_the_source_archive_has_the_tree_and_nothing_that_was_made(unpacked: Pat
     assert [file for file in files if made & set(Path(file).parts)] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("schema", "file"),
     [
@@ -118,6 +120,7 @@ def test_what_is_done_before_a_commit_is_what_make_lint_does() -> None:
     assert [hook["entry"] for hook in hooks[0]["hooks"]] == commands
 
 
+@pytest.mark.long
 def test_no_host_of_a_package_registry_is_named() -> None:
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode:

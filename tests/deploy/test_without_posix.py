@@ -12,6 +12,8 @@ import sys
 import pytest
 from served import Server
 
+pytestmark = pytest.mark.long
+
 MODULES = ("fcntl", "grp", "pwd", "resource", "termios")
 
 WITHOUT = f"""
@@ -86,7 +88,6 @@ def test_every_module_of_the_protocol_can_be_imported() -> None:
     assert int(run_without(EVERY_PART_OF_THE_PROTOCOL)) > 40
 
 
-@pytest.mark.long
 def test_a_policy_is_trained_in_virtual_time() -> None:
     assert run_without(ENVIRONMENT) == "admitted\n"
 
@@ -95,6 +96,5 @@ def test_the_command_checks_a_cell() -> None:
     assert run_without(COMMAND).startswith("lab: good\n")
 
 
-@pytest.mark.long
 def test_an_experiment_runs_in_virtual_time() -> None:
     assert '"experiment": "tracking"' in run_without(EXPERIMENT)

@@ -78,6 +78,7 @@ def test_every_numbered_message_of_the_emulated_controller_is_explained() -> Non
     assert all(row.shown.startswith(row.code) for row in PENDANT if row.code and row.code.startswith("KSS"))
 
 
+@pytest.mark.long
 def test_a_correction_that_the_controller_cuts_off_at_five_degrees_is_held_as_the_guide_says(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -18,6 +18,7 @@ DOCUMENTS = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined] # it is a group
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(PAGES))
 def test_a_reference_page_is_what_the_code_gives(name: str) -> None:
     assert (FOLDER / name).read_text(encoding="utf-8") == page(name), "write it anew with `make docs`"
@@ -65,6 +66,7 @@ def test_every_deltaq_command_in_the_documents_is_understood(document: Path) -> 
         context.close()
 
 
+@pytest.mark.long
 def test_the_citation_file_follows_its_format() -> None:
     command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.citation-file-format"]
     checked = subprocess.run(
@@ -73,6 +75,7 @@ def test_the_citation_file_follows_its_format() -> None:
     assert checked.returncode == 0, checked.stdout
 
 
+@pytest.mark.long
 def test_help_is_there_for_every_verb() -> None:
     for name in COMMANDS:
         result = CliRunner().invoke(app, [name, "--help"])

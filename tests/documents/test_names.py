@@ -7,6 +7,8 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"][
     "targets"
@@ -35,6 +37,7 @@ def test_types_are_found_however_they_are_made() -> None:
     assert list(public_types("class _Private: ...")) == []
 
 
+@pytest.mark.long
 def test_no_public_name_of_a_type_stands_twice_in_the_tree() -> None:
     found: dict[str, list[str]] = defaultdict(list)
     for package in PACKAGES:

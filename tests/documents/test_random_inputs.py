@@ -28,6 +28,7 @@ def test_a_generator_is_found_where_tests_would_share_it() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", sorted(TESTS.rglob("*.py")), ids=lambda path: str(path.relative_to(TESTS)))
 def test_no_module_of_tests_shares_a_generator_among_them(path: Path) -> None:
     assert shared_generators(path.read_text(encoding="utf-8")) == []

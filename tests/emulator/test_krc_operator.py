@@ -323,6 +323,7 @@ def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
     assert message in answer["error"]
 
 
+@pytest.mark.long
 @given(st.binary(max_size=200))
 def test_whatever_is_sent_to_the_panel_is_answered(request_bytes: bytes) -> None:
     (answer,) = answers(make_panel(Bench()), request_bytes)

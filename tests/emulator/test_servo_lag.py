@@ -64,6 +64,7 @@ def test_a_ramp_is_followed_at_the_lag_that_theory_gives(damping: float) -> None
     assert servo.dq_dt[0] == pytest.approx(0.5)
 
 
+@pytest.mark.long
 @given(
     st.floats(0.1, 3.0),
     st.floats(1.0, 200.0),

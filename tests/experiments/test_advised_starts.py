@@ -9,6 +9,8 @@ import pytest
 from deltaq_experiments import advised_drive
 from deltaq_experiments.advised_starts import AdvisedStarts, main, run
 
+pytestmark = pytest.mark.long
+
 
 def test_what_was_made_of_the_starts_is_told_as_one_object(capsys: pytest.CaptureFixture[str]) -> None:
     main(["--robot", "dawm", "--starts", "2", "--seed", "5", "--json"])
@@ -19,7 +21,6 @@ def test_what_was_made_of_the_starts_is_told_as_one_object(capsys: pytest.Captur
     assert sum(found.tightest.values()) <= sum(found.bound_by.values())
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("robot", ["dawm", pytest.param("gr", marks=pytest.mark.nightly)])
 def test_the_best_option_of_a_start_is_reached_through_the_gate_with_the_hands_in_place(robot: str) -> None:
     found = run(robot, 2, seed=6, drive=1)

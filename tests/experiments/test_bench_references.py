@@ -33,6 +33,7 @@ def test_without_a_compiler_the_reference_is_in_python(tmp_path: Path) -> None:
     assert program("hops", tmp_path, "no-such-compiler").language == "Python"
 
 
+@pytest.mark.long
 @COMPILERS
 def test_a_message_passes_five_hops_in_their_order(tmp_path: Path, compiler: str | None) -> None:
     begin_ns = time.monotonic_ns()
@@ -112,6 +113,7 @@ def test_processor_time_of_this_process_is_its_own() -> None:
     assert before <= found <= time.process_time()
 
 
+@pytest.mark.long
 def test_processor_time_of_children_counts_if_asked() -> None:
     busy = "import time\nwhile time.process_time() < 0.3: pass\nprint(flush=True)\ninput()"
     with subprocess.Popen(

@@ -75,6 +75,7 @@ def test_situations_of_another_version_are_told(tmp_path: Path) -> None:
         stored(file)
 
 
+@pytest.mark.long
 def test_each_stored_situation_is_one_decision_near_an_obstacle(lab: LoadedCell) -> None:
     situations = stored()
     assert len(situations) == len(cornered.SEEDS) * cornered.KEPT_OF_A_SEED
@@ -93,6 +94,7 @@ def test_situations_are_stored_to_the_last_bit(tmp_path: Path) -> None:
     assert file.read_bytes() == cornered.FILE.read_bytes()
 
 
+@pytest.mark.long
 def test_the_slowest_decisions_of_a_run_are_found_and_can_be_made_again(lab: LoadedCell) -> None:
     found = cornered.find(seed=3, cycles=25, kept=3)
     assert len(found) == 3

@@ -87,6 +87,7 @@ def test_an_approach_never_reached_is_null() -> None:
     assert told.largest_rise_deg == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_tracking_is_one_run_a_seed_and_draws_three_panels() -> None:
     options = Options(controller="qp", duration_s=0.6, settle_s=0.0, leader_speed_m_s=0.5)
     first, again = tracking.run(options), tracking.run(options)
@@ -114,6 +115,7 @@ def test_what_was_seen_is_told_as_shares_of_the_time() -> None:
     assert looks.hidden().holds.tolist() == [True, True, True, True, False]
 
 
+@pytest.mark.long
 def test_a_zoom_asks_for_one_distance_after_the_other() -> None:
     report = zoom.run(Options(controller="qp", duration_s=2.0)).report
     assert isinstance(report, zoom.ZoomReport)
@@ -160,6 +162,7 @@ def test_a_leader_that_attacks_the_lens_touches_nothing() -> None:
     assert len(outcome.panels) == 3
 
 
+@pytest.mark.long
 def test_without_a_gate_an_attack_has_no_verdicts_and_the_attacker_is_as_free_as_its_limits_let_it() -> None:
     options = Options(controller="qp", duration_s=1.5, settle_s=0.0, leader_speed_m_s=0.5, gated=False)
     free, elsewhere = (collision.run(replace(options, seed=seed)).report for seed in (0, 1))
@@ -172,6 +175,7 @@ def test_without_a_gate_an_attack_has_no_verdicts_and_the_attacker_is_as_free_as
     assert sum(free.limits.model_dump().values()) == 0
 
 
+@pytest.mark.long
 def test_the_gates_verdicts_are_told_by_robot() -> None:
     report = collision.run(Options(controller="qp", duration_s=0.3, settle_s=0.0)).report
     assert isinstance(report, collision.CollisionReport)
@@ -179,6 +183,7 @@ def test_the_gates_verdicts_are_told_by_robot() -> None:
     assert report.gate_by_robot["gr"].admitted > 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("without", [Options(live=True), Options(record=Path("run.mcap"))])
 def test_a_run_without_a_gate_has_no_services_to_run_or_record(without: Options) -> None:
     with pytest.raises(DeltaqError, match="--no-gate runs without services: neither --live nor --record"):
@@ -205,6 +210,7 @@ def test_the_pressure_of_an_attack_is_the_share_of_the_time_in_which_its_tool_mo
     assert pressing.share == pytest.approx(0.4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cell_name", CELLS)
 def test_an_attack_begins_elsewhere_with_every_seed_and_clear_of_everything(cell_name: str) -> None:
     cell = CellModel.load(cell_name)
@@ -231,11 +237,13 @@ def test_a_target_that_is_none_is_refused() -> None:
         collision.run(Options(target="nose"))
 
 
+@pytest.mark.long
 def test_a_latency_below_the_loops_own_is_refused() -> None:
     with pytest.raises(DeltaqError, match="below what the loop has by itself"):
         tracking.run(Options(latency_s=0.01, duration_s=1.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["figure.xyz", "no/such/folder/figure.png"])
 def test_a_picture_that_cannot_be_written_is_told(name: str, tmp_path: Path) -> None:
     clock = np.arange(3.0)
@@ -283,6 +291,7 @@ def sheet_of(claim: Claim) -> Sheet:
     return replace(CAMERA, claims=(claim,))
 
 
+@pytest.mark.long
 def test_a_page_has_as_many_runs_of_each_claim_as_asked_for(tmp_path: Path) -> None:
     claim = next(claim for claim in CLAIMS if claim.experiment == "tracking" and claim.picture)
     short = replace(claim, options=replace(claim.options, duration_s=1.0, settle_s=0.5))
@@ -368,6 +377,7 @@ def test_the_papers_own_law_zooms_as_well_as_its_latency_and_its_bodies_let_it()
     assert sum(report.limits.model_dump().values()) == 0
 
 
+@pytest.mark.long
 def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     example = Path(__file__).parents[2] / "examples" / "camera" / "own_controller.py"
     assert len(example.read_text(encoding="utf-8").splitlines()) < 60
@@ -381,6 +391,7 @@ def test_the_example_of_ones_own_controller_follows_and_is_short() -> None:
     assert "scaled 0, held 0" in run.stdout
 
 
+@pytest.mark.long
 def test_the_cost_of_a_step_is_told_as_a_distribution() -> None:
     quiet, once = step_bench.run("qp", 0.25, attacked=False, duration_s=0.5, passes=3)
     assert list(quiet) == list(once) == ["p50_us", "p90_us", "p99_us", "p99.9_us", "p100_us"]

@@ -9,6 +9,7 @@ import pytest
 from deltaq_experiments.inverse_bench import main
 
 
+@pytest.mark.long
 def test_every_arm_is_solved_by_all_roads_that_it_has(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--cell", "lab", "--poses", "20", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)

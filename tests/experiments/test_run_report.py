@@ -152,6 +152,7 @@ def test_a_file_that_is_no_recording_is_told(tmp_path: Path) -> None:
         read_run(file)
 
 
+@pytest.mark.long
 def test_a_truncated_recording_is_reported_as_far_as_it_goes_and_says_so(
     recorded: Path, tmp_path: Path
 ) -> None:
@@ -171,6 +172,7 @@ def test_a_report_is_never_written_over_anything(tmp_path: Path) -> None:
     assert file.read_text() == "something dear"
 
 
+@pytest.mark.long
 def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None:
     file = tmp_path / "run.html"
     code = (
@@ -185,6 +187,7 @@ def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None
     assert not file.exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -243,6 +246,7 @@ def test_what_happened_is_told_in_the_order_of_time(recorded: Path) -> None:
     assert events[0].time_s == pytest.approx(31 * 0.012)
 
 
+@pytest.mark.long
 def test_the_page_has_no_address_outside_itself_and_no_script(recorded: Path) -> None:
     html = page(read_run(recorded))
     found = elements(html)
@@ -255,6 +259,7 @@ def test_the_page_has_no_address_outside_itself_and_no_script(recorded: Path) ->
     assert {address[1:] for address in found.fetched} <= set(found.ids)
 
 
+@pytest.mark.long
 def test_text_of_a_recording_is_text_on_the_page(cell: CellModel, tmp_path: Path) -> None:
     file = record(tmp_path / "a<b>&c.mcap", cell, HOSTILE)
     html = page(read_run(file))
@@ -265,10 +270,12 @@ def test_text_of_a_recording_is_text_on_the_page(cell: CellModel, tmp_path: Path
     assert "a<b>&c.mcap" in found.text
 
 
+@pytest.mark.long
 def test_the_same_recording_gives_the_same_page(recorded: Path) -> None:
     assert page(read_run(recorded)) == page(read_run(recorded))
 
 
+@pytest.mark.long
 def test_a_page_grows_with_its_width_and_not_with_the_recording(recorded: Path) -> None:
     run = read_run(recorded)
     short = len(timeline(run))
@@ -288,6 +295,7 @@ def test_a_long_curve_keeps_its_extremes() -> None:
     assert (np.diff(at) >= 0).all()
 
 
+@pytest.mark.long
 def test_the_verb_writes_the_page_beside_the_recording_and_prints_figures(recorded: Path) -> None:
     def run(*arguments: str) -> str:
         return deltaq("report", str(recorded), *arguments).stdout

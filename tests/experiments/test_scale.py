@@ -32,6 +32,7 @@ def test_plants_of_a_seed_are_alike_and_keep_bodies_away_from_bases() -> None:
         assert x * x + y * y >= NEAREST_M**2
 
 
+@pytest.mark.long
 def test_pairs_grow_with_robots_and_bodies_and_every_robot_is_decided_on(tmp_path: Path) -> None:
     row = measure(written(tmp_path, 2, 25), cycles=5)
     assert isinstance(row, ScaleRow)
@@ -41,6 +42,7 @@ def test_pairs_grow_with_robots_and_bodies_and_every_robot_is_decided_on(tmp_pat
     assert measure(written(tmp_path, 2, 30), cycles=5).pairs > row.pairs > 500
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [

@@ -74,11 +74,13 @@ def test_a_reset_says_which_option_is_wrong(env: CameraEnvironment, options: dic
         env.reset(options=options)
 
 
+@pytest.mark.long
 def test_gymnasiums_own_checker_finds_nothing() -> None:
     made = gymnasium.make(f"deltaq_experiments.training:{ENVIRONMENT}", duration_s=0.12)
     check_env(made.unwrapped, skip_render_check=True)
 
 
+@pytest.mark.long
 def test_a_seed_is_a_run_to_the_bit_and_another_seed_another_run(env: CameraEnvironment) -> None:
     def run(seed: int) -> list[np.ndarray]:
         first, _ = env.reset(seed=seed)
@@ -104,6 +106,7 @@ def test_an_episode_is_as_long_as_its_time_and_every_increment_has_a_verdict(env
         np.testing.assert_array_equal(info["verdict"]["dq"], info["dq"])
 
 
+@pytest.mark.long
 def test_the_reward_is_that_of_the_view_that_the_experiments_measure(env: CameraEnvironment) -> None:
     env.reset(seed=1)
     cell = CellModel.load("lab")
@@ -118,6 +121,7 @@ def test_the_reward_is_that_of_the_view_that_the_experiments_measure(env: Camera
     assert ViewErrors(0.0, -0.5).reward == -0.5
 
 
+@pytest.mark.long
 def test_a_start_is_where_it_was_asked_for_or_as_far_off_as_it_may(env: CameraEnvironment) -> None:
     home = CellModel.load("lab").robots[FOLLOWER].home
     observation, _ = env.reset(seed=0, options={"start": home})
@@ -131,6 +135,7 @@ def test_a_start_is_where_it_was_asked_for_or_as_far_off_as_it_may(env: CameraEn
         )
 
 
+@pytest.mark.long
 def test_the_gate_says_no_and_why() -> None:
     env = CameraEnvironment(duration_s=60.0, start_error_deg=10.0)
     env.reset(seed=0)
@@ -145,6 +150,7 @@ def test_the_gate_says_no_and_why() -> None:
     assert info["verdict"]["outcome"] in ("scaled", "held")
 
 
+@pytest.mark.long
 def test_gymnasiums_vector_of_environments_has_verdicts_of_each() -> None:
     envs = SyncVectorEnv([lambda: CameraEnvironment(duration_s=0.05)] * 2)
     envs.reset(seed=7)
@@ -157,6 +163,7 @@ def test_gymnasiums_vector_of_environments_has_verdicts_of_each() -> None:
     envs.close()
 
 
+@pytest.mark.long
 def test_the_bare_cell_of_the_speed_command_repeats_the_same_motion() -> None:
     elapsed_s, setpoints = speed.one_environment(20, seed=1)
     bare_s, last = speed.bare_cell(setpoints)

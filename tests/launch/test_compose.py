@@ -43,12 +43,14 @@ def validate(file: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 def test_the_file_follows_the_compose_specification() -> None:
     for file in (FILE, TOKENS_FILE):
         checked = validate(str(file))
         assert checked.returncode == 0, checked.stdout
 
 
+@pytest.mark.long
 def test_the_specification_would_notice_a_field_that_compose_does_not_know(tmp_path: Any) -> None:
     wrong = tmp_path / "compose.yaml"
     wrong.write_text(compose_text().replace("restart:", "restrat:"), encoding="utf-8")
@@ -84,6 +86,7 @@ def test_controllers_start_on_demand_only(containers: dict[str, Any]) -> None:
     assert on_demand == {"leader", "follower", ADDRESS, "metrics"}
 
 
+@pytest.mark.long
 def test_a_cell_off_the_loopback_gets_its_key_as_a_secret_of_those_who_need_it(tmp_path: Path) -> None:
     cell = tmp_path / "plant.yaml"
     cell.write_text("extends: lab\nsim: tcp/192.168.7.1:7450\n", encoding="utf-8")
@@ -103,6 +106,7 @@ def test_a_cell_off_the_loopback_gets_its_key_as_a_secret_of_those_who_need_it(t
     assert [name for name, one in document["services"].items() if "build" in one] == ["robot-server-fr"]
 
 
+@pytest.mark.long
 def test_on_the_loopback_the_first_container_makes_the_key_for_those_who_need_it(
     containers: dict[str, Any], tmp_path: Path
 ) -> None:

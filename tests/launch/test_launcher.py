@@ -215,6 +215,7 @@ def test_the_last_json_line_of_a_service_is_found_among_others() -> None:
         assert launcher.last_json("nobody") is None
 
 
+@pytest.mark.long
 def test_no_service_outlives_a_launcher_that_is_killed() -> None:
     program = textwrap.dedent(f"""
         from deltaq_launch.launcher import Launcher
@@ -250,6 +251,7 @@ LOGS_JSON = (
 )
 
 
+@pytest.mark.long
 def test_services_that_log_as_json_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DELTAQ_LOG_FORMAT", "json")
     with Launcher([service("sim", LOGS_JSON)], nothing) as launcher:

@@ -109,6 +109,7 @@ def test_what_is_complete_for_one_controller_or_folder_is_not_for_another(tmp_pa
     assert not machine_code.is_complete("", "paper", HERE)
 
 
+@pytest.mark.long
 def test_the_gate_is_compiled_before_the_controllers_and_also_where_there_are_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -155,6 +156,7 @@ def test_a_function_is_told_when_it_is_compiled_and_not_when_it_is_found_on_disk
     assert runs == ["told one\n", ""]
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_the_compiler_too() -> None:
     code = (
         "import os, signal; from deltaq_launch import prepare\n"

@@ -217,6 +217,7 @@ async def test_a_verdict_that_is_lost_is_missing_among_those_that_come(running: 
             assert [(await anext(verdicts)).seq for _ in range(2)] == [1, 3]
 
 
+@pytest.mark.long
 async def test_whoever_sends_and_never_reads_a_verdict_keeps_the_newest(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         for seq in range(1, 1501):
@@ -392,6 +393,7 @@ async def test_a_controller_that_does_not_wait_sends_one_increment_a_cycle_and_g
     assert sorted(verdict.seq for verdict in got) == sent == list(range(1, 51))
 
 
+@pytest.mark.long
 async def test_the_lease_is_renewed_by_itself_for_longer_than_it_lasts(running: Running) -> None:
     async with running.cell.lease("fr") as robot:
         until = asyncio.get_running_loop().time() + 1.6 * running.hli._cell.lease_s

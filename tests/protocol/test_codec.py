@@ -103,6 +103,7 @@ def test_no_bytes_whatever_raise_anything_but_invalid_message(payload: bytes) ->
             str(error).encode()
 
 
+@pytest.mark.long
 @given(JSON, st.dictionaries(st.sampled_from([*INCREMENT, "lease", "\ud800"]), JSON))
 def test_no_map_whatever_raises_anything_but_invalid_message_and_its_text_can_be_sent(
     data: Any, changes: dict[str, Any]

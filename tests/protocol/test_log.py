@@ -11,6 +11,8 @@ import pytest
 
 from deltaq_protocol.log import LogFormat, LogFormatError, json_line, log_format, message_of, read_json_line
 
+pytestmark = pytest.mark.long
+
 SAYS = """
 import logging, warnings
 from deltaq_protocol import log

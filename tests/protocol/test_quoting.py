@@ -94,6 +94,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(lease=JSON, extra=JSON, missing=st.sampled_from(["seq", "cycle", "dq"]))
 def test_no_increment_that_lacks_something_has_its_lease_quoted(lease: Any, extra: Any, missing: str) -> None:
     data = {"type": "increment", "robot": "fr", "seq": 1, "cycle": 2, "dq": [0.0] * 6, "lease": lease}

@@ -270,6 +270,7 @@ def test_of_what_a_slow_reader_missed_only_the_newest_is_kept() -> None:
         server.close()
 
 
+@pytest.mark.long
 def test_one_session_too_many_is_kept_out_until_another_leaves() -> None:
     here = endpoint()
     server = open_session(listen=[here])
@@ -343,6 +344,7 @@ def resident_bytes() -> int:
     return int(pages) * resource.getpagesize()
 
 
+@pytest.mark.long
 def test_importing_the_protocol_loads_neither_pinocchio_nor_coal_nor_the_cell() -> None:
     script = (
         "import sys, deltaq_protocol, deltaq_protocol.blocking\n"

@@ -82,6 +82,7 @@ def test_a_damaged_file_is_told_by_its_name(tmp_path: Path, content: bytes, why:
     assert str(file) in str(caught.value)
 
 
+@pytest.mark.long
 def test_a_process_that_was_asked_writes_its_stamps_when_it_ends(tmp_path: Path) -> None:
     program = (
         f"from {module.__name__} import StampStation, stamps_if_asked\n"

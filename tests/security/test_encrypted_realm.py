@@ -16,6 +16,8 @@ from deltaq_services.guarded_key import KEY_FILE, GuardedKeyError
 from deltaq_services.guarded_session import open_guarded_session, open_watching_session
 from deltaq_services.service_identity import tls_settings
 
+pytestmark = pytest.mark.long
+
 STEP, CYCLES = 1e-4, 10
 
 

@@ -97,6 +97,7 @@ FLOODS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FLOODS)
 async def test_beside_a_flood_over_zenoh_every_increment_is_judged_and_every_state_is_told(name: str) -> None:
     """In lockstep: the next state comes when the increment before it has its verdict, so no clock decides."""
@@ -131,6 +132,7 @@ async def test_beside_a_flood_over_zenoh_every_increment_is_judged_and_every_sta
                 assert counters["increments_unproven"] >= 40
 
 
+@pytest.mark.long
 async def test_subscribers_that_never_read_take_nothing_from_others() -> None:
     async with serving() as (_, peer):
         where = peer.cell.hli
@@ -147,6 +149,7 @@ async def test_subscribers_that_never_read_take_nothing_from_others() -> None:
             await asyncio.to_thread(session.close)
 
 
+@pytest.mark.long
 async def test_lines_of_a_flood_wait_and_a_holder_s_line_does_not() -> None:
     async with serving() as (hli, peer), json_client(peer.cell.tcp_port) as holder:
         port = peer.cell.tcp_port

@@ -13,6 +13,8 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import open_session, subscribe_newest
 
+pytestmark = pytest.mark.long
+
 STEP = 1e-4  # [rad] a cycle
 CYCLES = 30
 CONTACT = "gripper_on_valves"

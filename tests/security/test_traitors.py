@@ -15,6 +15,8 @@ from deltaq_protocol.sayings import HLI, SIM, robot_server, services
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_services.guarded_key import KEY_FILE
 
+pytestmark = pytest.mark.long
+
 STEP = 1e-4  # [rad] a cycle
 CYCLES = 10
 

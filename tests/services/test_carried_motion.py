@@ -157,6 +157,7 @@ def test_what_no_joint_can_do_is_left_to_the_gate_and_no_more_than_a_cycles_moti
     assert carried.owed == pytest.approx((0.01 * MOST_CARRIED_CYCLES,))
 
 
+@pytest.mark.long
 @settings(max_examples=80, deadline=None)
 @given(
     st.integers(1, 9),

@@ -273,6 +273,7 @@ class LossyRig(Rig):
         self.sim.on_state = unreliable  # type: ignore[method-assign] # the link, not the gate
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_states_that_are_lost_duplicated_or_late_are_possible(seed: int) -> None:
     rig = LossyRig(seed)

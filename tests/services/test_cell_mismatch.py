@@ -77,6 +77,7 @@ def test_a_robot_server_holds_its_robot_under_a_gate_that_has_read_another_cell_
     assert server.state.phase is Phase.READY
 
 
+@pytest.mark.long
 def test_the_gate_orders_a_stop_of_a_robot_whose_server_has_read_another_cell() -> None:
     state = Rig().state
     ours, theirs = Sim(CELL, epoch=5), Sim(OTHER, epoch=6)

@@ -84,6 +84,7 @@ def test_no_sample_of_a_certified_tube_is_nearer_than_the_stop_distance(cell, pr
                 assert nearest.distance_m >= 0.05
 
 
+@pytest.mark.long
 def test_travel_bounds_the_motion_of_every_corner_within_the_box(cell, proximity):
     """The swept distance is a lower bound of the distance at any configuration of the box."""
     random = np.random.default_rng(3)

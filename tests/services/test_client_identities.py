@@ -79,6 +79,7 @@ def test_a_signature_is_of_one_request(folder, key, message):
     assert server.identity(KEY, MESSAGE, proof, 0.0) == "operator-desk", "nobody has used its challenge up"
 
 
+@pytest.mark.long
 @given(st.floats(0.0, 1.0, exclude_max=True), st.integers(0, 7), st.floats(0.0, 1.0, exclude_max=True))
 def test_whatever_bit_is_changed_or_left_out_nobody_is_known(folder, place, bit, end):
     # the length of a signature is one thing and another

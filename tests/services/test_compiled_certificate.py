@@ -32,6 +32,7 @@ def cornered():
     return found
 
 
+@pytest.mark.long
 def test_nothing_is_certified_that_the_readable_code_does_not_certify(cornered):
     by_kernel = [CompiledCertifier(PROXIMITY).certify(*one).holds for one in cornered]
     readable = [Certifier(PROXIMITY, AMPLE).certify(*one).holds for one in cornered]

@@ -14,6 +14,8 @@ from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.console.web import listening_socket
 
+pytestmark = pytest.mark.long
+
 
 async def answered(host, head):
     """The first line of the answer to a request with these lines."""

@@ -87,6 +87,7 @@ async def get(port, path, **headers):
     return int(answer.split()[1]), answer.partition("\r\n\r\n")[2]
 
 
+@pytest.mark.long
 async def test_no_address_leads_out_of_the_folder(tmp_path, folder):
     async with served(tmp_path, folder) as (_, _, port):
         names = [
@@ -105,6 +106,7 @@ async def test_no_address_leads_out_of_the_folder(tmp_path, folder):
             assert "root:" not in body
 
 
+@pytest.mark.long
 async def test_recordings_are_for_the_console_s_own_page(tmp_path, folder):
     async with served(tmp_path, folder) as (_, _, port):
         for path in ("/recordings", "/recordings/run.mcap"):
@@ -114,6 +116,7 @@ async def test_recordings_are_for_the_console_s_own_page(tmp_path, folder):
         assert (status, [each["name"] for each in json.loads(body)]) == (200, ["run.mcap"])
 
 
+@pytest.mark.long
 async def test_a_file_that_is_no_recording_is_told_and_one_is_read_at_a_time(tmp_path, folder):
     async with served(tmp_path, folder) as (console, cell, port):
         RecordingWriter(folder / "empty.mcap", cell.description_message(), "live").close()
@@ -223,6 +226,7 @@ def test_an_observer_records_nothing(recording_bench):
     assert "observer" in observer.send("record", action="start").text
 
 
+@pytest.mark.long
 async def test_a_recorder_that_cannot_begin_says_why(tmp_path):
     """There is no HLI; and one that is ended before it wrote is not said to have recorded."""
     told = asyncio.Queue()

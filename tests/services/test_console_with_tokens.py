@@ -17,6 +17,8 @@ from deltaq_protocol.session import open_session
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
+pytestmark = pytest.mark.long
+
 OPERATOR, CONTROLLER = "0123456789abcdef-operator", "0123456789abcdef-controller"
 
 

@@ -16,6 +16,8 @@ from crash_bench import PLAN, CrashSide
 
 from deltaq_protocol.brake import brake_increment
 
+pytestmark = pytest.mark.long
+
 SUPPORT = Path(__file__).parents[1] / "support"
 WAITS_S = 20.0
 ROUNDING = 2e-8

@@ -45,12 +45,14 @@ def left(bodies, sent=None):
     return memory
 
 
+@pytest.mark.long
 @given(records, records)
 def test_the_newest_is_read_as_it_was_written(older, newer):
     found = LAYOUT.newest(bytes(left([LAYOUT.body(older), LAYOUT.body(newer)])))
     assert found == (newer, PEER, 1.0, True)
 
 
+@pytest.mark.long
 @given(records, records, st.data())
 def test_a_write_torn_anywhere_leaves_the_one_before(older, newer, data):
     memory = left([LAYOUT.body(older), LAYOUT.body(older)], sent=2)
@@ -64,6 +66,7 @@ def test_a_write_torn_anywhere_leaves_the_one_before(older, newer, data):
     assert (found.record, found.was_sent) == ((older, True) if found.time_s == 1.0 else (newer, False))
 
 
+@pytest.mark.long
 @given(records, records, st.data())
 def test_with_any_byte_flipped_it_is_the_same_record_or_the_older_or_none(older, newer, data):
     memory = left([LAYOUT.body(older), LAYOUT.body(newer)])

@@ -132,6 +132,7 @@ class Death:
         return self.krc.own(programmed=FR.home + draw.uniform(0.001, 1.0)), PEER
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "block", [0, *(pytest.param(block, marks=pytest.mark.nightly) for block in range(1, 8))]
 )

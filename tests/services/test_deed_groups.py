@@ -50,6 +50,7 @@ def test_who_connects_again_each_time_is_one_group_and_the_newest_port_is_told()
     assert told[-1].deed.origin.address == "[fe80::1]:19999"
 
 
+@pytest.mark.long
 def test_a_flood_of_invented_names_is_bounded_and_counted_and_takes_no_line_from_others() -> None:
     groups = DeedGroups()
     strangers = [refused(client=f"stranger-{number}") for number in range(100_000)]
@@ -63,6 +64,7 @@ def test_a_flood_of_invented_names_is_bounded_and_counted_and_takes_no_line_from
     assert groups.add(stop, 100.0) == [CountedDeed(stop, 100.0, 1)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("names", [1, MOST_GROUPS, 10 * MOST_GROUPS, 10_000])
 def test_the_worst_flood_of_a_kind_drives_no_entry_out_of_the_files_within_hours(names: int) -> None:
     hours, each_s = 1.0, 0.02

@@ -11,6 +11,8 @@ from deltaq_protocol.messages import Outcome
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def oracle():

@@ -62,6 +62,7 @@ def test_the_file_goes_before_the_variable_and_nothing_is_no_token(tmp_path: Pat
     assert given_token("DELTAQ_CONSOLE_TOKEN", {"DELTAQ_CONSOLE_TOKEN": ""}) is None
 
 
+@pytest.mark.long
 def test_a_console_that_is_given_a_file_others_can_read_does_not_start(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "deltaq_services.console", "--cell", "lab"]
     environment = os.environ | {"DELTAQ_CONSOLE_TOKEN_FILE": secret(tmp_path, SECRET.encode(), 0o644)}

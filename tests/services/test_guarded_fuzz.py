@@ -19,7 +19,7 @@ from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.sim.core import Sim
 
 # a service runs on where numpy warns of an overflow
-pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+pytestmark = [pytest.mark.filterwarnings("ignore::RuntimeWarning"), pytest.mark.long]
 
 ROBOTS = st.sampled_from(["fr", "gr", "ghost"])
 NUMBERS = st.integers(0, 8) | st.sampled_from([2**31, 2**63 - 1])
@@ -92,7 +92,6 @@ def lab() -> CellModel:
     return CellModel.load("lab")
 
 
-@pytest.mark.long
 @lasting
 @given(messages=st.lists(states() | REQUESTS | COMMANDS, max_size=12))
 def test_the_gate_takes_whatever_is_a_message_and_says_nothing_but_messages(

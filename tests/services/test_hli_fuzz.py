@@ -18,6 +18,8 @@ from deltaq_protocol.blocking import connect
 from deltaq_protocol.proof import Prover
 from deltaq_protocol.session import open_session
 
+pytestmark = pytest.mark.long
+
 # everything of a module shares one server: it must survive all of it
 lasting = settings(
     deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]

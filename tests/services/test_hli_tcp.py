@@ -358,6 +358,7 @@ async def test_a_gate_that_comes_back_is_found_again(running: Running) -> None:
 # --- floods and slow readers -------------------------------------------------------------------------
 
 
+@pytest.mark.long
 async def test_a_flood_of_increments_lets_one_a_cycle_through_and_does_not_keep_others_waiting(
     running: Running,
 ) -> None:
@@ -378,6 +379,7 @@ async def test_a_flood_of_increments_lets_one_a_cycle_through_and_does_not_keep_
         assert counts["requests"] + counts["refused"] == 5000
 
 
+@pytest.mark.long
 async def test_a_reader_that_stops_reading_costs_a_bound_and_sees_the_newest_state_when_it_reads_again(
     running: Running,
 ) -> None:
@@ -430,6 +432,7 @@ async def test_a_client_that_is_sent_away_and_does_not_read_why_leaves_its_place
         assert not running.hli._tcp.connections
 
 
+@pytest.mark.long
 async def test_a_flood_of_connections_is_refused_and_keeps_nobody_waiting_who_is_in(
     running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -232,6 +232,7 @@ class Watch:
                 self.behind[admission.sequence] = said.seq
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(st.lists(ROUNDS, max_size=25))
 def test_an_increment_is_never_used_twice_nor_late_by_two_cycles_and_the_newest_wins(rounds):

@@ -155,6 +155,7 @@ def test_the_blend_never_passes_velocity_or_acceleration(last_share, request_sha
     assert np.all(np.abs(dq - last) <= LIMITS.max_dv * (1 + 1e-6))
 
 
+@pytest.mark.long
 @given(shares, shares, st.floats(0.0, 0.3))
 def test_the_blend_can_be_braked_inside_the_position_limits(where, request_share, room):
     middle, half = (FR.upper + FR.lower) / 2, (FR.upper - FR.lower) / 2

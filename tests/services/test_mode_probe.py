@@ -82,6 +82,7 @@ class Arm:
 LAGS = st.tuples(st.integers(0, 2), st.floats(0.7, 1.0))
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=60)
 @given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
 def test_an_absolute_krc_is_found_out_in_one_trial_whatever_the_lag_and_a_little_noise(
@@ -96,6 +97,7 @@ def test_an_absolute_krc_is_found_out_in_one_trial_whatever_the_lag_and_a_little
     assert (probe.unseen, probe.detail, probe.refused, probe.bars) == ((), "", False, False)
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=60)
 @given(lag=LAGS, noise=st.floats(0, 0.02), seed=st.integers(0, 2**31), cell=st.sampled_from([LAB, LAB_4MS]))
 def test_a_relative_krc_is_found_out_moved_by_no_more_than_the_pulse_and_put_back(lag, noise, seed, cell):

@@ -127,6 +127,7 @@ def test_a_file_cut_off_in_its_beginning_is_no_recording(recorded: Path, tmp_pat
             Recording.open(cut)
 
 
+@pytest.mark.long
 def test_every_single_damaged_byte_is_survived(recorded: Path, tmp_path: Path) -> None:
     data, damaged = recorded.read_bytes(), tmp_path / "damaged.mcap"
     random = np.random.default_rng(5)
@@ -141,6 +142,7 @@ def test_every_single_damaged_byte_is_survived(recorded: Path, tmp_path: Path) -
         assert set(read) <= set(range(STATES))
 
 
+@pytest.mark.long
 def test_a_damaged_chunk_is_left_out_and_the_others_are_read(cell: CellModel, tmp_path: Path) -> None:
     file = write(tmp_path / "run.mcap", cell, 1500)
     with file.open("rb") as stream:

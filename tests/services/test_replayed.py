@@ -115,6 +115,7 @@ def test_a_long_recording_is_told_at_greater_steps(recorded: Path, cell: CellMod
     )
 
 
+@pytest.mark.long
 def test_the_process_prints_it_and_errors_are_one_line(recorded: Path, cell: CellModel) -> None:
     def run(file: Path) -> subprocess.CompletedProcess[str]:
         command = ["-m", "deltaq_services.recorder.replayed", str(file), "--identity", str(cell.identity)]

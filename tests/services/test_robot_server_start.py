@@ -30,6 +30,7 @@ def start(folder: Path, *edits: tuple[str, str]) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.long
 def test_unsafe_files_end_it_with_status_2_and_every_reason(tmp_path: Path) -> None:
     process = start(tmp_path, ('HOLDON="1"', 'HOLDON="0"'), ("ONLYSEND>FALSE", "ONLYSEND>TRUE"))
     try:

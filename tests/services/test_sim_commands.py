@@ -133,6 +133,7 @@ def driven_at_the_buoy(rig, cycles):
     return verdict, float(np.linalg.norm(robot.forward(q)[:3, 3] - BUOY)), fastest
 
 
+@pytest.mark.long
 def test_bodies_touch_slowly_while_a_contact_is_allowed_and_not_without(tmp_path):
     cell = with_a_buoy(tmp_path)
     rig = Rig(cell)

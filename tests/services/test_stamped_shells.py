@@ -59,6 +59,7 @@ def driven(loaded: LoadedCell, stamps: Stamps | None) -> StampedCell:
     return stack
 
 
+@pytest.mark.long
 def test_a_watched_gate_decides_as_it_did(lab: LoadedCell, tmp_path: Path) -> None:
     stamps = Stamps("sim", ["fr", "gr"], 1000)
     watched, plain = driven(lab, stamps), driven(lab, None)

@@ -104,6 +104,7 @@ def _gate_took_io(age: int) -> ReasonCode | None:
     return code
 
 
+@pytest.mark.long
 def test_the_gate_takes_no_command_that_is_older_than_the_table_allows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -143,6 +144,7 @@ def _admissions_taken(late_cycles: int) -> int:
     return server.counters["admissions"]
 
 
+@pytest.mark.long
 def test_a_robot_server_takes_no_admission_that_is_older_than_the_table_allows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

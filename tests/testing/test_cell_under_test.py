@@ -25,6 +25,7 @@ def run(lab, controller, *faults, duration_s=2.0, **more):
     return cell
 
 
+@pytest.mark.long
 def test_a_link_that_is_cut_costs_an_open_loop_its_goal_and_a_closed_one_nothing(lab):
     cut = fault("link_cut", at_s=0.5, for_s=0.1)
     assert run(lab, Ramp).ended_at(goal_of(CellUnderTest(lab)), within=0.01)
@@ -37,6 +38,7 @@ def test_a_link_that_is_cut_costs_an_open_loop_its_goal_and_a_closed_one_nothing
     assert not missed.rested_within(3)
 
 
+@pytest.mark.long
 def test_a_controller_that_stands_still_is_held_at_rest_and_goes_on_after_the_operator(lab):
     cell = run(lab, ClosedRamp, fault("controller_frozen", at_s=0.5, for_s=1.2), duration_s=1.6)
     assert (cell.phase, cell.reason) == (Phase.HELD, "controller_lost")
@@ -49,6 +51,7 @@ def test_a_controller_that_stands_still_is_held_at_rest_and_goes_on_after_the_op
     assert any("reset" in what for _, what in cell.events)
 
 
+@pytest.mark.long
 def test_a_new_process_begins_with_a_new_object_of_a_class_and_a_function_goes_on(lab):
     made, called = [], []
 
@@ -102,6 +105,7 @@ def test_a_state_may_be_left_unanswered(lab):
     assert 15 < cell.verdicts["admitted"] + cell.verdicts["scaled"] < 25
 
 
+@pytest.mark.long
 def test_a_controller_that_asks_for_too_much_is_scaled_and_passes_nothing(lab):
     cell = run(lab, lambda state: np.full(6, 0.5), duration_s=1.5)
     assert cell.kept_clear()
@@ -144,6 +148,7 @@ def test_a_controller_of_the_house_sees_the_other_robot_and_both_can_be_driven(l
     assert (seen[-1] - seen[0] > 0).all()
 
 
+@pytest.mark.long
 def test_one_seed_is_one_run(lab):
     def rows(seed):
         faults = (fault("link_lossy", at_s=0.2, for_s=1), fault("krc_jitter", at_s=0.3, for_s=0.5))
@@ -156,6 +161,7 @@ def test_one_seed_is_one_run(lab):
     assert (one != other).any()
 
 
+@pytest.mark.long
 def test_a_lease_that_is_refused_late_does_not_take_away_the_one_that_was_granted(lab):
     # as hypothesis shrank it: the request is overtaken by the next one, which is granted
     overtaken = fault("link_reordering", at_s=0, for_s=0.024)

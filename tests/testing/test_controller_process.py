@@ -46,6 +46,7 @@ def program(each_state="pass"):
     return [sys.executable, "-c", PROGRAM.format(each_state=each_state), "{port}"]
 
 
+@pytest.mark.long
 def test_every_state_is_answered_however_long_the_program_thinks(cell):
     cell.drive_process(program("time.sleep(0.05 * (seq == 5))"))
     cell.run(0.5)
@@ -53,6 +54,7 @@ def test_every_state_is_answered_however_long_the_program_thinks(cell):
     assert cell.phase == "engaged"
 
 
+@pytest.mark.long
 def test_a_program_gives_the_same_run_as_a_function_that_does_the_same(lab, cell):
     cut = fault("link_cut", at_s=0.2, for_s=0.1)
     cell.drive_process(program())
@@ -65,6 +67,7 @@ def test_a_program_gives_the_same_run_as_a_function_that_does_the_same(lab, cell
     assert abs(cell.q - function.q).max() < 2 * STEP_RAD  # the one asks for its lease a state earlier
 
 
+@pytest.mark.long
 def test_a_program_that_was_killed_is_started_anew(cell):
     cell.drive_process(program())
     cell.suffer(fault("controller_dead", at_s=0.2, for_s=0.2))
@@ -98,6 +101,7 @@ def test_a_program_that_ends_is_a_controller_that_is_lost(cell):
     assert cell.phase == "held"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "told"),
     [

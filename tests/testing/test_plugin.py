@@ -30,6 +30,7 @@ def run(pytester):
     return run
 
 
+@pytest.mark.long
 def test_a_controller_that_keeps_its_goal_passes_and_one_that_does_not_fails_with_what_befell_it(run):
     result = run(
         """
@@ -60,6 +61,7 @@ def test_planted_bug(virtual_cell):
     )
 
 
+@pytest.mark.long
 def test_each_test_has_a_fresh_cell_and_the_marker_says_which(run):
     result = run(
         """

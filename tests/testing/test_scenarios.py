@@ -15,6 +15,8 @@ from deltaq_testing.scenario.file import ScenarioError, dumped, load_scenario, p
 from deltaq_testing.scenario.junit import junit_xml
 from deltaq_testing.scenario.run import Runner
 
+pytestmark = pytest.mark.long
+
 CONTROLLERS = """
 import math
 

@@ -24,6 +24,8 @@ from deltaq_verification.virtual_cell.clients import Connection
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 
+pytestmark = pytest.mark.long
+
 CYCLES = 150
 SLOWLY = 1e-3
 """Largest increment that is asked for, well below what the limits allow [rad]."""

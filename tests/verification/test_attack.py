@@ -4,6 +4,8 @@ import pytest
 
 from deltaq_verification.attack import run
 
+pytestmark = pytest.mark.long
+
 
 def assert_nothing_gave_way(report):
     assert report.violations == ()
@@ -14,7 +16,6 @@ def assert_nothing_gave_way(report):
     assert report.gate.refused > 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_thousands_of_decisions_under_attack_break_nothing(seed):
     report = run(seed=seed, duration_s=15.0)

@@ -16,6 +16,8 @@ from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 from deltaq_verification.virtual_cell.wires import MessageWire
 
+pytestmark = pytest.mark.long
+
 BRAKE_S = CRUISE_RAD_S / 10.9
 """A1 of the floor robot brakes at 10.9 rad/s^2."""
 ROUND_TRIP_CYCLES = 3

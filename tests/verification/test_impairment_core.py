@@ -18,6 +18,7 @@ FAULTS = st.builds(
 )
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(FAULTS, st.binary(min_size=1), st.floats(0, 0.5))), st.integers(0, 99))
 def test_whatever_is_done_to_a_stream_its_bytes_all_arrive_in_their_order_and_none_early(sent, seed):
     stream, now_s, arrived, due_s = FaultyStream(seed), 0.0, [], 0.0

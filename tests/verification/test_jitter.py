@@ -17,6 +17,8 @@ from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.loaded_cell import LoadedCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 
+pytestmark = pytest.mark.long
+
 SEEDS = (0, 1, 3)
 CYCLES = 300
 DQ = (1e-6, 0.0, 0.0, 0.0, 0.0, 0.0)

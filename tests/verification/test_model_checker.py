@@ -72,6 +72,7 @@ def test_with_more_faults_every_property_holds(lookahead_cycles, faults, cycles)
     assert explore(System(lookahead_cycles), faults, cycles).counterexample is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "broken",
     [
@@ -168,6 +169,7 @@ def test_two_moments_of_the_wire_that_differ_in_the_correction_of_an_earlier_ses
     assert len(keys) == 2
 
 
+@pytest.mark.long
 def test_a_counterexample_is_a_shortest_way():
     late = next(broken for broken in BROKEN if broken.system.__name__ == "LateIsTaken")
     found = explore(late.system(), late.faults, cycles=10).counterexample
@@ -178,6 +180,7 @@ def test_a_counterexample_is_a_shortest_way():
     assert shorter.counterexample is None
 
 
+@pytest.mark.long
 def test_every_phase_is_reached():
     system, phases = System(), set()
     frontier, seen = [system.start(0)], set()
@@ -218,6 +221,7 @@ def test_the_explored_robot_has_a_mode_that_remembers_nothing(system):
     assert system_state.server.mode is None
 
 
+@pytest.mark.long
 def test_the_command_prints_what_it_found_and_ends_with_1_for_a_counterexample():
     command = [sys.executable, "-m", "deltaq_verification.model_checker", "--json", "--broken", "LateIsTaken"]
     ended = subprocess.run([*command, "--cycles", "6"], capture_output=True, text=True, check=False)

@@ -40,6 +40,7 @@ def along_a_random_course(random, cycles=60):
         yield q
 
 
+@pytest.mark.long
 def test_what_is_not_measured_again_is_never_the_nearest():
     course = list(along_a_random_course(np.random.default_rng(1)))
     oracle = ClearanceOracle(CELL)
@@ -50,6 +51,7 @@ def test_what_is_not_measured_again_is_never_the_nearest():
             assert found.distance_m == pytest.approx(true.distance_m, abs=1e-5)
 
 
+@pytest.mark.long
 def test_what_is_not_measured_is_at_least_as_far_as_it_is_said_to_be():
     oracle = ClearanceOracle(CELL)
     limits = oracle.stop_distances_m

@@ -9,6 +9,8 @@ from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
+pytestmark = pytest.mark.long
+
 FASTEST = np.full(6, 1e-3)
 
 

@@ -23,6 +23,8 @@ from deltaq_services.sim.core import Sim
 from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import Replay, differing_fields, replay
 
+pytestmark = pytest.mark.long
+
 GATE_VERDICTS = ("deltaq-guarded/lab/fr/verdict", "deltaq-guarded/lab/gr/verdict")
 CYCLES = 130
 PERIOD = 100
@@ -238,7 +240,6 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp
     assert lengths[0] > 100
 
 
-@pytest.mark.long
 def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:

@@ -78,6 +78,7 @@ def test_a_gate_that_stood_still_answers_afterwards_what_came_meanwhile(lab):
     assert cell.ask("fr", STEP).outcome is Outcome.ADMITTED
 
 
+@pytest.mark.long
 def test_a_wire_of_one_kind_of_message_carries_no_other(lab):
     cell, wire = ready(lab), MessageWire()
     cell.plug(Link.SIM_SERVER, Process.ROBOT_SERVER, wire, ["fr"], Admission)
@@ -116,6 +117,7 @@ def test_a_robot_without_a_krc_is_where_it_was_sent():
     np.testing.assert_allclose(cell.arms["dawm"].q - before, 3 * dq)
 
 
+@pytest.mark.long
 def test_one_seed_is_one_run(lab):
     def run(seed):
         cell, wire = VirtualCell(lab, seed=seed), MessageWire(seed)
