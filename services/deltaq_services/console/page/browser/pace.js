@@ -1,33 +1,37 @@
-// How often and how finely pictures are drawn: the next one begins when the last is finished, since the page hears nothing
-// while a picture is waited for, not even a press of STOP; and as fine as can be drawn in time. What stands still is drawn
-// once more as fine as the screen is.
+// How often and how finely pictures are drawn. Where the processor draws, the next one begins when the last is finished, no
+// oftener than is seen, and as fine as can be drawn in time. What stands still is drawn once more as fine as the screen is.
 
-// it is seen that a picture is finished when the screen wants the next one, every 17 ms
-const SLOW_MS = 28;
-const QUICK_MS = 19;
+const SLOW_MS = 27;
+const QUICK_MS = 21;
+const LEAST_MS = 27; // between the beginnings of two pictures: what the processor has left is the robots'
 const COARSEST = 0.4;
 const STILL_MS = 350;
 
 export class Pace {
-  /** @param gl WebGL 2; finest pixels of a picture to one of the page. */
+  /** @param gl WebGL 2; finest pixels of a picture to one of the page; mayVary where the processor draws. */
   constructor(gl, finest, mayVary) {
-    Object.assign(this, { gl, finest, mayVary, fineness: finest, _took_ms: 25, _begun: [], _lastAt: 0 });
+    Object.assign(this, { gl, finest, mayVary, fineness: finest, _took_ms: 25, _fence: null, _begunAt: -Infinity });
   }
 
-  /** Whether another picture can be begun. */
-  isFree(now) {
-    while (this._begun.length && this.gl.getSyncParameter(this._begun[0].fence, this.gl.SYNC_STATUS) === this.gl.SIGNALED) {
-      const { fence, at } = this._begun.shift();
-      this.gl.deleteSync(fence);
-      this._took_ms += 0.2 * (Math.min(200, now - at) - this._took_ms);
-    }
-    return !this._begun.length;
+  /** Whether the last picture is finished. */
+  isFinished(now) {
+    if (!this._fence) return true;
+    if (this.gl.getSyncParameter(this._fence, this.gl.SYNC_STATUS) !== this.gl.SIGNALED) return false;
+    this.gl.deleteSync(this._fence);
+    this._fence = null;
+    this._took_ms += 0.2 * (Math.min(200, now - this._begunAt) - this._took_ms);
+    return true;
+  }
+
+  /** Whether it is time for another picture, once the last is finished. */
+  isDue(now) {
+    return !this.mayVary || now - this._begunAt >= LEAST_MS;
   }
 
   /** A picture was begun at `now`. */
   begun(now) {
-    this._lastAt = now;
-    this._begun.push({ fence: this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0), at: now });
+    this._begunAt = now;
+    this._fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.gl.flush();
   }
 
@@ -41,6 +45,6 @@ export class Pace {
 
   /** Whether nothing has been drawn for so long that a finer picture is worth it. */
   isStill(now) {
-    return this.mayVary && now - this._lastAt > STILL_MS;
+    return this.mayVary && now - this._begunAt > STILL_MS;
   }
 }

@@ -3,9 +3,11 @@
 import { OrbitControls, THREE } from "nicegui-scene";
 import { Floor } from "./floor.js";
 import { Pace } from "./pace.js";
+import { Screen } from "./screen.js";
 import { ROOMS, Shading } from "./shading.js";
 
 const SHADOW_EVERY_MS = { full: 0, lean: 500 };
+const LOOK_MS = 4; // after which it is looked whether a picture is finished, where the processor draws
 const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jagged edges
 
 /** Whether WebGL is computed by the processor. */
@@ -25,7 +27,7 @@ export class Stage {
   constructor(holder, { floorHeight = 0, dark = true, quality = "auto" } = {}) {
     this.holder = holder;
     this.full = quality === "full" || (quality === "auto" && !softwareRendered());
-    this.renderer = new THREE.WebGLRenderer({ antialias: this.full, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({ antialias: this.full, preserveDrawingBuffer: !this.full, powerPreference: "high-performance" });
     const finest = this.full ? Math.min(window.devicePixelRatio, 2) : 1;
     this.pace = new Pace(this.renderer.getContext(), finest, !this.full);
     this.shading = new Shading(this.full);
@@ -33,7 +35,8 @@ export class Stage {
     this.renderer.shadowMap.type = THREE.PCFSoftShadowMap;
     this.renderer.shadowMap.autoUpdate = false;
     this.renderer.toneMapping = THREE.ACESFilmicToneMapping;
-    this.canvas = this.renderer.domElement;
+    this._screen = this.full ? null : new Screen(this.renderer.domElement);
+    this.canvas = this._screen?.canvas ?? this.renderer.domElement;
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "img");
     this.canvas.setAttribute("aria-label", "The cell in three dimensions; drag to turn, wheel to zoom");
@@ -61,6 +64,7 @@ export class Stage {
     new ResizeObserver(() => this._fit()).observe(holder);
     this._fit();
     this._step = this._step.bind(this);
+    this._look = this._look.bind(this);
     requestAnimationFrame(this._step);
   }
 
@@ -70,7 +74,7 @@ export class Stage {
     this._moved ||= moved;
   }
 
-  /** Call `action(now_ms)` ahead of every frame of the screen. */
+  /** Call `action(now_ms)` ahead of every frame of the screen, and of every picture. */
   beforeEach(action) {
     this._before.push(action);
   }
@@ -137,13 +141,26 @@ export class Stage {
 
   _step(now) {
     requestAnimationFrame(this._step);
-    for (const action of this._before) action(now);
     if (this._glide) {
       this._glideBy(0.16);
       this._wanted = true;
     }
     this.orbit.update();
-    if (document.hidden || !this.pace.isFree(now)) return;
+    this._drawIfDue(now);
+  }
+
+  /** Between two frames of the screen: show a picture as soon as it is finished, and begin the next. */
+  _look() {
+    this._drawIfDue(performance.now());
+    this._timer = this._isUnseen ? setTimeout(this._look, LOOK_MS) : null;
+  }
+
+  _drawIfDue(now) {
+    if (document.hidden || !this.pace.isFinished(now)) return;
+    if (this._isUnseen) this._screen.show();
+    this._isUnseen = false;
+    for (const action of this._before) action(now);
+    if (!this.pace.isDue(now)) return;
     const ratio = this.renderer.getPixelRatio();
     if (this._wanted) this._draw(now, this.pace.next());
     else if (this.pace.isStill(now) && ratio < STILL_FINENESS) this._draw(now, STILL_FINENESS);
@@ -164,5 +181,8 @@ export class Stage {
     for (const action of this._after) action(this.renderer, now);
     if (this._moved) this._wanted = true;
     this.pace.begun(now);
+    if (!this._screen) return;
+    this._isUnseen = true;
+    this._timer ??= setTimeout(this._look, LOOK_MS);
   }
 }

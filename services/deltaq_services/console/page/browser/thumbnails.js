@@ -20,7 +20,7 @@ export class Thumbnails {
   }
 
   _draw(renderer, view, q, canvas) {
-    const { scene, marks, canvas: screen } = this.stage;
+    const { scene, marks } = this.stage;
     const before = view.q;
     view.place(q);
     this._aim(view);
@@ -36,6 +36,7 @@ export class Thumbnails {
     renderer.setViewport(0, 0, size.x, size.y);
     marks.visible = true;
     view.place(before);
+    const screen = renderer.domElement;
     canvas.getContext("2d").drawImage(screen, 0, screen.height - HIGH_PX, WIDE_PX, HIGH_PX, 0, 0, WIDE_PX, HIGH_PX);
   }
 
