@@ -66,6 +66,7 @@ test-services: $(INSTALLED) $(COMPILED)
 test-rest: $(INSTALLED) $(COMPILED)
 	nice -n 10 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not live and not service'
 
+# one worker more than two cores have: some of these tests wait
 quick: $(INSTALLED) $(COMPILED) lint ## lint, types, rooms, and the tests that take little time
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not live and not service and not long' \
 		--durations=5 --durations-min=2

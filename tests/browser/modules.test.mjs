@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -468,4 +468,80 @@ test("a hand is led while the button is held, by no speed of its own, and one wi
   assert.equal(socket.commands("jog").length, held.length + 1);
   const rest = socket.commands("jog").at(-1);
   assert.deepEqual([rest.led, rest.wish], [undefined, [0, 0, 0, 0, 0, 0]]);
+});
+
+/** WebGL as far as a pace needs it: `done()` finishes all that was begun. */
+class Drawing {
+  SYNC_STATUS = 1;
+  UNSIGNALED = 2;
+  SIGNALED = 3;
+  isLost = false;
+  finished = 0;
+  begun = 0;
+  fenceSync() {
+    return ++this.begun;
+  }
+  getSyncParameter(fence) {
+    if (this.isLost) return null;
+    return fence <= this.finished ? this.SIGNALED : this.UNSIGNALED;
+  }
+  deleteSync() {}
+  flush() {}
+  done() {
+    this.finished = this.begun;
+  }
+}
+
+/** A pace after `count` pictures that took `took_ms` each, and the time after them. */
+function paced(count, took_ms) {
+  const drawing = new Drawing();
+  const pace = new Pace(drawing, 1, true);
+  let now = 0;
+  for (let k = 0; k < count; k++) {
+    pace.next();
+    pace.begun(now);
+    drawing.done();
+    now += took_ms;
+    pace.isFinished(now);
+  }
+  return { drawing, pace, now };
+}
+
+test("a picture is finished when all that was told for it is done, and the next is not due at once", () => {
+  const { drawing, pace, now } = paced(1, 20);
+  pace.begun(now);
+  assert.equal(pace.isFinished(now + 500), false);
+  drawing.done();
+  assert.equal(pace.isFinished(now + 5), true);
+  assert.equal(pace.isDue(now + 5), false);
+  assert.equal(pace.isDue(now + 30), true);
+});
+
+test("a picture that was lost with the graphics hardware is not waited for", () => {
+  const { drawing, pace, now } = paced(1, 20);
+  pace.begun(now);
+  drawing.isLost = true;
+  assert.equal(pace.isFinished(now + 30), true);
+});
+
+test("pictures that take long become coarser, down to a bound, and finer again when they are quick", () => {
+  const { drawing, pace, now } = paced(40, 60);
+  assert.equal(pace.next(), 0.4);
+  let later = now;
+  for (let k = 0; k < 60; k++) {
+    pace.next();
+    pace.begun(later);
+    drawing.done();
+    later += 10;
+    pace.isFinished(later);
+  }
+  assert.equal(pace.next(), 1);
+});
+
+test("graphics hardware draws as fine as the screen, and for every frame of it", () => {
+  const pace = new Pace(new Drawing(), 2, false);
+  pace.begun(0);
+  assert.equal(pace.next(), 2);
+  assert.equal(pace.isDue(1), true);
+  assert.equal(pace.isStill(10_000), false);
 });

@@ -58,6 +58,50 @@ def test_the_browser_places_links_where_pinocchio_does(opened, served_cell):
                 np.testing.assert_allclose(np.reshape(columns, (4, 4)).T, expected, atol=1e-6)
 
 
+# colours of the picture on the page, every tenth pixel, the page's own canvas and not what WebGL drew into
+PICTURE = """() => {
+    const {canvas} = deltaq.stage;
+    const {data} = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    return Array.from({length: Math.floor(data.length / 40)}, (_, k) => Array.from(data.slice(40 * k, 40 * k + 3)));
+}"""
+
+
+def test_what_was_drawn_off_the_page_is_shown_on_it_and_follows_what_moves(opened):
+    page = opened()
+    page.wait_for_function("deltaq.stage.isFinest()")
+    # a canvas of WebGL on the page would hold up whatever the page has to hear, a press of STOP too
+    assert not page.evaluate("deltaq.stage.renderer.domElement.isConnected")
+    assert page.evaluate("deltaq.stage.canvas.isConnected")
+    before = np.array(page.evaluate(PICTURE))
+    assert len(np.unique(before, axis=0)) > 100  # a room with robots in it, not a blank
+    page.locator("[data-part=views] button", has_text="Top").click()
+    page.wait_for_function("deltaq.stage.camera.position.z > 3 && deltaq.stage.isFinest()")
+    after = np.array(page.evaluate(PICTURE))
+    assert after.shape == before.shape
+    assert np.mean(np.any(np.abs(after - before) > 20, axis=1)) > 0.05
+
+
+@pytest.mark.nightly
+def test_pictures_go_on_when_the_graphics_hardware_was_lost_and_has_come_back(opened):
+    page = opened()
+    page.wait_for_function("deltaq.stage.isFinest()")
+    page.evaluate("""async () => {
+        const drawn = deltaq.stage.renderer.domElement;
+        const heard = (kind) => new Promise((done) => drawn.addEventListener(kind, done, {once: true}));
+        const hardware = deltaq.stage.renderer.getContext().getExtension("WEBGL_lose_context");
+        const lost = heard("webglcontextlost");
+        deltaq.stage.ask();
+        hardware.loseContext();
+        await lost;
+        const back = heard("webglcontextrestored");
+        setTimeout(() => hardware.restoreContext());
+        await back;
+        deltaq.stage.enter(false);
+    }""")
+    page.wait_for_function("deltaq.stage.isFinest()")
+    assert len(np.unique(np.array(page.evaluate(PICTURE)), axis=0)) > 100
+
+
 @pytest.mark.parametrize("way", ["pointer", pytest.param("escape", marks=pytest.mark.nightly)])
 def test_stop_brings_a_driven_robot_to_rest_and_says_so(opened, way):
     page = opened()

@@ -13,8 +13,6 @@ from deltaq_cell.anatomy import anatomy_of, placed_at_first
 from deltaq_cell.extents import Extents
 from deltaq_cell.oriented_box import oriented_box
 
-pytestmark = pytest.mark.long
-
 apart = uncompiled("boxes").apart
 
 
@@ -23,6 +21,7 @@ def told_apart(objects):
     return apart(cell, placed_at_first(cell), 0, 1)
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_no_more_than_the_distance_is_told_and_a_unit_vector_from_one_to_the_other(seed):
@@ -55,6 +54,7 @@ def test_bodies_that_face_one_another_are_as_far_apart_as_they_are(shape, axis, 
     np.testing.assert_allclose(normal, turned @ way / 2.0, atol=1e-9)
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_body_reaches_as_far_as_its_box_along_the_boxs_edges(seed):

@@ -14,8 +14,6 @@ from deltaq_launch.errors import LaunchError, LaunchInterruptedError
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import ProtocolError, RefusedError, ServiceUnreachableError
 
-pytestmark = pytest.mark.long
-
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> str:
@@ -45,6 +43,7 @@ def test_an_error_has_the_exit_status_that_scripts_rely_on(error: ProtocolError,
     assert exit_status(error) == status
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -79,6 +78,7 @@ def test_a_cell_that_is_not_up_is_exit_status_3_and_one_clear_line(
     assert ".rs:" not in done.stderr  # zenoh adds where in its own source it happened
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -119,12 +119,14 @@ def test_a_cell_that_other_machines_could_drive_is_not_started(tmp_path: Path) -
     assert "anyone_who_connects_may_move_the_robots" in done.stderr
 
 
+@pytest.mark.long
 def test_a_good_cell_passes_its_check() -> None:
     done = deltaq("check", "lab", "--json")
     assert done.returncode == 0, done.stdout
     assert json.loads(done.stdout)["ok"] is True
 
 
+@pytest.mark.long
 def test_a_bad_cell_fails_its_check_with_file_line_and_field(tmp_path: Path) -> None:
     file = tmp_path / "bad.yaml"
     file.write_text("extends: lab\ngate:\n  stop_distance_m: -0.1\n", encoding="utf-8")
@@ -135,6 +137,7 @@ def test_a_bad_cell_fails_its_check_with_file_line_and_field(tmp_path: Path) -> 
     assert (problem["line"], problem["field"], problem["value"]) == (3, "gate.stop_distance_m", -0.1)
 
 
+@pytest.mark.long
 def test_the_schema_describes_every_topic_and_the_lines_of_tcp() -> None:
     schema = json.loads(deltaq("schema").stdout)
     assert schema["increment"]["message"]["properties"]["dq"]["type"] == "array"
@@ -153,6 +156,7 @@ def test_the_doctor_says_what_it_found_about_this_machine(cell: str) -> None:
     assert found["ports of hli"] == "good"
 
 
+@pytest.mark.long
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys; from deltaq_command.app import app;"

@@ -19,8 +19,6 @@ from deltaq_controllers.modes.advisor import tracker_of
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 
-pytestmark = pytest.mark.long
-
 IN_PLACE_M = 1e-3
 NEIGHBOURS_RAD = 0.1
 """Configurations of a way that are further apart leap."""
@@ -32,6 +30,7 @@ def off_m(run: PlainDrive) -> float:
     return float(np.linalg.norm((robot.forward(run.now) - robot.forward(robot.home))[:3, 3]))
 
 
+@pytest.mark.long
 def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_place_again() -> None:
     run = PlainDrive("gr", ModeName.JOINT)
     advisor = SynchronousAdvisor(cell_of("gr"), "gr", options=12, effort=0.3, hands_may_leave=True)
@@ -52,6 +51,7 @@ def test_from_a_way_on_which_the_hand_left_its_place_another_option_has_it_in_pl
     )
 
 
+@pytest.mark.long
 def test_the_way_from_where_a_hand_has_left_its_place_begins_there_and_need_not_lead_back() -> None:
     cell = cell_of("gr")
     session = AdvisorSession(cell, "gr", options=12, effort=0.3, hands_may_leave=True)

@@ -16,8 +16,6 @@ from deltaq_controllers.modes.motion import ModeName, OperatorCommand
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome
 
-pytestmark = pytest.mark.long
-
 KEPT_M, KEPT_RAD = 1e-4, np.deg2rad(0.01)
 LONGEST_CYCLES = 4000
 
@@ -42,6 +40,7 @@ def go_to(run: PlainDrive, rank: int, cycles: int = LONGEST_CYCLES) -> None:
             return
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", ["gr", "dawm"])
 def test_one_option_after_the_other_is_gone_to_with_the_hands_still(robot: str) -> None:
     run = plain(robot)
@@ -59,6 +58,7 @@ def test_one_option_after_the_other_is_gone_to_with_the_hands_still(robot: str) 
     assert run.violations == 0
 
 
+@pytest.mark.long
 def test_a_choice_taken_back_on_the_way_is_rest_on_the_way_and_can_be_gone_on_with() -> None:
     run = plain("gr")
     home = run.now
@@ -78,6 +78,7 @@ def test_a_choice_taken_back_on_the_way_is_rest_on_the_way_and_can_be_gone_on_wi
     assert run.violations == 0
 
 
+@pytest.mark.long
 def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
     run = plain("gr")
     first, second, *_ = drivable(run)
@@ -88,6 +89,7 @@ def test_another_option_chosen_on_the_way_is_gone_to_from_there() -> None:
     assert run.violations == 0
 
 
+@pytest.mark.long
 def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming_back() -> None:
     other = ModeName.COUPLED
     run = plain("gr")
@@ -105,6 +107,7 @@ def test_the_mode_is_switched_on_the_way_without_a_jump_and_asked_anew_on_coming
     assert run.violations == 0
 
 
+@pytest.mark.long
 def test_an_option_that_there_is_none_is_told_and_nothing_moves() -> None:
     run = plain("gr")
     home = run.now
@@ -177,6 +180,7 @@ def test_the_robot_rests_while_the_advisor_thinks_and_the_question_is_given_up_o
     assert advisor.given_up
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("silent_cycles", "at_most_m", "at_most_deg"),
     [(0, 1e-4, 0.01), (6, 1e-4, 0.01)],

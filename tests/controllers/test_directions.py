@@ -22,8 +22,6 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_experiments.directions import DirectionGone, commands, drive, judged
 from deltaq_protocol.messages import Outcome
 
-pytestmark = pytest.mark.long
-
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
 DURATION_S = 6.0
 
@@ -77,6 +75,7 @@ def goes_as_far(robot: str, rates: dict[str, float]) -> None:
     assert found.reached > max(before, pink) - SPEEDING_UP * whole, found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "axis", "rate"),
     [("dawm", "x", 0.1), ("dawm", "ry", -0.2), ("gr", "z", 0.1), ("fr", "z", 0.1)],
@@ -85,6 +84,7 @@ def test_coupled_goes_as_far_as_decoupled_and_as_pink_on_its_line(robot: str, ax
     goes_as_far(robot, {axis: rate})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
 )
@@ -93,6 +93,7 @@ def test_coupled_goes_as_far_in_every_direction(robot: str) -> None:
         goes_as_far(robot, rates)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "robot", ["fr", *(pytest.param(robot, marks=pytest.mark.nightly) for robot in ("dawm", "gr"))]
 )
@@ -105,6 +106,7 @@ def test_decoupled_goes_as_far_as_before(robot: str) -> None:
         assert found.reached > before - SPEEDING_UP * abs(rate) * DURATION_S, found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "mode", "axis", "rate", "limit"),
     [
@@ -137,6 +139,7 @@ def test_a_joint_at_its_limit_is_no_singularity() -> None:
     assert run.robot.forward(run.now)[2, 3] - run.robot.forward(start)[2, 3] > 0.18
 
 
+@pytest.mark.long
 def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_nothing() -> None:
     run = StackDrive("dawm", COUPLED, keeps_clear=True)
     driven = run.drive(5.5, **{"left.y": -0.15})
@@ -182,6 +185,7 @@ def test_a_jerk_time_out_of_range_is_named_with_its_bounds() -> None:
             Teleoperator(model("gr"), CYCLE_S, jerk_time_s=wrong)
 
 
+@pytest.mark.long
 def test_one_command_prints_directions_and_the_cost_of_a_step() -> None:
     done = subprocess.run(
         [

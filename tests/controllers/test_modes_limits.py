@@ -9,11 +9,10 @@ from deltaq_controllers.modes.motion import ModeName
 from deltaq_protocol.messages import Outcome, Reason, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
-pytestmark = pytest.mark.long
-
 JOINT, DECOUPLED, SELF_MOTION, _, COUPLED = ModeName
 
 
+@pytest.mark.long
 def test_a_joint_at_its_limit_is_named() -> None:
     run = PlainDrive("gr", JOINT)
     assert run.drive(6.0, a1=0.5).limitations[-1] == Limit.JOINT_LIMIT
@@ -27,6 +26,7 @@ def test_a_joint_at_its_greatest_speed_is_named() -> None:
     assert PlainDrive("gr", JOINT).drive(0.9, e1=-1.0).limitations[-1] == Limit.SPEED
 
 
+@pytest.mark.long
 def test_the_edge_of_the_workspace_is_named_and_the_hand_is_not_turned_there() -> None:
     run = PlainDrive("gr", DECOUPLED)
     start = run.now
@@ -65,6 +65,7 @@ def _about_the_lost_axis(run: PlainDrive) -> dict[str, float]:
     return {"rx": x, "ry": y, "rz": z}
 
 
+@pytest.mark.long
 def test_joint_mode_leads_out_of_a_singularity_and_of_the_edge() -> None:
     stretched = PlainDrive("gr", DECOUPLED)
     stretched.drive(7.0, z=-0.2)
@@ -78,6 +79,7 @@ def test_joint_mode_leads_out_of_a_singularity_and_of_the_edge() -> None:
         assert run.violations == 0
 
 
+@pytest.mark.long
 def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
     run = PlainDrive("gr", DECOUPLED)
     run.drive(7.0, z=-0.2)
@@ -86,6 +88,7 @@ def test_an_edge_can_be_left_by_the_hand_as_well() -> None:
     assert run.robot.forward(run.now)[2, 3] > low + 0.1
 
 
+@pytest.mark.long
 def test_what_the_gate_holds_is_named_and_joint_mode_leads_out() -> None:
     run = StackDrive("gr", COUPLED)
     held = run.drive(8.0, z=-0.3)

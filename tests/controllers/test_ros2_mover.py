@@ -21,8 +21,6 @@ from deltaq_testing.schedule import fault
 from deltaq_testing.virtual import CellUnderTest
 from deltaq_verification.faults.rsi_cell import load_rsi_cell
 
-pytestmark = pytest.mark.long
-
 MOVED = np.array([0.3, -0.1, 0.15, 0.2, -0.2, 0.3])
 
 
@@ -81,6 +79,7 @@ def lab() -> Any:
     return load_rsi_cell("lab")
 
 
+@pytest.mark.long
 def test_a_smooth_trajectory_is_driven_in_its_own_time_and_every_increment_is_admitted(lab: Any) -> None:
     driven = Driven(lab)
     middle, v = driven.home + MOVED, 0.5 * MOVED
@@ -94,6 +93,7 @@ def test_a_smooth_trajectory_is_driven_in_its_own_time_and_every_increment_is_ad
     assert driven.kept()
 
 
+@pytest.mark.long
 def test_straight_pieces_are_slowed_down_at_their_corners_and_kept_to(lab: Any) -> None:
     driven = Driven(lab)
     home, aside = driven.home, np.array([0.2, 0.0, 0.0, 0.0, 0.2, 0.0])
@@ -108,6 +108,7 @@ def test_straight_pieces_are_slowed_down_at_their_corners_and_kept_to(lab: Any) 
     assert driven.off_path() < 1e-4
 
 
+@pytest.mark.long
 def test_a_path_that_ends_where_it_began_is_driven_all_the_same(lab: Any) -> None:
     driven = Driven(lab)
     driven.hear(point(0.5, driven.home + 0.3 * MOVED), point(1.0, driven.home))
@@ -118,6 +119,7 @@ def test_a_path_that_ends_where_it_began_is_driven_all_the_same(lab: Any) -> Non
     np.testing.assert_allclose(driven.cell.q, driven.home, atol=1e-6)
 
 
+@pytest.mark.long
 def test_cycles_that_were_missed_stretch_the_time_and_the_robot_comes_back_to_its_path(lab: Any) -> None:
     driven = Driven(lab)
     cut = fault("controller_hli_cut", at_s=0.4, for_s=0.12)
@@ -130,6 +132,7 @@ def test_cycles_that_were_missed_stretch_the_time_and_the_robot_comes_back_to_it
     assert driven.kept()
 
 
+@pytest.mark.long
 def test_an_empty_trajectory_brings_the_robot_to_rest_on_its_path(lab: Any) -> None:
     driven = Driven(lab)
     driven.hear(point(2, driven.home + MOVED))
@@ -145,6 +148,7 @@ def test_an_empty_trajectory_brings_the_robot_to_rest_on_its_path(lab: Any) -> N
     assert driven.mover.counters == {"trajectories": 1, "stops": 1, "ended_stopped": 1}
 
 
+@pytest.mark.long
 def test_a_new_trajectory_takes_the_place_of_the_old_from_where_the_robot_came_to_rest(lab: Any) -> None:
     driven = Driven(lab)
     driven.hear(point(2, driven.home + MOVED))
@@ -158,6 +162,7 @@ def test_a_new_trajectory_takes_the_place_of_the_old_from_where_the_robot_came_t
     assert driven.off_path() < 1e-4
 
 
+@pytest.mark.long
 def test_a_stop_by_an_operator_ends_it_and_nothing_resumes_after_the_reset(lab: Any) -> None:
     driven = Driven(lab)
     driven.cell.suffer(fault("operator_stop", at_s=0.5))
@@ -176,6 +181,7 @@ def test_a_stop_by_an_operator_ends_it_and_nothing_resumes_after_the_reset(lab: 
     assert driven.endings == ["lost", "lost", "arrived"]
 
 
+@pytest.mark.long
 def test_what_the_gate_does_not_let_pass_is_stretched_and_given_up_with_the_gates_reason(lab: Any) -> None:
     driven = Driven(lab)
     down = driven.home.copy()
@@ -204,6 +210,7 @@ def test_a_trajectory_that_begins_elsewhere_is_refused_and_moves_nothing(lab: An
     np.testing.assert_allclose(driven.cell.q, driven.home, atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_gantry_is_moved_in_metres_and_radians(lab: Any) -> None:
     driven = Driven(lab, "gr")
     goal = driven.home + np.array([0.1, -0.05, 0.02, 0.1, 0, 0, 0, 0, 0.1])
@@ -214,6 +221,7 @@ def test_a_gantry_is_moved_in_metres_and_radians(lab: Any) -> None:
     assert driven.off_path() < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 8))]
 )

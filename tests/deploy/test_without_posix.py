@@ -12,8 +12,6 @@ import sys
 import pytest
 from served import Server
 
-pytestmark = pytest.mark.long
-
 MODULES = ("fcntl", "grp", "pwd", "resource", "termios")
 
 WITHOUT = f"""
@@ -79,22 +77,27 @@ except ImportError:
     assert run_without(script) == "missing\n"
 
 
+@pytest.mark.long
 def test_a_client_moves_a_robot() -> None:
     with Server() as server:
         assert run_without(CLIENT, server.description.hli) == "admitted\n"
 
 
+@pytest.mark.long
 def test_every_module_of_the_protocol_can_be_imported() -> None:
     assert int(run_without(EVERY_PART_OF_THE_PROTOCOL)) > 40
 
 
+@pytest.mark.long
 def test_a_policy_is_trained_in_virtual_time() -> None:
     assert run_without(ENVIRONMENT) == "admitted\n"
 
 
+@pytest.mark.long
 def test_the_command_checks_a_cell() -> None:
     assert run_without(COMMAND).startswith("lab: good\n")
 
 
+@pytest.mark.long
 def test_an_experiment_runs_in_virtual_time() -> None:
     assert '"experiment": "tracking"' in run_without(EXPERIMENT)

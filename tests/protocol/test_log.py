@@ -11,8 +11,6 @@ import pytest
 
 from deltaq_protocol.log import LogFormat, LogFormatError, json_line, log_format, message_of, read_json_line
 
-pytestmark = pytest.mark.long
-
 SAYS = """
 import logging, warnings
 from deltaq_protocol import log
@@ -38,12 +36,14 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_people_get_the_words_and_errors_apart() -> None:
     done = run(SAYS, DELTAQ_LOG_FORMAT="")
     assert done.stdout == "ready: here\nwarning: careful\n"
     assert done.stderr == "error: two\nlines \x1b[31m and \u2028 more\n"
 
 
+@pytest.mark.long
 def test_programs_get_one_object_a_line_with_time_level_service_robot_message_and_fields() -> None:
     done = run(SAYS, DELTAQ_LOG_FORMAT="json")
     told, _ = map(json.loads, done.stdout.splitlines())
@@ -59,6 +59,7 @@ def test_programs_get_one_object_a_line_with_time_level_service_robot_message_an
     assert done.stderr.isascii()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("code", "level", "message"),
     [
@@ -80,6 +81,7 @@ def test_what_nobody_foresaw_is_a_line_too(code: str, level: str, message: str) 
     assert level == "warning" or "Traceback" in told["fields"]["exception"]
 
 
+@pytest.mark.long
 def test_a_result_is_one_object_a_line_in_either_format() -> None:
     code = "from deltaq_protocol import log\nlog.configure('leader')\nlog.say_result({'cycles': 3})"
     assert json.loads(run(code, DELTAQ_LOG_FORMAT="text").stdout) == {"cycles": 3}
@@ -87,6 +89,7 @@ def test_a_result_is_one_object_a_line_in_either_format() -> None:
     assert (told["message"], told["fields"]) == ("result", {"cycles": 3})
 
 
+@pytest.mark.long
 def test_a_service_refuses_a_format_that_there_is_not() -> None:
     code = "from deltaq_services.process import run\nrun(lambda: None, 'sim')"
     done = run(code, DELTAQ_LOG_FORMAT="xml")

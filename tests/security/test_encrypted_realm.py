@@ -16,8 +16,6 @@ from deltaq_services.guarded_key import KEY_FILE, GuardedKeyError
 from deltaq_services.guarded_session import open_guarded_session, open_watching_session
 from deltaq_services.service_identity import tls_settings
 
-pytestmark = pytest.mark.long
-
 STEP, CYCLES = 1e-4, 10
 
 
@@ -41,10 +39,12 @@ def endpoints(realm):
     return [cell.sim, *(robot.server for robot in cell.robots.values())]
 
 
+@pytest.mark.long
 def test_the_realm_moves_and_nothing_is_refused(realm):
     realm.assert_moves(CYCLES, STEP)
 
 
+@pytest.mark.long
 def test_who_has_no_identity_or_one_of_another_authority_is_not_let_in(realm, tmp_path):
     others = make(tmp_path / "others")
     for tls in (None, tls_settings(realm.description, others, "hli")):
@@ -54,6 +54,7 @@ def test_who_has_no_identity_or_one_of_another_authority_is_not_let_in(realm, tm
     assert realm.sim.counters["forged_messages"] == 0
 
 
+@pytest.mark.long
 def test_who_has_one_robot_server_is_not_even_heard_in_another_s_place(realm, folder):
     """What it may say arrives, and is judged by its seal; what others say does not arrive."""
     cell = realm.description
@@ -80,6 +81,7 @@ def test_who_has_one_robot_server_is_not_even_heard_in_another_s_place(realm, fo
     session.close()
 
 
+@pytest.mark.long
 def test_who_watches_may_do_so_with_a_person_s_identity(realm, folder, monkeypatch):
     monkeypatch.delenv(IDENTITY)
     with pytest.raises(GuardedKeyError, match="is encrypted, and DELTAQ_IDENTITY names no identity"):
@@ -95,6 +97,7 @@ def test_who_watches_may_do_so_with_a_person_s_identity(realm, folder, monkeypat
     session.close()
 
 
+@pytest.mark.long
 def test_a_person_is_heard_under_no_key(realm, folder):
     cell = realm.description
     session = open_session(

@@ -13,8 +13,6 @@ from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.seal import ForgedMessageError
 from deltaq_protocol.session import open_session, subscribe_newest
 
-pytestmark = pytest.mark.long
-
 STEP = 1e-4  # [rad] a cycle
 CYCLES = 30
 CONTACT = "gripper_on_valves"
@@ -58,6 +56,7 @@ def hear(realm, robot, counter):
         realm.cycle({})
 
 
+@pytest.mark.long
 def test_what_the_stranger_says_would_move_the_robot_if_the_gate_said_it(realm, stranger):
     fr = realm.robots["fr"]
     realm.cycle({})
@@ -68,6 +67,7 @@ def test_what_the_stranger_says_would_move_the_robot_if_the_gate_said_it(realm, 
     assert (fr.q != before).all()
 
 
+@pytest.mark.long
 def test_forged_admissions_move_nothing(realm, stranger):
     fr = realm.robots["fr"]
     before = fr.q.copy()
@@ -84,6 +84,7 @@ def test_forged_admissions_move_nothing(realm, stranger):
     assert fr.state.counters["forged_admission"] > 0  # which `deltaq status` shows
 
 
+@pytest.mark.long
 def test_while_strangers_speak_in_every_cycle_every_admission_arrives_and_none_is_braked(realm, stranger):
     robots = realm.robots
 
@@ -118,6 +119,7 @@ def test_while_strangers_speak_in_every_cycle_every_admission_arrives_and_none_i
     assert not any(robot.tracker.missed for robot in realm.sim.robots.values())
 
 
+@pytest.mark.long
 def test_ghost_states_are_not_believed(realm, stranger):
     fr = realm.robots["fr"]
     for _ in range(CYCLES):
@@ -130,6 +132,7 @@ def test_ghost_states_are_not_believed(realm, stranger):
         assert robot.state.phase is Phase.READY
 
 
+@pytest.mark.long
 def test_a_robot_that_an_operator_stopped_stays_stopped(realm, stranger):
     fr = realm.robots["fr"]
     realm.command(kind="stop")
@@ -158,6 +161,7 @@ def test_a_robot_that_an_operator_stopped_stays_stopped(realm, stranger):
         realm.cycle({})
 
 
+@pytest.mark.long
 def test_outputs_and_contacts_are_not_a_stranger_s(realm, stranger):
     gr = realm.robots["gr"]
     (output, *_) = gr.core.outputs
@@ -188,6 +192,7 @@ def test_outputs_and_contacts_are_not_a_stranger_s(realm, stranger):
     assert not any(realm.sim.counters[f"command_{kind}"] for kind in ("io", "contact"))
 
 
+@pytest.mark.long
 def test_greetings_are_not_a_stranger_s_either(realm, stranger):
     fr = realm.robots["fr"]
     for _ in range(CYCLES):
@@ -243,6 +248,7 @@ def recorded_motion(realm):
     return list(realm.recording)
 
 
+@pytest.mark.long
 def test_a_recording_says_nothing_to_those_who_heard_it(realm, stranger):
     recording = recorded_motion(realm)
     fr = realm.robots["fr"]
@@ -259,6 +265,7 @@ def test_a_recording_says_nothing_to_those_who_heard_it(realm, stranger):
     assert realm.sim.taken > states  # and the realm goes on
 
 
+@pytest.mark.long
 def test_a_recording_moves_no_robot_whose_server_has_just_started(realm, stranger):
     recording = recorded_motion(realm)
     fr = realm.restart("fr")
@@ -277,6 +284,7 @@ def test_a_recording_moves_no_robot_whose_server_has_just_started(realm, strange
     assert fr.state.q_cmd == before
 
 
+@pytest.mark.long
 def test_a_recording_shows_no_ghost_to_a_gate_that_has_just_started(realm, stranger, tmp_path):
     recording = recorded_motion(realm)
     realm.restart_gate()
@@ -293,6 +301,7 @@ def test_a_recording_shows_no_ghost_to_a_gate_that_has_just_started(realm, stran
     )
 
 
+@pytest.mark.long
 def test_states_of_a_server_that_another_has_taken_the_place_of_are_not_believed(realm, stranger):
     recording = recorded_motion(realm)
     fr = realm.restart("fr")
@@ -304,6 +313,7 @@ def test_states_of_a_server_that_another_has_taken_the_place_of_are_not_believed
     assert realm.sim.robots["fr"].tracker.state.process == fr.core.process
 
 
+@pytest.mark.long
 def test_two_services_that_start_at_once_find_one_another(realm):
     fr = realm.restart("fr")
     realm.restart_gate()

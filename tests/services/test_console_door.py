@@ -14,8 +14,6 @@ from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.console.web import listening_socket
 
-pytestmark = pytest.mark.long
-
 
 async def answered(host, head):
     """The first line of the answer to a request with these lines."""
@@ -27,6 +25,7 @@ async def answered(host, head):
     return line.decode()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "origin", ["https://evil.example", "http://127.0.0.1:1", "http://localhost.evil.example", "null"]
 )
@@ -39,6 +38,7 @@ async def test_a_page_from_elsewhere_opens_no_websocket(tmp_path, origin):
         assert not console.core.clients
 
 
+@pytest.mark.long
 async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_path):
     async with served(tmp_path) as (_, host):
         for path in ("/scene.json", "/health"):
@@ -47,6 +47,7 @@ async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_p
         assert " 200 " in await answered(host, ["GET /scene.json HTTP/1.1", f"Host: {host}"])
 
 
+@pytest.mark.long
 async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path):
     async with served(tmp_path, token="s3cret") as (console, host):
         with pytest.raises(websockets.InvalidStatus):
@@ -75,6 +76,7 @@ async def test_garbage_ends_neither_the_connection_nor_the_service(tmp_path):
         assert console.core.counters["malformed"] == 5
 
 
+@pytest.mark.long
 async def test_a_message_beyond_all_bounds_ends_its_connection_and_no_other(tmp_path):
     async with (
         served(tmp_path) as (_, host),
@@ -95,6 +97,7 @@ async def test_a_stop_without_an_hli_is_asked_for_and_not_said_to_have_happened(
         assert (status["stop"], status["hli"]) == ("asked", False)
 
 
+@pytest.mark.long
 async def test_a_browser_that_has_gone_is_forgotten(tmp_path):
     async with served(tmp_path) as (console, host):
         async with websockets.connect(live(host)) as browser:
@@ -104,6 +107,7 @@ async def test_a_browser_that_has_gone_is_forgotten(tmp_path):
             assert (await told(browser, "status"))["clients"] == 1
 
 
+@pytest.mark.long
 async def test_a_port_that_is_taken_is_an_error_and_no_other_is_chosen(tmp_path):
     async with served(tmp_path) as (_, host):
         settings = Settings("lab", True, "127.0.0.1", int(host.split(":")[1]))

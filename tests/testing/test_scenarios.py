@@ -15,8 +15,6 @@ from deltaq_testing.scenario.file import ScenarioError, dumped, load_scenario, p
 from deltaq_testing.scenario.junit import junit_xml
 from deltaq_testing.scenario.run import Runner
 
-pytestmark = pytest.mark.long
-
 CONTROLLERS = """
 import math
 
@@ -101,6 +99,7 @@ def test_a_bad_field_is_named_with_line_value_and_bound_and_nothing_is_run(folde
     assert "changed.yaml:" in str(result.exception)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
@@ -127,6 +126,7 @@ def test_a_file_that_is_not_there_is_said():
         load_scenario(Path("nowhere.yaml"))
 
 
+@pytest.mark.long
 def test_a_planted_bug_fails_its_expectation_and_without_the_fault_it_does_not(folder):
     result = invoke("run", folder / "cut.yaml", "--json")
     assert result.exit_code == 1
@@ -136,6 +136,7 @@ def test_a_planted_bug_fails_its_expectation_and_without_the_fault_it_does_not(f
     assert invoke("run", well).exit_code == 0
 
 
+@pytest.mark.long
 def test_every_expectation_can_fail(folder):
     tracking = "{reference: turn.py:nowhere, max: 0.1, rms: 0.1, final: 0.1}"
     file = changed(
@@ -156,6 +157,7 @@ def test_what_a_controller_raises_fails_the_scenario_with_the_line_that_raised_i
     assert re.fullmatch(r"the controller raised ValueError: 3 is no good \(turn.py:\d+\)", ended.told)
 
 
+@pytest.mark.long
 def test_an_operator_brings_the_robot_back(folder):
     scenario = load_scenario(
         changed(
@@ -170,6 +172,7 @@ def test_an_operator_brings_the_robot_back(folder):
     assert not Runner(folder).run(alone, "left alone").good
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_run(folder):
     def events(seed):
         return json.loads(invoke("run", lossy, "--json", "--seed", seed).stdout)["scenarios"][0]["checks"]
@@ -183,6 +186,7 @@ def test_a_scenario_is_written_as_it_was_read(folder):
     assert parse_scenario(dumped(scenario), "again") == scenario
 
 
+@pytest.mark.long
 def test_junit_counts_failures_and_no_character_breaks_it(folder):
     junit = folder / "report.xml"
     junit.write_text("of the run before")
@@ -208,6 +212,7 @@ class _Addresses(HTMLParser):
         ]
 
 
+@pytest.mark.long
 def test_the_page_needs_nothing_beside_it_and_escapes_what_it_shows(folder):
     name = "<script>.yaml"
     (folder / name).write_text(SCENARIO)
@@ -224,6 +229,7 @@ def test_the_page_needs_nothing_beside_it_and_escapes_what_it_shows(folder):
     assert "a1 is 0.0" in text
 
 
+@pytest.mark.long
 def test_a_report_that_cannot_be_written_is_said(folder):
     result = invoke("run", folder / "cut.yaml", "--junit", folder / "gone" / "report.xml")
     assert str(result.exception).endswith("report.xml: cannot be written: No such file or directory")
@@ -244,6 +250,7 @@ def test_a_search_finds_the_fault_writes_it_and_the_file_fails_again(folder):
     assert invoke("run", found).exit_code == 1
 
 
+@pytest.mark.long
 def test_a_search_that_finds_nothing_says_how_much_it_looked(folder):
     search = "search: {faults: [krc_duplicating], most: 1}\nexpect:"
     file = changed(folder, ("expect:", search), ("duration_s: 1.0", "duration_s: 0.7"))

@@ -16,8 +16,6 @@ from deltaq_verification.virtual_cell.cell import VirtualCell
 from deltaq_verification.virtual_cell.parts import Link, Process
 from deltaq_verification.virtual_cell.wires import MessageWire
 
-pytestmark = pytest.mark.long
-
 BRAKE_S = CRUISE_RAD_S / 10.9
 """A1 of the floor robot brakes at 10.9 rad/s^2."""
 ROUND_TRIP_CYCLES = 3
@@ -45,6 +43,7 @@ def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
     assert row.kept.abrupt_cycles == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "reason", "named_s", "recovery"),
     [
@@ -67,6 +66,7 @@ def test_a_loss_brakes_the_robot_at_once_and_holds_it_with_its_name(lab, name, r
     assert row.named_after_s <= named_s
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "later_cycles"),
     [
@@ -87,30 +87,35 @@ def test_with_a_lookahead_what_is_in_flight_is_driven_first_and_a_stop_is_as_qui
     assert row.motion.rest_after_s == pytest.approx(before.motion.rest_after_s + later_cycles * 0.012)
 
 
+@pytest.mark.long
 def test_with_a_lookahead_a_gate_that_is_a_cycle_late_costs_nothing(ahead):
     row = run_fault(fault_named("sim-slow"), ahead, "fr")
     assert row.good
     assert (row.phase, row.motion.braked_after_cycles) == ("engaged", None)
 
 
+@pytest.mark.long
 def test_increments_of_nan_brake_the_robot_and_their_sender_keeps_it_and_goes_on(lab):
     row = run_fault(fault_named("controller-nan-flood"), lab, "fr")
     assert_braked_at_once_along_the_brake(row)
     assert (row.phase, row.reason, row.recovery) == ("ready", None, BY_ITSELF)
 
 
+@pytest.mark.long
 def test_a_gate_that_answers_too_late_is_no_gate_and_its_robot_goes_on_when_it_is_quick_again(lab):
     row = run_fault(fault_named("sim-slow"), lab, "fr")
     assert_braked_at_once_along_the_brake(row)
     assert (row.phase, row.reason, row.recovery) == ("ready", None, BY_ITSELF)
 
 
+@pytest.mark.long
 def test_a_leap_of_the_controller_passes_no_limit(lab):
     row = run_fault(fault_named("controller-leap"), lab, "fr")
     assert row.good
     assert row.kept.abrupt_cycles == 0
 
 
+@pytest.mark.long
 def test_after_a_dead_robot_server_its_robot_is_braked_all_the_same(lab):
     row = run_fault(fault_named("robot-server-dead"), lab, "fr")
     assert row.good
@@ -119,6 +124,7 @@ def test_after_a_dead_robot_server_its_robot_is_braked_all_the_same(lab):
     assert row.recovery == "restart of the robot-server, KRC: restart, reset"
 
 
+@pytest.mark.long
 def test_replies_that_are_lost_make_the_robot_stand_for_a_cycle_and_never_jump(lab):
     row = run_fault(fault_named("krc-replies-lost"), lab, "fr")
     assert row.good
@@ -126,12 +132,14 @@ def test_replies_that_are_lost_make_the_robot_stand_for_a_cycle_and_never_jump(l
     assert row.recovery == BY_ITSELF
 
 
+@pytest.mark.long
 def test_telegrams_that_come_twice_change_nothing(lab):
     row = run_fault(fault_named("krc-duplicating"), lab, "fr")
     assert row.good
     assert row.motion.braked_after_cycles is None
 
 
+@pytest.mark.long
 def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
     stack = VirtualCell(lab)
     arm = stack.arms["fr"]
@@ -156,6 +164,7 @@ def test_a_robot_server_that_starts_anew_is_not_reset_by_a_reset_of_old(lab):
     assert arm.state.phase == "held"  # nobody has reset it
 
 
+@pytest.mark.long
 def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
     stack, to_sim = VirtualCell(lab), MessageWire()
     stack.plug(Link.HLI_SIM, Process.SIM, to_sim, ("fr", None))
@@ -180,6 +189,7 @@ def test_a_reset_that_the_wire_kept_back_frees_nobody_when_it_comes(lab):
     assert stack.arms["fr"].state.phase == "held"
 
 
+@pytest.mark.long
 def test_one_seed_is_one_run(lab):
     fault = fault_named("krc-telegrams-lost")
     assert run_fault(fault, lab, "fr", seed=5) == run_fault(fault, lab, "fr", seed=5)

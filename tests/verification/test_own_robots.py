@@ -23,8 +23,6 @@ from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import replay
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
-pytestmark = pytest.mark.long
-
 CYCLES = 120
 BETWEEN = np.linspace(0.0, 1.0, 5)[1:]
 """Where between two setpoints the oracle measures, which the gate does not know of."""
@@ -59,6 +57,7 @@ class Attackers:
         }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int) -> None:
     leaning_in = np.array([0.0, 0.5, 0.2])
@@ -90,6 +89,7 @@ def test_each_of_three_robots_keeps_clear_of_both_others(circle: Path, seed: int
     assert any(pair <= set(stack.arms) and len(pair) == 2 for pair in bound), bound  # they did try
 
 
+@pytest.mark.long
 def test_the_nearest_pair_is_found_whichever_robots_it_belongs_to(circle: Path) -> None:
     towards = np.array([0.0, 1.3, 0.2])
     for apart in ("arm_0", "arm_1", "arm_2"):
@@ -127,6 +127,7 @@ def drive(file: Path, cell: Path) -> None:
                 stack.ask(name, dq)
 
 
+@pytest.mark.long
 def test_a_recording_replays_to_the_bit_where_the_robots_files_are_gone(tmp_path: Path) -> None:
     package = write_package(tmp_path)
     drive(tmp_path / "run.mcap", write_cell(tmp_path, robots=2, model="toy_arm/arm.urdf"))
@@ -153,6 +154,7 @@ def test_a_recording_without_hulls_is_refused_by_the_mesh_that_is_not_found(tmp_
         replay(old)
 
 
+@pytest.mark.long
 def test_a_recording_of_shipped_robots_without_hulls_replays_to_the_bit(tmp_path: Path) -> None:
     with virtual_cell("lab", record=tmp_path / "run.mcap") as stack:
         stack.run_until_ready()

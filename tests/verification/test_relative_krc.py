@@ -9,8 +9,6 @@ from deltaq_protocol.messages import Phase
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
-pytestmark = pytest.mark.long
-
 FASTEST = np.full(6, 1e-3)
 
 
@@ -30,6 +28,7 @@ def furthest(stack, robot, cycles):
     return off
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cell", ["lab", "lab-4ms"])
 def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, cell):
     stack = cell_with(monkeypatch, cell, correction="relative")
@@ -49,6 +48,7 @@ def test_a_relative_krc_is_refused_before_any_motion_and_put_back(monkeypatch, c
     assert (state.phase, state.reason) == (Phase.HELD, ReasonCode.RSI_MODE)
 
 
+@pytest.mark.long
 def test_a_program_that_is_put_right_and_started_again_may_be_reset(monkeypatch):
     stack = cell_with(monkeypatch, correction="relative")
     arm = stack.arms["fr"]
@@ -79,6 +79,7 @@ def test_an_absolute_krc_is_ready_well_within_half_a_second_and_nowhere_else(mon
     np.testing.assert_allclose(stack.arms["gr"].krc.sample.q, start, atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
     stack = cell_with(monkeypatch, mode=OperatingMode.T1)
     arm = stack.arms["fr"]
@@ -91,6 +92,7 @@ def test_a_krc_in_t1_is_probed_until_its_motion_is_confirmed(monkeypatch):
     assert (arm.server.state.phase, arm.server.detail) == (Phase.READY, "")
 
 
+@pytest.mark.long
 def test_a_krc_that_sends_one_decimal_is_not_driven(monkeypatch):
     stack = cell_with(monkeypatch, precision=1)
     for _ in range(200):
@@ -99,6 +101,7 @@ def test_a_krc_that_sends_one_decimal_is_not_driven(monkeypatch):
     assert "four decimals" in stack.arms["fr"].server.detail
 
 
+@pytest.mark.long
 def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_to_end_it(monkeypatch):
     stack = cell_with(monkeypatch)
     stack.run_until_ready()
@@ -122,6 +125,7 @@ def test_motion_that_goes_on_after_the_brake_is_held_for_good_and_the_krc_told_t
         assert arm.server.motion_stop
 
 
+@pytest.mark.long
 def test_after_motion_was_ended_a_program_that_is_put_right_may_be_reset(monkeypatch):
     stack = cell_with(monkeypatch)
     stack.run_until_ready()

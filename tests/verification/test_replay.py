@@ -23,8 +23,6 @@ from deltaq_services.sim.core import Sim
 from deltaq_verification.recorded import virtual_cell
 from deltaq_verification.replay import Replay, differing_fields, replay
 
-pytestmark = pytest.mark.long
-
 GATE_VERDICTS = ("deltaq-guarded/lab/fr/verdict", "deltaq-guarded/lab/gr/verdict")
 CYCLES = 130
 PERIOD = 100
@@ -86,6 +84,7 @@ def verdicts(file: Path) -> list[tuple[int, Verdict]]:
     ]
 
 
+@pytest.mark.long
 def test_a_recording_replays_to_the_last_bit(replayed: Replay) -> None:
     assert replayed.good
     assert replayed.differences == []
@@ -98,6 +97,7 @@ def test_a_recording_replays_to_the_last_bit(replayed: Replay) -> None:
     assert replayed.fingerprint == replayed.recorded_fingerprint
 
 
+@pytest.mark.long
 def test_a_run_in_virtual_time_gives_the_same_file_to_the_byte(tmp_path: Path) -> None:
     one, other = drive(tmp_path / "one.mcap", 20), drive(tmp_path / "other.mcap", 20)
     assert one.read_bytes() == other.read_bytes()
@@ -122,6 +122,7 @@ class ShuffledSim(Sim):
         return super().on_request(request)
 
 
+@pytest.mark.long
 def test_the_order_in_which_distances_are_measured_changes_no_verdict(
     recorded: Path, replayed: Replay
 ) -> None:
@@ -137,6 +138,7 @@ def test_the_order_in_which_distances_are_measured_changes_no_verdict(
     assert shuffled.verdicts_sha256 == replayed.verdicts_sha256
 
 
+@pytest.mark.long
 def test_another_gate_is_found_out_with_cycle_and_field(recorded: Path) -> None:
     def make(cell: CellModel, epoch: int) -> Sim:
         wider = cell.description.gate.model_copy(update={"stop_distance_m": 0.4})
@@ -153,6 +155,7 @@ def test_another_gate_is_found_out_with_cycle_and_field(recorded: Path) -> None:
     assert first.recorded != first.replayed
 
 
+@pytest.mark.long
 def test_one_changed_bit_of_one_verdict_is_found(recorded: Path, tmp_path: Path) -> None:
     number, verdict = next((n, v) for n, v in verdicts(recorded) if v.outcome == "scaled")
     scale = float(np.nextafter(verdict.scale, 1.0))
@@ -166,6 +169,7 @@ def test_one_changed_bit_of_one_verdict_is_found(recorded: Path, tmp_path: Path)
     assert (difference.recorded, difference.replayed) == (scale, verdict.scale)
 
 
+@pytest.mark.long
 def test_a_changed_refusal_breaks_the_chain_of_receipts(recorded: Path, tmp_path: Path) -> None:
     refusals = [(n, v) for n, v in verdicts(recorded) if v.receipt is not None]
     number, verdict = refusals[5]
@@ -187,6 +191,7 @@ def test_a_changed_refusal_breaks_the_chain_of_receipts(recorded: Path, tmp_path
         assert found.broken_receipts[0].startswith(f"message {broken_at}: ")
 
 
+@pytest.mark.long
 def test_a_refusal_that_was_taken_away_breaks_the_chain_of_receipts(recorded: Path, tmp_path: Path) -> None:
     number = [n for n, v in verdicts(recorded) if v.receipt is not None][5]
     file = tmp_path / "without.mcap"
@@ -200,6 +205,7 @@ def test_a_refusal_that_was_taken_away_breaks_the_chain_of_receipts(recorded: Pa
     assert len(found.broken_receipts) == 1
 
 
+@pytest.mark.long
 def test_after_a_gap_the_replay_goes_on_at_the_next_memory(recorded: Path, tmp_path: Path) -> None:
     file = tmp_path / "gap.mcap"
     rewrite(recorded, file, lambda topic, sequence, data: None if sequence in range(240, 260) else data)
@@ -211,6 +217,7 @@ def test_after_a_gap_the_replay_goes_on_at_the_next_memory(recorded: Path, tmp_p
     assert found.messages > 300
 
 
+@pytest.mark.long
 def test_a_recording_that_began_while_the_cell_was_moving_replays_from_its_first_memory(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:
@@ -224,6 +231,7 @@ def test_a_recording_that_began_while_the_cell_was_moving_replays_from_its_first
     assert found.messages == replayed.messages - 300
 
 
+@pytest.mark.long
 def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
     # chunks of one message each, so that the file can end anywhere, between a message and its answers too
     rewrite(recorded, tmp_path / "fine.mcap", lambda topic, sequence, data: data, chunk_size=1)
@@ -240,6 +248,7 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(recorded: Path, tmp
     assert lengths[0] > 100
 
 
+@pytest.mark.long
 def test_the_command_tells_a_difference_by_cycle_and_field_with_exit_status_1(
     recorded: Path, replayed: Replay, tmp_path: Path
 ) -> None:

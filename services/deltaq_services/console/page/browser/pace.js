@@ -16,7 +16,8 @@ export class Pace {
   /** Whether the last picture is finished. */
   isFinished(now) {
     if (!this._fence) return true;
-    if (this.gl.getSyncParameter(this._fence, this.gl.SYNC_STATUS) !== this.gl.SIGNALED) return false;
+    // of a picture that was lost with the graphics hardware there is no status
+    if (this.gl.getSyncParameter(this._fence, this.gl.SYNC_STATUS) === this.gl.UNSIGNALED) return false;
     this.gl.deleteSync(this._fence);
     this._fence = null;
     this._took_ms += 0.2 * (Math.min(200, now - this._begunAt) - this._took_ms);

@@ -58,6 +58,8 @@ export class Stage {
     this._after = [];
     this._ahead = [];
     this._wanted = this._moved = true;
+    this._isUnseen = false; // whether a picture was begun that is not on the page yet
+    this._timer = null;
     this._shadowAt = -Infinity;
     this._size = new THREE.Vector2();
     this.frames = 0;
@@ -74,7 +76,7 @@ export class Stage {
     this._moved ||= moved;
   }
 
-  /** Call `action(now_ms)` ahead of every frame of the screen, and of every picture. */
+  /** Call `action(now_ms)` whenever another picture may be begun, ahead of it. */
   beforeEach(action) {
     this._before.push(action);
   }
@@ -92,7 +94,7 @@ export class Stage {
 
   /** Whether what is shown is as fine as it gets, and nothing is waiting to be drawn. */
   isFinest() {
-    return !this._wanted && !this._glide && (this.full || this.renderer.getPixelRatio() === STILL_FINENESS);
+    return !this._wanted && !this._glide && !this._isUnseen && (this.full || this.renderer.getPixelRatio() === STILL_FINENESS);
   }
 
   /** Light or dark room. */
