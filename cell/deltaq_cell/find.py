@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import difflib
 import os
+import sys
+from functools import lru_cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,12 +26,7 @@ def cell_folders() -> list[Path]:
     """Folders in which cells are looked up by name: those of `$DELTAQ_CELLS`, then the registered ones."""
     given = os.environ.get(CELLS_VARIABLE, "")
     folders = [Path(folder) for folder in given.split(os.pathsep) if folder]
-    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
-        package, *below = entry.module.split(".")
-        spec = find_spec(package)  # of a top-level package: finds it without running it
-        for root in (spec.submodule_search_locations or []) if spec else []:
-            folders.append(Path(root, *below))
-    return [folder for folder in folders if folder.is_dir()]
+    return [folder for folder in (*folders, *_registered_folders(tuple(sys.path))) if folder.is_dir()]
 
 
 def cell_names() -> list[str]:
@@ -80,6 +77,17 @@ def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
             return candidate
     looked = ", ".join(dict.fromkeys(str(candidate.parent) for candidate in candidates))
     raise FileNotFoundError(f"no file '{name}' in {looked}")
+
+
+@lru_cache(maxsize=1)
+def _registered_folders(search_path: tuple[str, ...]) -> tuple[Path, ...]:  # noqa: ARG001 - what is kept depends on it
+    """Folders that packages registered; kept, as a look into everything that is installed takes 20 ms."""
+    folders = []
+    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
+        package, *below = entry.module.split(".")
+        spec = find_spec(package)  # of a top-level package: finds it without running it
+        folders += [Path(root, *below) for root in (spec.submodule_search_locations or [])] if spec else []
+    return tuple(folders)
 
 
 def _is_cell(file: Path) -> bool:
