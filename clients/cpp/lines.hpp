@@ -44,7 +44,8 @@ class Lines {
       const ssize_t count = recv(socket_, bytes, sizeof bytes, wait ? 0 : MSG_DONTWAIT);
       if (count < 0 && errno == EINTR) continue;
       const bool has_line = received_.find('\n') != std::string::npos;  // the last words come first
-      if (count == 0 && !has_line) gone("has closed the connection; the robot comes to rest");
+      const bool is_closed = count == 0 || (count < 0 && errno == ECONNRESET);
+      if (is_closed && !has_line) gone("has closed the connection; the robot comes to rest");
       if (count < 0 && wait) gone("does not answer any more; the robot comes to rest");
       if (count <= 0) break;
       received_.append(bytes, static_cast<std::size_t>(count));
