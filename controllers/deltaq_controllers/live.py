@@ -9,7 +9,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from deltaq_cell.robot import RobotModel
 from deltaq_controllers.answers import Answers, lease
 from deltaq_controllers.interface import Controller, ControllerError, View
 from deltaq_controllers.path_clock import PathClock, robot_clock_s
+from deltaq_controllers.real_time import ahead_of_ordinary_programs
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
@@ -96,21 +97,21 @@ async def drive(
         RefusedError: the lease was not granted, or lost.
         ServiceUnreachableError: the HLI is gone.
     """
-    settle_memory()
-    async with await lease(cell, robot) as leased:
-        answers = Answers(cell, leased)
-        async for state in leased.states():
-            if wished is not None:
-                wished(state.view)
-            for cycle in await answers.due(state):
-                view = answers.view(state)
-                if watch is not None:
-                    watch(view)
-                dq = controller.increment(view)
-                leased.sight = None if sight is None else sight()
-                await answers.send(state, cycle, dq)
-            for verdict in answers.verdicts():
-                statistics.add(verdict)
+    with control_loop():
+        async with await lease(cell, robot) as leased:
+            answers = Answers(cell, leased)
+            async for state in leased.states():
+                if wished is not None:
+                    wished(state.view)
+                for cycle in await answers.due(state):
+                    view = answers.view(state)
+                    if watch is not None:
+                        watch(view)
+                    dq = controller.increment(view)
+                    leased.sight = None if sight is None else sight()
+                    await answers.send(state, cycle, dq)
+                for verdict in answers.verdicts():
+                    statistics.add(verdict)
 
 
 async def read_clock(clock: PathClock, cell: Cell, robot: str) -> None:
@@ -137,10 +138,13 @@ async def read_clock(clock: PathClock, cell: Cell, robot: str) -> None:
             clock.take(asked_s, stamp_s, answered_s)
 
 
-def settle_memory() -> None:
-    """Call this once before a control loop: models live for ever, so no garbage collection need visit them."""
+@contextlib.contextmanager
+def control_loop() -> Iterator[None]:
+    """What a control loop asks of its process: models live for ever, and its cycle waits for no ordinary program."""
     gc.collect()
-    gc.freeze()
+    gc.freeze()  # no collection need visit what is there by now
+    with ahead_of_ordinary_programs():
+        yield
 
 
 def run(

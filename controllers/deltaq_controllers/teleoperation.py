@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deltaq_controllers.answers import Answers, lease
-from deltaq_controllers.live import settle_memory
+from deltaq_controllers.live import control_loop
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.practice import practise
@@ -161,32 +161,32 @@ async def teleoperate(
     robot, described = teleoperator.robot.name, teleoperator.robot.description
     is_over = False
     await asyncio.to_thread(practise, teleoperator)
-    settle_memory()
     if enough.is_set():
         return
-    async with (
-        await lease(cell, robot) as leased,
-        Signals(leased, described.outputs + described.inputs, signals or SignalLog()) as switches,
-    ):
-        answers = Answers(cell, leased)
-        async for state in leased.states():
-            if state.phase is Phase.HELD:
-                raise _held(robot, state.reason)
-            command = None if is_over or enough.is_set() else operator.read(state.time_s)
-            is_over = (
-                command is None
-            )  # for good: keys pressed while the robot comes to rest do not start it again
-            teleoperator.command = OperatorCommand() if command is None else command
-            switches.ask(teleoperator.command.outputs)
-            for cycle in await answers.due(state):
-                increment = teleoperator.increment(answers.view(state))
-                if is_over and teleoperator.is_at_rest:
-                    return
-                await answers.send(state, cycle, increment)
-            for verdict in answers.verdicts():
-                statistics.add(verdict)
-                teleoperator.take_verdict(verdict)
-            watch(np.array(state.q))
+    with control_loop():
+        async with (
+            await lease(cell, robot) as leased,
+            Signals(leased, described.outputs + described.inputs, signals or SignalLog()) as switches,
+        ):
+            answers = Answers(cell, leased)
+            async for state in leased.states():
+                if state.phase is Phase.HELD:
+                    raise _held(robot, state.reason)
+                command = None if is_over or enough.is_set() else operator.read(state.time_s)
+                is_over = (
+                    command is None
+                )  # for good: keys pressed while the robot comes to rest do not start it again
+                teleoperator.command = OperatorCommand() if command is None else command
+                switches.ask(teleoperator.command.outputs)
+                for cycle in await answers.due(state):
+                    increment = teleoperator.increment(answers.view(state))
+                    if is_over and teleoperator.is_at_rest:
+                        return
+                    await answers.send(state, cycle, increment)
+                for verdict in answers.verdicts():
+                    statistics.add(verdict)
+                    teleoperator.take_verdict(verdict)
+                watch(np.array(state.q))
 
 
 def _held(robot: str, reason: ReasonCode | None) -> RefusedError:

@@ -17,7 +17,6 @@ from deltaq_cell.load import find_cell, load_cell, resolve_near
 from deltaq_cell.robot import RobotModel
 from deltaq_emulator.context import NOTHING, Context, read_context
 from deltaq_emulator.krc import Krc
-from deltaq_emulator.priority import ask_for_real_time
 from deltaq_emulator.profiles import profile_for
 from deltaq_emulator.record_folder import RecordFolder
 from deltaq_emulator.settings import SHIPPED, KrcSettings, SettingsError
@@ -26,6 +25,7 @@ from deltaq_protocol import log
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.endpoint import Address
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_protocol.rsi import AxisMap, load_ethernet_xml
 
 _log = logging.getLogger(__name__)
@@ -139,10 +139,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             # no object that exists now is garbage: spare every collection the visit
             gc.collect()
             gc.freeze()
-            real_time = ask_for_real_time()
-            emulator.run(
-                lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server, real_time)
-            )
+            ask_for_real_time(SchedulingPriority.EMULATOR)
+            emulator.run(lambda: bool(stop_signals), lambda: _announce(arguments.robot, krc, server))
         finally:
             emulator.close()
     except DeltaqError as error:
@@ -151,10 +149,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _announce(robot: str, krc: Krc, server: Address, real_time: bool) -> None:
+def _announce(robot: str, krc: Krc, server: Address) -> None:
     _log.info("ready: %s sends to %s:%s every %g ms", robot, *server, krc.cycle_s * 1e3)
-    if not real_time:
-        _log.warning("no real-time priority: the system does not allow it to this user")
 
 
 if __name__ == "__main__":

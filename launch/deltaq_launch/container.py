@@ -72,5 +72,5 @@ def _limits(role: Role) -> dict[str, Any]:
     }
     if resources.real_time:
         # instead of a capability, which a process without root would not have
-        limits["ulimits"]["rtprio"] = resources.real_time
+        limits["ulimits"]["rtprio"] = int(resources.real_time)  # a number, not its name
     return limits

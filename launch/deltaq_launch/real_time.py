@@ -1,4 +1,4 @@
-"""Real-time priority: what Robot Servers, SIM and HLI ask for, and what the kernel gives to this user."""
+"""Real-time priority: what services and controllers ask for, and what the kernel gives to this user."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from deltaq_launch.findings import DoctorFinding, Rating
+from deltaq_protocol.real_time import SchedulingPriority
 
-ASKED = 20
-"""The highest priority of SCHED_FIFO that a service asks for: that of the Robot Servers."""
+ASKED = max(SchedulingPriority)
+"""The highest priority of SCHED_FIFO that a service asks for."""
 _THROTTLE_US = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _PERIOD_US = Path("/proc/sys/kernel/sched_rt_period_us")
 

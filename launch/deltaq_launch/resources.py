@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deltaq_launch.services import Role
+from deltaq_protocol.real_time import SchedulingPriority
 
 
 @dataclass(frozen=True)
@@ -29,13 +30,15 @@ class Resources:
 
 
 RESOURCES: dict[Role, Resources] = {
-    Role.ROBOT_SERVER: Resources(memory_mb=384, tasks=64, cores=1.0, real_time=20),
-    Role.EMULATOR: Resources(memory_mb=384, tasks=16, cores=1.0, real_time=5),
-    Role.SIM: Resources(memory_mb=1024, tasks=64, cores=1.0, real_time=10),
-    Role.HLI: Resources(memory_mb=1024, tasks=384, cores=1.0, real_time=9),
+    Role.ROBOT_SERVER: Resources(
+        memory_mb=384, tasks=64, cores=1.0, real_time=SchedulingPriority.ROBOT_SERVER
+    ),
+    Role.EMULATOR: Resources(memory_mb=384, tasks=16, cores=1.0, real_time=SchedulingPriority.EMULATOR),
+    Role.SIM: Resources(memory_mb=1024, tasks=64, cores=1.0, real_time=SchedulingPriority.SIM),
+    Role.HLI: Resources(memory_mb=1024, tasks=384, cores=1.0, real_time=SchedulingPriority.HLI),
     Role.CONSOLE: Resources(memory_mb=2048, tasks=256, cores=2.0),
-    Role.LEADER: Resources(memory_mb=768, tasks=64, cores=1.0),
-    Role.FOLLOWER: Resources(memory_mb=1024, tasks=64, cores=1.0),
+    Role.LEADER: Resources(memory_mb=768, tasks=64, cores=1.0, real_time=SchedulingPriority.CONTROLLER),
+    Role.FOLLOWER: Resources(memory_mb=1024, tasks=64, cores=1.0, real_time=SchedulingPriority.CONTROLLER),
     Role.METRICS: Resources(memory_mb=384, tasks=64, cores=0.5),
     Role.RECORDER: Resources(memory_mb=768, tasks=64, cores=0.5),
 }

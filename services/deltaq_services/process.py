@@ -58,21 +58,6 @@ def run(serve: Callable[[], None], service: str) -> None:
         pass
 
 
-def ask_for_real_time(priority: int) -> None:
-    """Real-time priority for this thread, and for those that it starts later, if the system allows it.
-
-    On cores shared with controllers, the process nearer to the motors has to run first: the Robot Server
-    before the gate, the gate before the HLI, whose clients might keep it busy.
-
-    Args:
-        priority: of SCHED_FIFO; greater runs first.
-    """
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except PermissionError:
-        _log.warning("no real-time priority: the system does not allow it to this user")
-
-
 def end_on_interrupt(_signal: int, _frame: FrameType | None) -> Never:
     """Signal handler: end as Ctrl-C does."""
     raise KeyboardInterrupt

@@ -150,7 +150,7 @@ def test_every_container_has_limits_and_none_swaps(containers: dict[str, Any]) -
             assert container["cpus"] > 0
 
 
-def test_those_between_a_controller_and_the_motors_may_ask_for_real_time_priority(
+def test_controllers_and_what_lies_between_them_and_the_motors_may_ask_for_real_time_priority(
     containers: dict[str, Any],
 ) -> None:
     limits = {
@@ -165,6 +165,8 @@ def test_those_between_a_controller_and_the_motors_may_ask_for_real_time_priorit
         "emulator-gr": 5,
         "sim": 10,
         "hli": 9,
+        "leader": 4,
+        "follower": 4,
     }
     for service in cell_services(load_cell("lab"), "lab"):
         assert limits[service.name] == RESOURCES[service.role].real_time

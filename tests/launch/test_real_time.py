@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 
 import pytest
 
 from deltaq_launch.findings import Rating
 from deltaq_launch.real_time import ASKED, examine_real_time, judge_priority, judge_throttling
-
-ASKING = (
-    "deltaq_services.robot_server.shell",
-    "deltaq_services.sim.__main__",
-    "deltaq_services.hli.__main__",
-)
-
-
-def test_the_priority_that_is_tried_is_the_highest_that_a_service_asks_for() -> None:
-    asked = [importlib.import_module(name)._REAL_TIME_PRIORITY for name in ASKING]
-    assert max(asked) == ASKED
 
 
 def test_a_refusal_names_policy_priority_limit_and_remedy() -> None:

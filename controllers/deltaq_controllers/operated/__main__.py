@@ -23,9 +23,9 @@ from deltaq_controllers.live import (
     UNREACHABLE,
     USAGE,
     cell_model,
+    control_loop,
     model_of,
     robot_models,
-    settle_memory,
     where_others_are,
 )
 from deltaq_controllers.live_teleoperator import teleoperator_for
@@ -78,13 +78,13 @@ async def operate(options: argparse.Namespace) -> None:
             await asyncio.to_thread(practise, teleoperator)
             if compiling.done():
                 _prepare(pilot, DrivingMode.FOLLOW)
-            settle_memory()
             operated = OperatedRobot(cell, options.robot, pilot, say, _planning(cell, options.robot))
             listening = asyncio.ensure_future(operated.listen(lines))
             for number in (signal.SIGTERM, signal.SIGINT):
                 loop.add_signal_handler(number, listening.cancel)
             try:
-                await operated.run()
+                with control_loop():
+                    await operated.run()
             finally:
                 compiling.cancel()
                 await asyncio.gather(compiling, return_exceptions=True)

@@ -16,12 +16,13 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
 from deltaq_protocol.messages import Description, ToolPose
+from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.client_tokens import client_roles
 from deltaq_services.hli.flood_wait import give_each_session_a_thread
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
-from deltaq_services.process import arguments, ask_for_real_time, run
+from deltaq_services.process import arguments, run
 
 if TYPE_CHECKING:
     from deltaq_services.hli.client_identities import ClientIdentities
@@ -29,8 +30,6 @@ _log = logging.getLogger(__name__)
 
 _MOST_OPEN = 16_384
 """Files and sockets of this process."""
-_REAL_TIME_PRIORITY = 9
-"""Below the gate's: clients that keep the HLI busy must not keep the gate from deciding."""
 
 
 async def _run(
@@ -89,7 +88,7 @@ def main() -> None:
     encryption = line_encryption(cell.description, authority=authority)
     description = cell.description_message()
     _allow_many_connections()
-    ask_for_real_time(_REAL_TIME_PRIORITY)
+    ask_for_real_time(SchedulingPriority.HLI)
     asyncio.run(_run(cell, description, roles, encryption, options.audit, identities))
 
 

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from deltaq_cell.description import CellDescription, RsiDescription
-from deltaq_services.process import ask_for_real_time
+from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
 from deltaq_services.robot_server.core import RobotServer
 from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 from deltaq_services.robot_server.crash_brake.record_maker import CrashRecordMaker
@@ -23,9 +23,6 @@ from deltaq_services.robot_server.rsi_loop import RsiLoop
 
 _log = logging.getLogger(__name__)
 
-_REAL_TIME_PRIORITY = 20
-"""Above the gate's, so that a telegram is answered while the gate decides."""
-
 
 def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
     """Serve one robot until the process is told to end; it then brings the robot to rest first.
@@ -36,7 +33,7 @@ def serve(cell: CellDescription, robot: str, ethernet_xml: Path | None) -> None:
         ethernet_xml: the RSI configuration that the KRC has loaded; None for a kinematic robot.
     """
     server = RobotServer(cell, robot, process=secrets.randbits(62))
-    ask_for_real_time(_REAL_TIME_PRIORITY)
+    ask_for_real_time(SchedulingPriority.ROBOT_SERVER)
     driver = cell.robots[robot].driver
     if isinstance(driver, RsiDescription):
         assert ethernet_xml is not None  # the caller resolves it for this kind of driver

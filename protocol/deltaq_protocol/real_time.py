@@ -1,0 +1,32 @@
+"""Real-time priority: who goes first on shared cores, and how a process asks for its place.
+
+Whoever is nearer to the motors goes first: a Robot Server before the gate, the gate before the HLI, whose clients might
+keep it busy. An emulated KRC keeps its clock, and whoever answers it never waits for it. Controllers come last of
+these, and before all ordinary programs.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from enum import IntEnum
+
+_log = logging.getLogger(__name__)
+
+
+class SchedulingPriority(IntEnum):
+    """Priorities of SCHED_FIFO; greater runs first."""
+
+    ROBOT_SERVER = 20
+    SIM = 10
+    HLI = 9
+    EMULATOR = 5
+    CONTROLLER = 4
+
+
+def ask_for_real_time(priority: SchedulingPriority) -> None:
+    """Ask for real-time priority for this thread, and for those that it starts later; say so if it is not given."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError:
+        _log.warning("no real-time priority: the system does not allow it to this user")

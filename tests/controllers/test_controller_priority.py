@@ -1,0 +1,85 @@
+"""A control loop runs ahead of ordinary programs, and loses that if it does not wait."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from deltaq_controllers.real_time import GREED_S, ahead_of_ordinary_programs
+from deltaq_protocol.real_time import SchedulingPriority
+
+
+def given() -> bool:
+    """Whether this system gives real-time priority to this user."""
+    with ahead_of_ordinary_programs() as allowed:
+        return allowed
+
+
+needs_priority = pytest.mark.skipif(not given(), reason="this user is given no real-time priority")
+
+
+def schedule() -> tuple[int, int]:
+    """Policy and priority of this thread; the policy without the flag that children are ordinary."""
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(0).sched_priority
+
+
+@needs_priority
+def test_a_control_loop_and_the_threads_that_carry_its_messages_run_ahead_and_are_ordinary_afterwards() -> (
+    None
+):
+    asked, ended = threading.Event(), threading.Event()
+    seen = []
+
+    def carry() -> None:
+        asked.wait()
+        seen.append(schedule())
+        ended.set()
+
+    thread = threading.Thread(target=carry)
+    thread.start()
+    before = schedule()
+    with ahead_of_ordinary_programs():
+        asked.set()
+        ended.wait()
+        assert seen == [(os.SCHED_FIFO, SchedulingPriority.CONTROLLER)]
+        assert schedule() == (os.SCHED_FIFO, SchedulingPriority.CONTROLLER)
+    thread.join()
+    assert schedule() == before == (os.SCHED_OTHER, 0)
+
+
+@needs_priority
+def test_what_a_controller_starts_is_ordinary() -> None:
+    program = "import os; print(os.sched_getscheduler(0))"
+    with ahead_of_ordinary_programs():
+        started = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert int(started.stdout) == os.SCHED_OTHER
+
+
+@needs_priority
+def test_a_controller_that_computes_without_waiting_loses_its_priority() -> None:
+    with ahead_of_ordinary_programs():
+        while schedule()[0] == os.SCHED_FIFO:
+            sum(range(1000))
+        assert schedule() == (os.SCHED_OTHER, 0)
+
+
+def test_the_priority_of_a_controller_is_below_everything_that_answers_it() -> None:
+    assert min(SchedulingPriority) is SchedulingPriority.CONTROLLER
+    assert GREED_S < 1.0  # a lease outlasts it
+
+
+def test_a_loop_in_another_thread_asks_for_nothing() -> None:
+    allowed = []
+
+    def control() -> None:
+        with ahead_of_ordinary_programs() as given_to_it:
+            allowed.append((given_to_it, schedule()))
+
+    thread = threading.Thread(target=control)
+    thread.start()
+    thread.join()
+    assert allowed == [(False, (os.SCHED_OTHER, 0))]
