@@ -15,12 +15,12 @@ from deltaq_cell.description import GateDescription
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.blend import Blend
 from deltaq_services.sim.certificate import Binding, Certificate
 from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
-from deltaq_services.sim.share_search import largest
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Windows
@@ -89,23 +89,15 @@ class Gate:
         reasons = tighter or reasons
         tubes = [(other.name, tube) for other in others for tube in other.tubes()]
 
-        def tube(s: float) -> Windows:
-            dq = brake + s * (request - brake)
-            return robot.tube(robot.course(dq, limits.brake_cycles(dq)))
-
-        certificate = CompiledCertifier(self._proximity).certify(robot.name, tube(scale), tubes)
+        blend = Blend(robot, limits, brake, request, scale)
+        certificate = CompiledCertifier(self._proximity).certify(robot.name, blend.tube(scale), tubes)
         if certificate.holds:
             self._violations.only(robot.name, ())
         elif self._stands_clear(robot, tubes):
             self._violations.only(robot.name, ())
             # all smaller scales share one budget, so that a decision ends in time
             certifier = CompiledCertifier(self._proximity, tells=False)
-            scale = largest(
-                lambda s: certifier.certify(robot.name, tube(s), tubes),
-                lambda s, suspects: certifier.judge(robot.name, tube(s), tubes, suspects),
-                scale,
-                certificate,
-            )
+            scale = certifier.largest(blend, tubes, scale, certificate)
             reasons = [_clearance_reason(certificate)]
         else:
             left = scale
