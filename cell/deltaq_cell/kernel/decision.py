@@ -1,4 +1,4 @@
-"""All that the gate certifies for one decision, in two calls: handing over the kernel's arrays takes longer than a look.
+"""All that the gate certifies for one decision, in two calls: handing over arrays takes longer than most looks.
 
 `deltaq_services.sim.certificate` says the first in plain words and `deltaq_services.sim.share_search` the second.
 """

@@ -79,9 +79,7 @@ class Gate:
         """
         limits = self._limits[robot.name]
         brake = robot.brake()
-        scale, reasons = limits.dynamic_scale(brake, request, robot.ahead.dq)
-        scale, tighter = limits.position_scale(brake, request, robot.ahead.q_cmd, scale)
-        reasons = tighter or reasons
+        scale, reasons = limits.scale(brake, request, robot.ahead.dq, robot.ahead.q_cmd)
         share, contact = self._contacts.speed(robot.name)
         if contact and (slow := limits.slow_scale(brake, request, share)) < scale:
             scale, reasons = slow, [Reason(code=ReasonCode.CONTACT, what=contact, bound=share)]
