@@ -8,13 +8,13 @@ what they show differs by no more than coal's iterations are off, 2e-6 m.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.decisions import OVERLAP_M, Decisions, KernelArrays
+from deltaq_cell.division import Division
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.kernel.arrays import Pairs
 from deltaq_cell.kernel.certify import certify
@@ -27,26 +27,8 @@ from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.paired_groups import PairedGroups, pairs_alone, part_of
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
+from deltaq_cell.reach import reach_of
 from deltaq_protocol.arrays import Array
-
-
-@dataclass(frozen=True)
-class Division:
-    """What came of dividing tubes.
-
-    Attributes:
-        holds: whether every pair keeps what is asked anywhere in them.
-        left: what is left of the budget.
-        tightest: the pair with the least room, in the first look or in that which failed; None if there are none.
-        stop_distance_m: of that pair [m].
-        failing: the pairs that were left open where it failed; none if it holds.
-    """
-
-    holds: bool
-    left: int
-    tightest: Nearest | None
-    stop_distance_m: float
-    failing: Sequence[Group]
 
 
 class CompiledProximity(ProximityEngine):
@@ -54,6 +36,7 @@ class CompiledProximity(ProximityEngine):
 
     Attributes:
         decisions: whole certificates, and searches for a share of a request.
+        reach: of each robot.
     """
 
     def __init__(self, cell: CellModel) -> None:
@@ -74,6 +57,7 @@ class CompiledProximity(ProximityEngine):
             joints = robot.slice_q.start, robot.slice_q.stop
             self._ranges[name] = joints, (first, first + len(robot.objects))
             first += len(robot.objects)
+        self.reach = {name: reach_of(self._anatomy, *ranges) for name, ranges in self._ranges.items()}
         self._meter = Meter(self.model, bodies, pairs)
         self._active = np.ones(len(pairs), dtype=bool)
         start = 0

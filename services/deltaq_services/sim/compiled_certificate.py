@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deltaq_cell.compiled_proximity import CompiledProximity, Division
+from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_cell.division import Division
 from deltaq_cell.group import Group
 from deltaq_cell.kernel.decision import Against
 from deltaq_cell.kernel.pieces import Tube

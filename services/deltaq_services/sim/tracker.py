@@ -61,6 +61,7 @@ class Tracker:
         self._fastest = description.max_velocity * cycle_s
         self._lag = max(2, lag_cycles)
         self.units = description.units
+        self._limits = np.maximum(np.abs(description.lower), np.abs(description.upper))
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
@@ -188,6 +189,16 @@ class Tracker:
         in_flight = self.course(np.zeros_like(self.q_cmd), 1)
         tube = self.tube(in_flight)
         return tube.points, tube.first, tube.lag
+
+    def farthest(self) -> Array:
+        """(n,) how far from zero any joint can be on any course that keeps the position limits (I1) [rad or m].
+
+        A joint that stands outside its limits goes no further out.
+        """
+        assert self.state is not None  # asked only of robots that have been heard
+        known = np.abs([*self._history, self.state.q])
+        farthest: Array = np.maximum(known.max(axis=0), self._limits)
+        return farthest
 
     def tube_of_setpoints(self, branch: Branch) -> Windows:
         """The same, wherever the robot is measured to be."""
