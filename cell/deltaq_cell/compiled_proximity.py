@@ -8,12 +8,13 @@ what they show differs by no more than coal's iterations are off, 2e-6 m.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from deltaq_cell.anatomy import anatomy_of, findings, placed_at_first
 from deltaq_cell.cell_model import CellModel
+from deltaq_cell.decisions import OVERLAP_M, Decisions, KernelArrays
+from deltaq_cell.division import Division
 from deltaq_cell.group import Group, Nearest
 from deltaq_cell.kernel.arrays import Pairs
 from deltaq_cell.kernel.certify import certify
@@ -26,33 +27,17 @@ from deltaq_cell.kernel.strip import strip_around
 from deltaq_cell.meter import Meter
 from deltaq_cell.paired_groups import PairedGroups, pairs_alone, part_of
 from deltaq_cell.proximity import DistanceQuery, ProximityEngine
+from deltaq_cell.reach import reach_of
 from deltaq_protocol.arrays import Array
-
-_OVERLAP_M = 1e-6
-"""Bodies that are nearer may be in one another; the kernel does not tell how far."""
-
-
-@dataclass(frozen=True)
-class Division:
-    """What came of dividing tubes.
-
-    Attributes:
-        holds: whether every pair keeps what is asked anywhere in them.
-        left: what is left of the budget.
-        tightest: the pair with the least room, in the first look or in that which failed; None if there are none.
-        stop_distance_m: of that pair [m].
-        failing: the pairs that were left open where it failed; none if it holds.
-    """
-
-    holds: bool
-    left: int
-    tightest: Nearest | None
-    stop_distance_m: float
-    failing: Sequence[Group]
 
 
 class CompiledProximity(ProximityEngine):
-    """All bodies of a cell, placed and looked at by the kernel."""
+    """All bodies of a cell, placed and looked at by the kernel.
+
+    Attributes:
+        decisions: whole certificates, and searches for a share of a request.
+        reach: of each robot.
+    """
 
     def __init__(self, cell: CellModel) -> None:
         super().__init__(cell)
@@ -72,14 +57,15 @@ class CompiledProximity(ProximityEngine):
             joints = robot.slice_q.start, robot.slice_q.stop
             self._ranges[name] = joints, (first, first + len(robot.objects))
             first += len(robot.objects)
+        self.reach = {name: reach_of(self._anatomy, *ranges) for name, ranges in self._ranges.items()}
         self._meter = Meter(self.model, bodies, pairs)
         self._active = np.ones(len(pairs), dtype=bool)
         start = 0
         for group in groups:
             group.active = self._active[start : start + len(group.pairs)]
             start += len(group.pairs)
-        self.alone = {name: self._listed(groups) for name, groups in self.alone.items()}
-        self.between = {names: self._listed(groups) for names, groups in self.between.items()}
+        alone = {name: self._listed(groups) for name, groups in self.alone.items()}
+        between = {names: self._listed(groups) for names, groups in self.between.items()}
         self._found = findings(max(len(pairs), 1))
         self._strips: dict[str, tuple[Array, Array, Array]] = {}
         self._every = np.ones(len(bodies), dtype=bool)
@@ -91,6 +77,17 @@ class CompiledProximity(ProximityEngine):
         for name, (joints, _) in self._ranges.items():
             q = self._q[joints[0] : joints[1]]
             self.place(name, q, np.zeros_like(q))
+        self.decisions = Decisions(
+            KernelArrays(self._anatomy, self._where, self._stack, self._found),
+            self._paired(groups).pairs._replace(active=self._active),
+            self._ranges,
+            alone,
+            between,
+            self._meter,
+            self._forget,
+        )
+        self.alone |= alone
+        self.between |= between
         self._compile()
 
     def _compile(self) -> None:
@@ -98,7 +95,9 @@ class CompiledProximity(ProximityEngine):
         for listed in (*self.alone.values(), *self.between.values()):
             self.look(listed, 0.0)
         for name, (middle, _, _) in self._strips.items():
-            self.certify(self.whole_tube(name, middle[None], 0, 0, 0), None, self.alone[name], 0.0, 0)
+            tube = self.whole_tube(name, middle[None], 0, 0, 0)
+            self.certify(tube, None, self.alone[name], 0.0, 0)
+            self.decisions.compile(name, tube)
         keeps_apart(self._anatomy, self._where, 0, 0, np.array([0.0, 0.0, 1.0]), 0.0, 0.0, self._found.twist)
         strip_around(self._q[None])
 
@@ -145,7 +144,7 @@ class CompiledProximity(ProximityEngine):
             return DistanceQuery([], False, None, 0.0)
         open_ = np.flatnonzero(self._found.open[: listed.numbers.size])
         told = self._measure(listed, tightest)
-        overlapping = open_[self._found.at_most_m[open_] < _OVERLAP_M].tolist()
+        overlapping = open_[self._found.at_most_m[open_] < OVERLAP_M].tolist()
         if too_near:
             others = [self._measure(listed, index) for index in overlapping]
             told = min(told, *others, key=lambda item: item[0].swept_m - item[1]) if others else told
@@ -194,13 +193,14 @@ class CompiledProximity(ProximityEngine):
         """
         listed = self._as_listed(groups)
         other = Tube(mine.points[:0], 0, 0, 0, *mine[4:]) if theirs is None else theirs
-        self._told.clear()
+        self._forget()
         verdict = certify(
             self._anatomy,
             self._where,
             mine,
             other,
             listed.pairs,
+            np.arange(len(listed.numbers)),
             room_m,
             budget,
             tells,
@@ -215,12 +215,16 @@ class CompiledProximity(ProximityEngine):
             if len(tube.points):
                 first, last = tube.joints
                 self._q[first:last] = middle[: last - first]
-        self._is_measured = False
         told = self._measure(listed, verdict.told, verdict.travel_m)
-        deepest = open_[self._found.at_most_m[open_] < _OVERLAP_M].tolist() if verdict.too_near else []
+        deepest = open_[self._found.at_most_m[open_] < OVERLAP_M].tolist() if verdict.too_near else []
         for index in deepest:  # of bodies in one another only coal tells how deep they are
             told = min(told, self._measure(listed, index), key=lambda item: item[0].swept_m - item[1])
         return Division(verdict.holds, verdict.left, *told, failing)
+
+    def _forget(self) -> None:
+        """No robot counts as placed or measured."""
+        self._told.clear()
+        self._is_measured = False
 
     def _listed(self, groups: Sequence[Group]) -> PairedGroups:
         """One of this object's own lists, whose groups are numbered one after the other."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import itertools
 from pathlib import Path
+from typing import Any
 
 import msgpack
 import pytest
@@ -40,9 +41,16 @@ def test_each_bound_can_be_missed_by_itself(bounds: dict[str, float]) -> None:
 
 
 def test_a_row_without_a_bound_promises_nothing() -> None:
-    row = BenchRow.of("what", "reference", [9.0], [1.0])
+    row = BenchRow.of("what", "reference", [9.0], [1.0], no_bound_because="nobody waits for it")
     assert row.kept is None
+    assert row.no_bound_because == "nobody waits for it"
     assert BenchTable(rows=(row,)).good
+
+
+@pytest.mark.parametrize("told", [{}, {"at_most": 2.0, "no_bound_because": "nobody waits for it"}])
+def test_a_row_has_either_a_bound_or_a_reason_for_none(told: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="either a bound or a reason"):
+        BenchRow.of("what", "reference", [9.0], [1.0], **told)
 
 
 def test_the_slowest_are_compared_with_the_slowest() -> None:
@@ -120,7 +128,8 @@ def test_every_guarded_message_of_a_cycle_is_sealed_and_opened(lab: LoadedCell) 
     for row in (one_key, identities):
         assert row.what.startswith("the 5 guarded messages")
         assert row.median_us > 0.0
-        assert row.kept is None
+    assert one_key.kept is None
+    assert identities.at_most == 1.25
     assert one_key.median_us > one_key.reference_us > 0.0
     assert identities.what.endswith("under identities")
 

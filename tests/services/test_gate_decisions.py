@@ -276,3 +276,29 @@ def test_what_a_limit_holds_already_is_not_held_for_a_contact():
         decision = gate.decide(in_motion("fr", on_the_limit, dq), [], 2 * dq)
         assert decision.outcome is Outcome.HELD
         assert [reason.code for reason in decision.reasons] == [ReasonCode.POSITION_LIMIT]
+
+
+def test_a_robot_out_of_reach_is_not_compared_with_and_one_that_can_come_near_is(monkeypatch):
+    gate = Gate(PROXIMITY, LIMITS, CELL.description.gate, Contacts(PROXIMITY, {}), Violations())
+    fr, gr = at_rest("fr", HOME["fr"]), at_rest("gr", HOME["gr"])
+    asked = []
+    monkeypatch.setattr(gr, "tubes", lambda: asked.append(gr.name) or [gr.standing()])
+    gate.decide(fr, [gr], np.zeros(6))
+    assert asked == ["gr"]
+    gate._apart_at_zero = {frozenset(("fr", "gr"))}
+    gate.decide(fr, [gr], np.zeros(6))  # its rails bring it near
+    assert asked == ["gr", "gr"]
+    gate._least_apart_m = -20.0
+    assert gate.decide(fr, [gr], np.zeros(6)).outcome is Outcome.ADMITTED
+    assert asked == ["gr", "gr"]
+
+
+def test_a_joint_is_at_farthest_at_its_limit_or_where_it_stands_outside_of_it():
+    limits = np.maximum(
+        np.abs(CELL.description.robots["fr"].lower), np.abs(CELL.description.robots["fr"].upper)
+    )
+    inside, outside = HOME["fr"].copy(), HOME["fr"].copy()
+    np.testing.assert_array_equal(at_rest("fr", inside).farthest(), limits)
+    outside[1] = -limits[1] - 0.1
+    assert at_rest("fr", outside).farthest()[1] == limits[1] + 0.1
+    assert at_rest("fr", inside, measured=outside).farthest()[1] == limits[1] + 0.1

@@ -23,6 +23,17 @@ def test_thousands_of_decisions_under_attack_break_nothing(seed):
     assert report.decided > 1500
 
 
+@pytest.mark.parametrize("lookahead_cycles", [2, 3])
+def test_what_is_in_flight_under_attack_breaks_nothing(tmp_path, lookahead_cycles):
+    file = tmp_path / "ahead.yaml"
+    file.write_text(
+        f"extends: lab.yaml\ncell: ahead\ngate: {{lookahead_cycles: {lookahead_cycles}}}\n", encoding="utf-8"
+    )
+    report = run(file, seed=lookahead_cycles, duration_s=6.0)
+    assert_nothing_gave_way(report)
+    assert report.decided > 500
+
+
 def test_one_seed_is_one_run():
     assert run(seed=3, duration_s=1.2) == run(seed=3, duration_s=1.2)
 

@@ -28,11 +28,20 @@ def lab():
 
 
 @pytest.fixture(scope="module")
-def ahead(tmp_path_factory):
+def with_lookahead(lab, tmp_path_factory):
+    """The same by its lookahead."""
+    cells = {1: lab}
+    for cycles in (2, 3):
+        file = tmp_path_factory.mktemp("cell") / "ahead.yaml"
+        file.write_text(f"extends: lab.yaml\ncell: ahead\ngate: {{lookahead_cycles: {cycles}}}\n")
+        cells[cycles] = load_rsi_cell(file)
+    return cells
+
+
+@pytest.fixture(scope="module")
+def ahead(with_lookahead):
     """The same with a lookahead of 2."""
-    file = tmp_path_factory.mktemp("cell") / "ahead.yaml"
-    file.write_text("extends: lab.yaml\ncell: ahead\ngate: {lookahead_cycles: 2}\n")
-    return load_rsi_cell(file)
+    return with_lookahead[2]
 
 
 def assert_braked_at_once_along_the_brake(row, cycle_s=0.012):
@@ -199,11 +208,11 @@ def test_one_seed_is_one_run(lab):
 @pytest.mark.parametrize(
     "fault", [fault for fault in CATALOGUE if fault.virtual], ids=lambda fault: fault.name
 )
-@pytest.mark.parametrize("lookahead_cycles", [1, 2])
+@pytest.mark.parametrize("lookahead_cycles", [1, 2, 3])
 def test_no_fault_passes_a_limit_or_touches_and_after_each_the_robot_moves_again(
-    lab, ahead, lookahead_cycles, fault
+    with_lookahead, lookahead_cycles, fault
 ):
-    assert run_fault(fault, {1: lab, 2: ahead}[lookahead_cycles], "fr").good
+    assert run_fault(fault, with_lookahead[lookahead_cycles], "fr").good
 
 
 @pytest.mark.nightly

@@ -3,7 +3,8 @@
 `python -m deltaq_verification.conservatism` drives both robots with adversaries over perfect links, once for each seed.
 Of a sample of the decisions that clearance limited, an oracle of dense samples (an independent implementation) tells
 how much room the tube of the blend that velocity, acceleration and position would have allowed really leaves beyond the
-stop distance. Where that is less than nothing, the decision is confirmed; elsewhere it is the gate's excess.
+stop distance. Where that is less than nothing, the decision is confirmed; elsewhere it is the gate's excess. Beside it
+stands how far the gate's bound of the pair that it names is below that pair's distance in the samples.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from deltaq_services.sim.core import Decider
 from deltaq_services.sim.gate import Decision
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Branch, Windows
+from deltaq_services.sim.tube import Windows
 from deltaq_verification.adversary import Adversary
 from deltaq_verification.oracle import ClearanceOracle
 from deltaq_verification.virtual_cell.cell import VirtualCell
@@ -40,11 +41,13 @@ class ConservatismFigures:
         decisions: all.
         bound_by_clearance: of these.
         rooms_m: of each that the oracle was asked about: the least room beyond the stop distance in its samples [m].
+        slacks_m: of the same: the distance of the named pair in the samples less the gate's bound of it [m].
     """
 
     decisions: int
     bound_by_clearance: int
     rooms_m: tuple[float, ...]
+    slacks_m: tuple[float, ...] = ()
 
     @property
     def confirmed(self) -> int:
@@ -64,12 +67,26 @@ class ConservatismFigures:
         excess = 1e3 * np.maximum(self.rooms_m, 0.0)
         return {name: float(np.percentile(excess, percent)) for name, percent in QUANTILES.items()}
 
+    @property
+    def slack_mm(self) -> dict[str, float]:
+        """How far the gate's bound was below the distance in the samples, as quantiles [mm].
+
+        A bound is that of the piece at which the certificate ended, which may be shorter than the tube. Then it can
+        be more than the least in the samples, and the figure is less than nothing.
+        """
+        return {
+            name: 1e3 * float(np.percentile(self.slacks_m, percent))
+            for name, percent in QUANTILES.items()
+            if self.slacks_m
+        }
+
     def __add__(self, other: ConservatismFigures) -> ConservatismFigures:
         """Of two runs together."""
         return ConservatismFigures(
             self.decisions + other.decisions,
             self.bound_by_clearance + other.bound_by_clearance,
             self.rooms_m + other.rooms_m,
+            self.slacks_m + other.slacks_m,
         )
 
     def told(self) -> dict[str, object]:
@@ -81,6 +98,7 @@ class ConservatismFigures:
             "confirmed": self.confirmed,
             "confirmed_share": self.confirmed_share,
             "excess_mm": self.excess_mm,
+            "slack_mm": self.slack_mm,
         }
 
 
@@ -97,6 +115,7 @@ class Auditor:
     def __init__(self, gate: Decider, cell: CellModel, every: int, samples: int) -> None:
         self.decisions = self.bound = 0
         self.rooms_m: list[float] = []
+        self.slacks_m: list[float] = []
         self._gate = gate
         self._oracle = ClearanceOracle(cell)
         self._stop = cell.description.gate.stop_distance_m
@@ -112,28 +131,38 @@ class Auditor:
         if any(reason.code is ReasonCode.CLEARANCE for reason in decision.reasons):
             self.bound += 1
             if self.bound % self._every == 0:
-                self.rooms_m.append(self._room_m(robot, others, request))
+                assert decision.binding is not None  # the pair that clearance was refused for
+                nearest = decision.binding.nearest
+                room_m, distance_m = self._sampled(robot, others, request, nearest.pair)
+                self.rooms_m.append(room_m)
+                self.slacks_m.append(distance_m - nearest.swept_m)
         return decision
 
-    def _room_m(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> float:
-        """The least room beyond the stop distance in dense samples of what the limits alone would allow [m]."""
-        assert robot.state is not None  # the gate has just decided on it
+    def _sampled(
+        self, robot: Tracker, others: Sequence[Tracker], request: Array, pair: tuple[str, str]
+    ) -> tuple[float, float]:
+        """What dense samples show of what the limits alone would allow.
+
+        Returns:
+            The least room of all pairs beyond their stop distance [m], and the least distance of `pair` [m].
+        """
         limits, brake = self._limits[robot.name], robot.brake()
-        scale, _ = limits.dynamic_scale(brake, request, np.array(robot.state.dq))
-        scale, _ = limits.position_scale(brake, request, robot.q_cmd, scale)
+        scale, _ = limits.scale(brake, request, robot.ahead.dq, robot.ahead.q_cmd)
         dq = brake + scale * (request - brake)
-        mine = self._along(robot.tube(Branch(dq, limits.brake_cycles(dq), -1)))
-        theirs = {other.name: self._along(tube) for other in others for tube in other.tubes()}
-        room_m = np.inf
+        mine = self._along(robot.tube(robot.course(dq, limits.brake_cycles(dq))))
+        theirs = [(other.name, self._along(tube)) for other in others for tube in other.tubes()]
+        room_m = distance_m = np.inf
         for q in mine:
             where = {robot.name: q}
-            alone = self._oracle.of_one_robot(where | {n: rows[0] for n, rows in theirs.items()})
+            alone = self._oracle.of_one_robot(where | {name: rows[0] for name, rows in theirs})
             room_m = min(room_m, alone.distance_m - self._self_stop)
-            for name, rows in theirs.items():
+            for name, rows in theirs:
                 for q_other in rows[:: max(1, len(rows) // 8)]:
-                    near = self._oracle.between_robots_and_structure(where | {name: q_other})
+                    both = where | {name: q_other}
+                    near = self._oracle.between_robots_and_structure(both)
                     room_m = min(room_m, near.distance_m - self._stop)
-        return room_m
+                    distance_m = min(distance_m, self._oracle.of_pair(pair, both))
+        return room_m, distance_m
 
     def _along(self, tube: Windows) -> Array:
         """(samples, n) configurations along the setpoints of a tube, the end included."""
@@ -162,7 +191,9 @@ def run(
         for name, adversary in adversaries.items():
             target = next(tool for other, tool in tools.items() if other != name)
             stack.ask(name, adversary.increment(q_cmd[name], target))
-    return ConservatismFigures(auditor.decisions, auditor.bound, tuple(auditor.rooms_m))
+    return ConservatismFigures(
+        auditor.decisions, auditor.bound, tuple(auditor.rooms_m), tuple(auditor.slacks_m)
+    )
 
 
 def main() -> None:

@@ -56,6 +56,10 @@ class ClearanceOracle:
             for one, other in combinations(range(len(owners)), 2)
             if owners[one] != STRUCTURE and frozenset((self._names[one], self._names[other])) not in never
         ]
+        self._numbers = {
+            frozenset((self._names[one], self._names[other])): number
+            for number, (one, other) in enumerate(self._pairs)
+        }
         self._distances = PairDistances(cell.robots, cell.structure, self._pairs)
         owned_by = np.array([(owners[one], owners[other]) for one, other in self._pairs]).reshape(-1, 2)
         own = owned_by[:, 0] == owned_by[:, 1]
@@ -76,6 +80,15 @@ class ClearanceOracle:
     def of_one_robot(self, configurations: Mapping[str, Array]) -> LeastDistance:
         """Least distance between two bodies of one robot; (n,) [rad or m] per robot."""
         return self._nearest(self._own, configurations)
+
+    def of_pair(self, pair: tuple[str, str], configurations: Mapping[str, Array]) -> float:
+        """Distance of one pair [m], by the names of its bodies in any order; (n,) [rad or m] per robot.
+
+        Raises:
+            KeyError: if the cell checks no such pair.
+        """
+        self._distances.place(configurations)
+        return self._distances.least(self._all[self._numbers[frozenset(pair)], None])[0]
 
     def least_room_m(self, configurations: Mapping[str, Array], levels_m: Array) -> float:
         """Least that a pair has beyond its level, of all pairs; infinite if there are none.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from deltaq_cell.compiled import compiled, inlined
-from deltaq_cell.kernel.arrays import Anatomy, Findings, Pairs, Placed
+from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.look import NONE, look
 from deltaq_cell.kernel.pieces import MINE, THEIRS, Stack, Tube, begin, divide, divides, lay_strip, want
 from deltaq_cell.kernel.place import place
@@ -23,6 +23,8 @@ class TubesCertified(NamedTuple):
         left: what is left of the budget.
         told: index of the pair with the least room, in the first look or in that which failed; -1 for none.
         travel_m: how far the two bodies travel together in that look [m].
+        least_m: bound of their room from below [m].
+        most_m: and from above [m].
         too_near: whether a pair was too near at the middle where it failed.
         first_open: where in `Stack.chosen` the pairs begin that were left open where it failed.
         last_open: one more than where they end.
@@ -32,6 +34,8 @@ class TubesCertified(NamedTuple):
     left: int
     told: int
     travel_m: float
+    least_m: float
+    most_m: float
     too_near: bool
     first_open: int
     last_open: int
@@ -44,6 +48,7 @@ def certify(
     mine: Tube,
     theirs: Tube,
     pairs: Pairs,
+    asked: Integers,
     room_m: float,
     budget: int,
     tells: bool,
@@ -57,15 +62,16 @@ def certify(
         placed: is written to; afterwards only some bodies are placed.
         mine: tube of one robot.
         theirs: tube of another; without points, all pairs are of the one robot and what stands.
-        pairs: what is asked; every stop distance and `room_m` together are positive.
+        pairs: of the cell, or some; every stop distance and `room_m` together are positive.
+        asked: (k,) indices of those that are asked about, if they are active.
         room_m: what is asked for [m].
         budget: how many pairs may be searched in parts of the tubes and be followed by others.
         tells: whether the pair with the least room is asked for also where all have theirs.
         stack: is written to.
         found: is written to.
     """
-    told, travel_m = NONE, 0.0
-    top = 1 if begin(stack, mine, theirs, pairs) else 0
+    told, travel_m, least_m, most_m = NONE, 0.0, 0.0, 0.0
+    top = 1 if begin(stack, mine, theirs, pairs, asked) else 0
     whole, serial = True, 1
     while top > 0:
         row = top - 1
@@ -77,7 +83,7 @@ def certify(
             cell, placed, pairs, stack.chosen[first:last], room_m, whole, whole and tells, found
         )
         if whole and tells:
-            told, travel_m = _tell(stack, row, tightest, found)
+            told, travel_m, least_m, most_m = _tell(stack, row, tightest, pairs, found)
         elif not whole:
             budget -= searched
         whole = False
@@ -93,8 +99,8 @@ def certify(
         mine_divides, theirs_divides = divides(stack, row, MINE, mine), divides(stack, row, THEIRS, theirs)
         divides_on = (mine_divides or theirs_divides) and top < len(stack.part)
         if budget < 0 or too_near or not divides_on:
-            told, travel_m = _tell(stack, row, tightest, found)
-            return TubesCertified(False, budget, told, travel_m, too_near, last, open_end)
+            told, travel_m, least_m, most_m = _tell(stack, row, tightest, pairs, found)
+            return TubesCertified(False, budget, told, travel_m, least_m, most_m, too_near, last, open_end)
         stack.part[row, 0], stack.part[row, 1] = last, open_end
         further = stack.greatest[MINE] >= stack.greatest[THEIRS]
         if mine_divides and (further or not theirs_divides):
@@ -103,7 +109,7 @@ def certify(
             divide(stack, row, THEIRS, theirs, serial)
         serial += 2
         top += 1
-    return TubesCertified(True, budget, told, travel_m, False, 0, 0)
+    return TubesCertified(True, budget, told, travel_m, least_m, most_m, False, 0, 0)
 
 
 @inlined
@@ -129,9 +135,12 @@ def _place(cell: Anatomy, placed: Placed, stack: Stack, row: int, side: int, tub
 
 
 @inlined
-def _tell(stack: Stack, row: int, tightest: int, found: Findings) -> tuple[int, float]:
-    """Keep where a pair was found; returns the pair and its travel."""
+def _tell(
+    stack: Stack, row: int, tightest: int, pairs: Pairs, found: Findings
+) -> tuple[int, float, float, float]:
+    """Keep where a pair was found; returns the pair, its travel, and bounds of its room from below and above."""
     for side in range(2):
         for joint in range(stack.told.shape[1]):
             stack.told[side, joint] = stack.middle[row, side, joint]
-    return tightest, found.travel_m[tightest]
+    most_m = found.at_most_m[tightest] - found.travel_m[tightest] - pairs.stop_m[tightest]
+    return tightest, found.travel_m[tightest], found.room_m[tightest], most_m

@@ -74,7 +74,7 @@ def look(
             one, other, normal[0], normal[1], normal[2], enough + kept, asked_m, found.simplex
         )
         normal[0], normal[1], normal[2] = x, y, z
-        found.at_most_m[index] = upper
+        found.at_most_m[index], found.room_m[index] = upper, lower - kept
         if tightest == NONE or upper - kept < least:
             tightest, least = index, upper - kept
         if lower - kept < room_m:

@@ -102,10 +102,10 @@ def stack_of(joints: int, bodies: int, pairs: int, rows: int = ROWS) -> Stack:
 
 
 @inlined
-def begin(stack: Stack, mine: Tube, theirs: Tube, pairs: Pairs) -> int:
-    """Fill the first row with whole tubes and all active pairs; returns how many pairs there are."""
+def begin(stack: Stack, mine: Tube, theirs: Tube, pairs: Pairs, asked: Integers) -> int:
+    """Fill the first row with whole tubes and those pairs of `asked` that are active; returns how many there are."""
     count = 0
-    for index in range(len(pairs.first)):
+    for index in asked:
         if pairs.active[index]:
             stack.chosen[count] = index
             count += 1

@@ -9,10 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deltaq_cell.compiled_proximity import CompiledProximity, Division
+from deltaq_cell.compiled_proximity import CompiledProximity
+from deltaq_cell.division import Division
 from deltaq_cell.group import Group
+from deltaq_cell.kernel.decision import Against
 from deltaq_cell.kernel.pieces import Tube
+from deltaq_cell.paired_groups import PairedGroups
+from deltaq_services.sim.blend import Blend
 from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Binding, Certificate, Certifier, Suspects
+from deltaq_services.sim.share_search import HALVINGS, ROUNDS, largest
 from deltaq_services.sim.tube import Windows
 
 BUDGET = 600
@@ -31,7 +36,58 @@ class CompiledCertifier(Certifier):
     def __init__(self, proximity: CompiledProximity, budget: int = BUDGET, tells: bool = True) -> None:
         super().__init__(proximity, budget)
         self._kernel = proximity
+        self._decisions = proximity.decisions
         self._tells = tells
+
+    def certify(self, robot: str, tube: Windows, others: Sequence[tuple[str, Windows]]) -> Certificate:
+        """Certify one robot's tube against the structure, itself and the tubes of others, in one call."""
+        if self._decisions.asks_a_depth(NUMERICAL_TOLERANCE_M):
+            return super().certify(robot, tube, others)
+        whole = self._decisions.certify(
+            robot,
+            self._tube(robot, tube),
+            self._against(robot, others),
+            NUMERICAL_TOLERANCE_M,
+            self._left,
+            self._tells,
+        )
+        self._left = whole.left
+        binding = None if whole.tightest is None else Binding(whole.tightest, whole.stop_distance_m)
+        suspects = None if whole.failing is None else Suspects(whole.other, whole.failing)
+        return Certificate(whole.holds, binding, suspects)
+
+    def largest(
+        self, blend: Blend, others: Sequence[tuple[str, Windows]], refused: float, first: Certificate
+    ) -> float:
+        """The largest share found that is certified, as `deltaq_services.sim.share_search` finds it, in one call.
+
+        Args:
+            blend: the courses.
+            others: names of other robots with each tube that they may be in.
+            refused: a share whose certificate does not hold.
+            first: that certificate.
+        """
+        robot = blend.robot.name
+        if self._decisions.asks_a_depth(NUMERICAL_TOLERANCE_M):
+            return largest(
+                lambda share: self.certify(robot, blend.tube(share), others),
+                lambda share, suspects: self.judge(robot, blend.tube(share), others, suspects),
+                refused,
+                first,
+            )
+        assert first.failing is not None  # it does not hold
+        assert isinstance(first.failing.groups, PairedGroups)  # as this class tells it
+        share, self._left = self._decisions.largest_share(
+            blend.course(self._decisions),
+            refused,
+            self._against(robot, others),
+            (first.failing.other, first.failing.groups.numbers),
+            NUMERICAL_TOLERANCE_M,
+            self._left,
+            HALVINGS,
+            ROUNDS,
+        )
+        return share
 
     def alone(self, robot: str, tube: Windows, groups: Sequence[Group]) -> Certificate:
         """Certify groups of one robot against the structure or itself."""
@@ -46,6 +102,9 @@ class CompiledCertifier(Certifier):
         if self._kernel.keep_a_depth(groups, NUMERICAL_TOLERANCE_M):
             return super().between(robot, tube, other, other_tube, groups)
         return self._certify(self._tube(robot, tube), other, self._tube(other, other_tube), groups)
+
+    def _against(self, robot: str, others: Sequence[tuple[str, Windows]]) -> Against:
+        return self._decisions.against(robot, [(name, self._tube(name, tube)) for name, tube in others])
 
     def _tube(self, robot: str, tube: Windows) -> Tube:
         return self._kernel.whole_tube(robot, tube.points, tube.lag, tube.first, tube.last)

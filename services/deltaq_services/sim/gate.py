@@ -9,18 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
+from deltaq_cell.reach import apart_m
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.certificate import Binding, Certificate
+from deltaq_services.sim.blend import Blend
+from deltaq_services.sim.certificate import NUMERICAL_TOLERANCE_M, Binding, Certificate
 from deltaq_services.sim.compiled_certificate import CompiledCertifier
 from deltaq_services.sim.contacts import Contacts
 from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
-from deltaq_services.sim.share_search import largest
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
 from deltaq_services.sim.tube import Windows
@@ -63,6 +65,12 @@ class Gate:
         violations: Violations,
     ) -> None:
         self._proximity = proximity
+        self._least_apart_m = margins.stop_distance_m + NUMERICAL_TOLERANCE_M
+        self._apart_at_zero = {
+            frozenset(names)
+            for names in combinations(limits, 2)
+            if apart_m(*(proximity.reach[name] for name in names)) > self._least_apart_m
+        }
         self._limits = limits
         self._contacts = contacts
         self._violations = violations
@@ -79,41 +87,39 @@ class Gate:
         """
         limits = self._limits[robot.name]
         brake = robot.brake()
-        scale, reasons = limits.dynamic_scale(brake, request, robot.ahead.dq)
-        scale, tighter = limits.position_scale(brake, request, robot.ahead.q_cmd, scale)
-        reasons = tighter or reasons
+        scale, reasons = limits.scale(brake, request, robot.ahead.dq, robot.ahead.q_cmd)
         share, contact = self._contacts.speed(robot.name)
         if contact and (slow := limits.slow_scale(brake, request, share)) < scale:
             scale, reasons = slow, [Reason(code=ReasonCode.CONTACT, what=contact, bound=share)]
         scale, tighter = self._slow_down.scale(robot, others, brake, request, scale)
         reasons = tighter or reasons
-        tubes = [(other.name, tube) for other in others for tube in other.tubes()]
+        near = [other for other in others if self._in_reach(robot, other)]
+        tubes = [(other.name, tube) for other in near for tube in other.tubes()]
 
-        def tube(s: float) -> Windows:
-            dq = brake + s * (request - brake)
-            return robot.tube(robot.course(dq, limits.brake_cycles(dq)))
-
-        certificate = CompiledCertifier(self._proximity).certify(robot.name, tube(scale), tubes)
+        blend = Blend(robot, limits, brake, request, scale)
+        certificate = CompiledCertifier(self._proximity).certify(robot.name, blend.tube(scale), tubes)
         if certificate.holds:
             self._violations.only(robot.name, ())
         elif self._stands_clear(robot, tubes):
             self._violations.only(robot.name, ())
             # all smaller scales share one budget, so that a decision ends in time
             certifier = CompiledCertifier(self._proximity, tells=False)
-            scale = largest(
-                lambda s: certifier.certify(robot.name, tube(s), tubes),
-                lambda s, suspects: certifier.judge(robot.name, tube(s), tubes, suspects),
-                scale,
-                certificate,
-            )
+            scale = certifier.largest(blend, tubes, scale, certificate)
             reasons = [_clearance_reason(certificate)]
         else:
             left = scale
-            scale, violated = self._retreat.find(robot, others, limits, brake, request, left)
+            scale, violated = self._retreat.find(robot, near, limits, brake, request, left)
             # what the limits left is all that retreat may take, so that they bound it if it takes all
             bound = reasons if scale == left else []
             reasons = [*bound, *violated] or [_clearance_reason(certificate)]
         return _decision(limits, brake, request, scale, reasons, certificate.binding)
+
+    def _in_reach(self, robot: Tracker, other: Tracker) -> bool:
+        """Whether any of their bodies can come as near as the stop distance, whatever their joints do."""
+        if frozenset((robot.name, other.name)) not in self._apart_at_zero:
+            return True
+        reaches = self._proximity.reach[robot.name], self._proximity.reach[other.name]
+        return apart_m(*reaches, (robot.farthest(), other.farthest())) <= self._least_apart_m
 
     def _stands_clear(self, robot: Tracker, tubes: Sequence[tuple[str, Windows]]) -> bool:
         """Whether a robot that is sent nothing more keeps clear of all tubes."""

@@ -15,6 +15,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
+from deltaq_services.sim.compiled_motion import keeps_limits
 
 _SCALES = np.linspace(0.0, 1.0, 129)
 """Scales tried where the length of the brake, a whole number of cycles, makes the bound no formula."""
@@ -62,6 +63,26 @@ class Limits:
             description.max_acceleration * cycle_s**2,
             cycle_s,
         )
+
+    def scale(self, brake: Array, request: Array, last_dq: Array, q_cmd: Array) -> tuple[float, list[Reason]]:
+        """Largest s within all limits (I1 and I3), and the tightest one's reason if s < 1; arguments as for `keeps`."""
+        if self.keeps(brake, request, last_dq, q_cmd):
+            return 1.0, []
+        scale, reasons = self.dynamic_scale(brake, request, last_dq)
+        scale, tighter = self.position_scale(brake, request, q_cmd, scale)
+        return scale, tighter or reasons
+
+    def keeps(self, brake: Array, request: Array, last_dq: Array, q_cmd: Array) -> bool:
+        """Whether a whole request is within all limits, as nearly every one is.
+
+        Args:
+            brake: (n,) next increment of the brake.
+            request: (n,) increment asked for.
+            last_dq: (n,) increment sent last.
+            q_cmd: (n,) setpoint.
+        """
+        bounds = self.max_dq, self.max_dv, self.lower, self.upper
+        return bool(keeps_limits(brake, request, last_dq, q_cmd, *bounds, _SLACK, _ROUNDING))
 
     def dynamic_scale(self, brake: Array, request: Array, last_dq: Array) -> tuple[float, list[Reason]]:
         """Largest s within the velocity and acceleration limits (I3).

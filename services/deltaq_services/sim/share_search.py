@@ -3,6 +3,7 @@
 Most of a certificate is spent on pairs of bodies that have room enough. So the search halves the scale for suspects
 alone, those pairs at which a certificate failed, and has a scale certified for all pairs only at its end. If that
 fails at another pair, this is a suspect from then on. Whatever is suspected, what is found was certified in full.
+`deltaq_cell.kernel.decision` does the same in machine code; tests hold the one against the other.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from deltaq_services.sim.certificate import Certificate, Suspects
 HALVINGS = 5
 """How finely a scale is searched: 1/32 of what is refused."""
 
-_ROUNDS = 3
+ROUNDS = 3
 """Searches that end with a certificate; a fourth would hardly find what these did not."""
 
 Holds = Callable[[float, Sequence[Suspects]], bool]
@@ -35,7 +36,7 @@ def largest(
     least = refused / 2**HALVINGS
     suspects: list[Suspects] = []
     certificate = first
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         assert certificate.failing is not None  # it does not hold
         suspects.append(certificate.failing)
         scale = _halved(lambda s: holds(s, suspects), least, refused)

@@ -52,7 +52,7 @@ class Tracker:
         self.name = name
         self.state: ServerState | None = None
         self.in_flight: tuple[Admission, ...] = ()
-        self._ahead: SetpointMotion | None = None
+        self._ahead: list[SetpointMotion] | None = None
         self._known_courses: list[Branch] | None = None
         self._decided_after: int | None = None
         self._lookahead_cycles = lookahead_cycles
@@ -61,6 +61,7 @@ class Tracker:
         self._fastest = description.max_velocity * cycle_s
         self._lag = max(2, lag_cycles)
         self.units = description.units
+        self._limits = np.maximum(np.abs(description.lower), np.abs(description.upper))
         self._tolerance = description.tracking_tolerance
         self._history: deque[Array] = deque(maxlen=self._lag)
         self._ended: deque[int] = deque(maxlen=_ENDED_PROCESSES)
@@ -150,9 +151,7 @@ class Tracker:
     @property
     def ahead(self) -> SetpointMotion:
         """What the robot will have been sent by then, if it takes all that is in flight."""
-        if self._ahead is None:
-            self._ahead = self._motions()[-1]
-        return self._ahead
+        return self._motions()[-1]
 
     def brake(self) -> Array:
         """(n,) increment that the Robot Server sends if nothing is admitted for the cycle that is decided next."""
@@ -163,8 +162,11 @@ class Tracker:
         return Branch(dq, brake_cycles, -1, tuple(motion.q_cmd for motion in self._motions()[1:]))
 
     def _motions(self) -> list[SetpointMotion]:
-        assert self.state is not None  # asked only of robots that have been heard
-        return motions(self._now(), self.state.cycle, self.in_flight, self.decided_after - self.state.cycle)
+        if self._ahead is None:
+            assert self.state is not None  # asked only of robots that have been heard
+            cycles = self.decided_after - self.state.cycle
+            self._ahead = motions(self._now(), self.state.cycle, self.in_flight, cycles)
+        return self._ahead
 
     def _now(self) -> SetpointMotion:
         assert self.state is not None  # asked only of robots that have been heard
@@ -176,6 +178,27 @@ class Tracker:
         history, off = self._measured()
         measured = np.array(self.state.q) if (off > _ROUNDING).any() else None
         return tube(history, branch, self._lag, measured)
+
+    def before(self) -> tuple[Array, int, int]:
+        """What comes before a course that is decided next.
+
+        Returns:
+            (k, n) setpoints [rad or m], past and in flight, the first of them where the robot is measured to be if that
+            is not within the others; which of them is the present one; and how many setpoints back the drives may be.
+        """
+        in_flight = self.course(np.zeros_like(self.q_cmd), 1)
+        tube = self.tube(in_flight)
+        return tube.points, tube.first, tube.lag
+
+    def farthest(self) -> Array:
+        """(n,) how far from zero any joint can be on any course that keeps the position limits (I1) [rad or m].
+
+        A joint that stands outside its limits goes no further out.
+        """
+        assert self.state is not None  # asked only of robots that have been heard
+        known = np.abs([*self._history, self.state.q])
+        farthest: Array = np.maximum(known.max(axis=0), self._limits)
+        return farthest
 
     def tube_of_setpoints(self, branch: Branch) -> Windows:
         """The same, wherever the robot is measured to be."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from deltaq_cell.kernel.strip import strip_around
 from deltaq_protocol.arrays import Array
+from deltaq_services.sim.compiled_motion import course_points
 
 _SHORTEST = 1e-7
 """Strips are not divided below this half-length [rad or m]."""
@@ -130,9 +131,9 @@ def tube(history: Array, branch: Branch, lag: int, measured: Array | None = None
         lag: how many setpoints back the drives may be.
         measured: (n,) where the robot is, if that is not within what the history explains.
     """
-    to_come = branch.setpoints(history[-1])
     past = history if measured is None else np.concatenate((measured[None], history))
-    points = np.concatenate((past, to_come))
+    path = np.array(branch.path) if branch.path else past[:0]
+    # past, then `branch.setpoints`
+    points, moves = course_points(past, path, branch.dq, branch.brake_cycles, branch.step)
     now = len(past) - 1
-    moves = bool((points != points[-1]).any())
     return Windows(points, lag, now, len(points) - 1 + lag if moves else now)

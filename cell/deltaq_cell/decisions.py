@@ -1,0 +1,302 @@
+"""All that the gate asks the kernel for one decision: a whole certificate, or the search for a share, in one call.
+
+The kernel's arrays are handed over once for all tubes that a robot's is held against, instead of once for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from deltaq_cell.group import Nearest
+from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
+from deltaq_cell.kernel.course import Course, lay_course
+from deltaq_cell.kernel.decision import Against, Suspected, Told, certify_all, largest_share
+from deltaq_cell.kernel.look import NONE
+from deltaq_cell.kernel.pieces import Stack, Tube
+from deltaq_cell.meter import Meter
+from deltaq_cell.paired_groups import PairedGroups, pairs_alone
+from deltaq_protocol.arrays import Array
+
+_ALONE = -1
+"""In place of the number of another robot."""
+
+OVERLAP_M = 1e-6
+"""Bodies that are nearer may be in one another; the kernel does not tell how far."""
+
+_APART_M = 1e-5
+"""Rooms that the kernel bounds farther apart than this are in the same order when coal measures them, to 2e-6 m."""
+
+
+class KernelArrays(NamedTuple):
+    """What the kernel is handed over, all of it written over and over."""
+
+    anatomy: Anatomy
+    where: Placed
+    stack: Stack
+    found: Findings
+
+
+@dataclass(frozen=True)
+class WholeCertificate:
+    """What came of a robot's whole tube.
+
+    Attributes:
+        holds: whether every pair keeps what is asked anywhere in it.
+        left: what is left of the budget.
+        tightest: the pair with the least room, of all first looks or of that which failed; None if there are none.
+        stop_distance_m: of that pair [m].
+        failing: the pairs that were left open where it failed; none if it holds.
+        other: the robot on the other side there, None if there is none.
+    """
+
+    holds: bool
+    left: int
+    tightest: Nearest | None
+    stop_distance_m: float
+    failing: PairedGroups | None
+    other: str | None
+
+
+class Decisions:
+    """Certificates of whole tubes, and searches for the largest share of a request.
+
+    Args:
+        arrays: of the kernel.
+        pairs: all pairs of the cell, one list after the other.
+        ranges: per robot its first joint and one more than its last, and the same of its bodies.
+        alone: per robot the pairs of its links with what stands and with each other.
+        between: per ordered pair of robots those of the first one's links with the second's.
+        meter: measures single pairs.
+        forget: is called when robots count as placed no longer.
+    """
+
+    def __init__(
+        self,
+        arrays: KernelArrays,
+        pairs: Pairs,
+        ranges: Mapping[str, tuple[tuple[int, int], tuple[int, int]]],
+        alone: Mapping[str, PairedGroups],
+        between: Mapping[tuple[str, str], PairedGroups],
+        meter: Meter,
+        forget: Callable[[], None],
+    ) -> None:
+        self._arrays, self._pairs, self._ranges = arrays, pairs, ranges
+        self._alone, self._between = alone, between
+        self._meter, self._forget = meter, forget
+        self._number = {name: number for number, name in enumerate(ranges)}
+        self._every = np.arange(len(pairs.first))
+        self._least_stop_m = float(pairs.stop_m.min(initial=np.inf))
+        joints = arrays.stack.told.shape[1]
+        self._q, self._widest = np.zeros(joints), max((last - first for (first, last), _ in ranges.values()))
+        self._told = _told(2, joints)
+        self._suspected = Suspected(np.zeros(0, np.int64), np.zeros(1, np.int64), np.zeros(0, np.int64))
+
+    def compile(self, robot: str, tube: Tube) -> None:
+        """Ask everything once, so that no decision waits for machine code."""
+        course = self.course(
+            robot, tube.points, 0, 0, tube.points[0], tube.points[0], np.ones(tube.points.shape[1]), 0
+        )
+        against = self.against(robot, [])
+        self.certify(robot, lay_course(course, 0.0), against, 0.0, 0, tells=False)
+        self.largest_share(course, 0.0, against, (None, self._every[:0]), 0.0, 0, 0, 1)
+
+    def course(
+        self,
+        robot: str,
+        before: Array,
+        now: int,
+        lag: int,
+        brake: Array,
+        request: Array,
+        max_dv: Array,
+        longest_cycles: int,
+    ) -> Course:
+        """Every course of a robot between a brake and a request, as the kernel takes it.
+
+        Args:
+            robot: its name.
+            before: (k, n) setpoints, past and in flight [rad or m].
+            now: which of them is the present one.
+            lag: how many setpoints back the drives may be.
+            brake: (n,) increment at a share of 0 [rad or m].
+            request: (n,) increment at a share of 1.
+            max_dv: (n,) largest change of the increment between two cycles.
+            longest_cycles: length of the longest brake after any share that is asked for.
+        """
+        points = np.empty((len(before) + longest_cycles, before.shape[1]))
+        points[: len(before)] = before
+        return Course(
+            points, len(before), now, lag, brake, request, max_dv, np.empty_like(brake), *self._ranges[robot]
+        )
+
+    def asks_a_depth(self, room_m: float) -> bool:
+        """Whether some bodies may be in one another, which only coal can judge."""
+        return self._least_stop_m + room_m <= 0.0
+
+    def against(self, robot: str, others: Sequence[tuple[str, Tube]]) -> Against:
+        """What a robot's tube is held against: the structure and itself, and tubes of other robots."""
+        joints, bodies = self._ranges[robot]
+        rows = [(0, 0, 0, 0, 0, *joints, *bodies, *_range(self._alone[robot]), _ALONE)]
+        end = 0
+        for name, tube in others:
+            begin, end = end, end + len(tube.points)
+            asked = _range(self._between[robot, name])
+            windows = (tube.lag, tube.first, tube.last)
+            rows.append((begin, end, *windows, *tube.joints, *tube.bodies, *asked, self._number[name]))
+        return Against(self._side_by_side([tube.points for _, tube in others]), np.array(rows, np.int64))
+
+    def certify(
+        self, robot: str, mine: Tube, against: Against, room_m: float, budget: int, tells: bool
+    ) -> WholeCertificate:
+        """Whether a robot keeps `room_m` beyond every stop distance in its whole tube.
+
+        Args:
+            robot: its name.
+            mine: its tube.
+            against: what it is held against.
+            room_m: what is asked for beyond each stop distance, which is positive with it [m].
+            budget: how many pairs may be searched in parts of the tubes.
+            tells: whether the tightest pair is asked for.
+        """
+        tubes = len(against.tubes)
+        if tubes > len(self._told.pair):
+            self._told = _told(2 * tubes, len(self._q))
+        arrays, told = self._arrays, self._told
+        failed, left, too_near, first, last = certify_all(
+            arrays.anatomy,
+            arrays.where,
+            mine,
+            against,
+            self._pairs,
+            self._every,
+            room_m,
+            budget,
+            tells,
+            arrays.stack,
+            arrays.found,
+            told,
+        )
+        self._forget()
+        if failed == NONE:
+            if not tells:
+                return WholeCertificate(True, left, None, 0.0, None, None)
+            return WholeCertificate(True, left, *self._tightest(against, range(tubes)), None, None)
+        other = None if failed == 0 else list(self._ranges)[against.tubes[failed, 11]]
+        listed = self._alone[robot] if other is None else self._between[robot, other]
+        open_ = arrays.stack.chosen[first:last].copy()
+        nearest: tuple[Nearest | None, float] = (None, 0.0)
+        if tells:
+            nearest = self._tightest(against, (failed,), open_ if too_near else ())
+        failing = pairs_alone(listed, open_ - int(listed.numbers[0]))
+        return WholeCertificate(False, left, *nearest, failing, other)
+
+    def largest_share(
+        self,
+        course: Course,
+        refused: float,
+        against: Against,
+        suspects: tuple[str | None, Integers],
+        room_m: float,
+        budget: int,
+        halvings: int,
+        rounds: int,
+    ) -> tuple[float, int]:
+        """The largest share of a request found that is certified, 0 if none is; and what is left of the budget.
+
+        Args:
+            course: of the request.
+            refused: a share whose certificate does not hold.
+            against: what the robot's tube is held against.
+            suspects: where that failed: the other robot, if there is one, and numbers of the pairs.
+            room_m: what is asked for beyond each stop distance, which is positive with it [m].
+            budget: how many pairs may be searched in parts of the tubes, for all shares together.
+            halvings: how finely a share is searched.
+            rounds: searches that end with a certificate.
+        """
+        if len(self._suspected.robot) < rounds:
+            most = rounds * len(self._every)
+            self._suspected = Suspected(*(np.zeros(size, np.int64) for size in (most, rounds + 1, rounds)))
+        other, numbers = suspects
+        self._suspected.pairs[: len(numbers)] = numbers
+        self._suspected.end[1] = len(numbers)
+        self._suspected.robot[0] = _ALONE if other is None else self._number[other]
+        arrays = self._arrays
+        share, left = largest_share(
+            arrays.anatomy,
+            arrays.where,
+            course,
+            refused,
+            against,
+            self._pairs,
+            self._every,
+            room_m,
+            budget,
+            halvings,
+            rounds,
+            self._suspected,
+            arrays.stack,
+            arrays.found,
+            self._told,
+        )
+        self._forget()
+        return float(share), left
+
+    def _tightest(
+        self, against: Against, tubes: Sequence[int], open_: Sequence[int] | Integers = ()
+    ) -> tuple[Nearest | None, float]:
+        """The pair with the least room of some tubes, and its stop distance [m]; open pairs may be in one another."""
+        told = self._told
+        asked = [tube for tube in tubes if told.pair[tube] != NONE]
+        if not asked:
+            return None, 0.0
+        most_m = min(told.most_m[tube] for tube in asked)
+        measured: list[tuple[Nearest, float]] = []
+        for tube in asked:
+            # coal would find it to have more room than another
+            if told.least_m[tube] > most_m + _APART_M:
+                continue
+            for side, joint in ((0, 5), (1, 5)):
+                first, last = against.tubes[0 if side == 0 else tube, joint : joint + 2]
+                if side == 0 or tube > 0:
+                    self._q[first:last] = told.middle[tube, side, : last - first]
+            self._meter.place(self._q)
+            measured.append(self._measure(told.pair[tube], float(told.travel_m[tube])))
+            found = self._arrays.found
+            # of bodies in one another only coal tells how deep they are
+            deepest = [index for index in open_ if found.at_most_m[index] < OVERLAP_M]
+            measured += [self._measure(index, float(found.travel_m[index])) for index in deepest]
+        return min(measured, key=lambda item: item[0].swept_m - item[1])
+
+    def _measure(self, pair: int, travel_m: float) -> tuple[Nearest, float]:
+        return self._meter.measure(int(pair), travel_m), float(self._pairs.stop_m[pair])
+
+    def _side_by_side(self, points: Sequence[Array]) -> Array:
+        """Setpoints of several robots one after another, zeros where a robot has fewer joints than others."""
+        if len(points) == 1:
+            return points[0]
+        every = np.zeros((sum(map(len, points)), self._widest))
+        end = 0
+        for one in points:
+            begin, end = end, end + len(one)
+            every[begin:end, : one.shape[1]] = one
+        return every
+
+
+def _range(listed: PairedGroups) -> tuple[int, int]:
+    """Where the pairs of one of a cell's own lists begin and end among all."""
+    first = int(listed.numbers[0]) if len(listed.numbers) else 0
+    return first, first + len(listed.numbers)
+
+
+def _told(tubes: int, joints: int) -> Told:
+    return Told(
+        pair=np.zeros(tubes, np.int64),
+        travel_m=np.zeros(tubes),
+        least_m=np.zeros(tubes),
+        most_m=np.zeros(tubes),
+        middle=np.zeros((tubes, 2, joints)),
+    )

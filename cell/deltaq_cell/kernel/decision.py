@@ -1,0 +1,250 @@
+"""All that the gate certifies for one decision, in two calls: handing over arrays takes longer than most looks.
+
+`deltaq_services.sim.certificate` says the first in plain words and `deltaq_services.sim.share_search` the second.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from deltaq_cell.compiled import compiled
+from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
+from deltaq_cell.kernel.certify import TubesCertified, certify
+from deltaq_cell.kernel.course import Course, lay_course
+from deltaq_cell.kernel.look import NONE
+from deltaq_cell.kernel.pieces import Stack, Tube
+from deltaq_protocol.arrays import Array
+
+
+class Against(NamedTuple):
+    """What a robot's tube is held against: the structure and itself, then each tube of each other robot.
+
+    Attributes:
+        points: (k, n) setpoints of all tubes, one tube after the other [rad or m].
+        tubes: (tubes, 12) of each: where its points begin and end, its lag, first and last window, its robot's first
+            and last joint, the same of its bodies, where its pairs begin and end, and the robot's number. Of the
+            first, which is no other robot's, there are no points.
+    """
+
+    points: Array
+    tubes: Integers
+
+
+class Told(NamedTuple):
+    """The pair with the least room of each tube that a robot's was held against.
+
+    Attributes:
+        pair: (tubes,) its index; -1 where no pair was asked about.
+        travel_m: (tubes,) how far its bodies travel together [m].
+        least_m: (tubes,) bound of its room from below [m].
+        most_m: (tubes,) and from above [m].
+        middle: (tubes, 2, joints) of the pieces in which it was found [rad or m].
+    """
+
+    pair: Integers
+    travel_m: Array
+    least_m: Array
+    most_m: Array
+    middle: Array
+
+
+class Suspected(NamedTuple):
+    """Pairs at which certificates failed, those of one certificate after those of another.
+
+    Attributes:
+        pairs: their indices.
+        end: (rounds + 1,) where those of each certificate end, the first zero.
+        robot: (rounds,) number of the robot on the other side.
+    """
+
+    pairs: Integers
+    end: Integers
+    robot: Integers
+
+
+@compiled
+def certify_all(
+    cell: Anatomy,
+    placed: Placed,
+    mine: Tube,
+    against: Against,
+    pairs: Pairs,
+    every: Integers,
+    room_m: float,
+    budget: int,
+    tells: bool,
+    stack: Stack,
+    found: Findings,
+    told: Told,
+) -> tuple[int, int, bool, int, int]:
+    """Whether a robot keeps `room_m` beyond every stop distance in its whole tube.
+
+    Args:
+        cell: what stays.
+        placed: is written to.
+        mine: the robot's tube.
+        against: what it is held against.
+        pairs: all of the cell; every stop distance and `room_m` together are positive.
+        every: (pairs,) their indices.
+        room_m: what is asked for [m].
+        budget: of searches in parts of tubes, for all together.
+        tells: whether `told` is asked for.
+        stack: is written to.
+        found: is written to.
+        told: is written to, up to where it fails.
+
+    Returns:
+        Which of `against.tubes` it fails at, -1 if it holds; what is left of the budget; and of where it fails whether
+        a pair was too near at the middle, and where in `stack.chosen` the open pairs begin and end.
+    """
+    for number in range(len(against.tubes)):
+        first, last = against.tubes[number, 9], against.tubes[number, 10]
+        theirs = _tube(against, number)
+        verdict = certify(
+            cell, placed, mine, theirs, pairs, every[first:last], room_m, budget, tells, stack, found
+        )
+        budget = verdict.left
+        if tells:
+            _tell(told, number, verdict, stack)
+        if not verdict.holds:
+            return number, budget, verdict.too_near, verdict.first_open, verdict.last_open
+    return NONE, budget, False, 0, 0
+
+
+@compiled
+def largest_share(
+    cell: Anatomy,
+    placed: Placed,
+    course: Course,
+    refused: float,
+    against: Against,
+    pairs: Pairs,
+    every: Integers,
+    room_m: float,
+    budget: int,
+    halvings: int,
+    rounds: int,
+    suspected: Suspected,
+    stack: Stack,
+    found: Findings,
+    told: Told,
+) -> tuple[float, int]:
+    """Largest share of a request found that is certified, as `deltaq_services.sim.share_search` finds it.
+
+    Args:
+        cell: what stays.
+        placed: is written to.
+        course: of the request; what it was laid for last is written over.
+        refused: a share whose certificate does not hold.
+        against: what the robot's tube is held against.
+        pairs: all of the cell; every stop distance and `room_m` together are positive.
+        every: (pairs,) their indices.
+        room_m: what is asked for [m].
+        budget: of searches in parts of tubes, for all together.
+        halvings: how finely a share is searched.
+        rounds: searches that end with a certificate.
+        suspected: has the pairs at which the certificate of `refused` failed; is written to.
+        stack: is written to.
+        found: is written to.
+        told: is not written to.
+
+    Returns:
+        The share, 0 if none is found, and what is left of the budget.
+    """
+    least = refused / 2**halvings
+    for sets in range(1, rounds + 1):
+        # the least first: where a robot stands right before an obstacle it is refused, and nearly always all others
+        kept, budget = _keep(
+            cell, placed, course, least, against, pairs, room_m, budget, sets, suspected, stack, found
+        )
+        if not kept:
+            return 0.0, budget
+        share, step = least, refused - least
+        while step > least:
+            step /= 2
+            kept, budget = _keep(
+                cell,
+                placed,
+                course,
+                share + step,
+                against,
+                pairs,
+                room_m,
+                budget,
+                sets,
+                suspected,
+                stack,
+                found,
+            )
+            if kept:
+                share += step
+        mine = lay_course(course, share)
+        failed, budget, _, first, last = certify_all(
+            cell, placed, mine, against, pairs, every, room_m, budget, False, stack, found, told
+        )
+        if failed == NONE:
+            return share, budget
+        if share == least:
+            return 0.0, budget
+        refused = share
+        if sets < rounds:
+            _suspect(suspected, sets, stack.chosen[first:last], against.tubes[failed, 11])
+    mine = lay_course(course, least)
+    failed, budget, _, _, _ = certify_all(
+        cell, placed, mine, against, pairs, every, room_m, budget, False, stack, found, told
+    )
+    return (least if failed == NONE else 0.0), budget
+
+
+@compiled
+def _keep(
+    cell: Anatomy,
+    placed: Placed,
+    course: Course,
+    share: float,
+    against: Against,
+    pairs: Pairs,
+    room_m: float,
+    budget: int,
+    sets: int,
+    suspected: Suspected,
+    stack: Stack,
+    found: Findings,
+) -> tuple[bool, int]:
+    """Whether suspects keep apart at a share, and what is left of the budget."""
+    mine = lay_course(course, share)
+    for one in range(sets):
+        asked = suspected.pairs[suspected.end[one] : suspected.end[one + 1]]
+        for number in range(len(against.tubes)):
+            if against.tubes[number, 11] != suspected.robot[one]:
+                continue
+            theirs = _tube(against, number)
+            verdict = certify(cell, placed, mine, theirs, pairs, asked, room_m, budget, False, stack, found)
+            budget = verdict.left
+            if not verdict.holds:
+                return False, budget
+    return True, budget
+
+
+@compiled
+def _tube(against: Against, number: int) -> Tube:
+    of = against.tubes[number]
+    return Tube(against.points[of[0] : of[1]], of[2], of[3], of[4], (of[5], of[6]), (of[7], of[8]))
+
+
+@compiled
+def _tell(told: Told, number: int, verdict: TubesCertified, stack: Stack) -> None:
+    told.pair[number], told.travel_m[number] = verdict.told, verdict.travel_m
+    told.least_m[number], told.most_m[number] = verdict.least_m, verdict.most_m
+    for side in range(2):
+        for joint in range(stack.told.shape[1]):
+            told.middle[number, side, joint] = stack.told[side, joint]
+
+
+@compiled
+def _suspect(suspected: Suspected, sets: int, open_: Integers, robot: int) -> None:
+    """Add the pairs at which a certificate failed to `sets` sets of them."""
+    end = suspected.end[sets]
+    for k in range(len(open_)):
+        suspected.pairs[end + k] = open_[k]
+    suspected.end[sets + 1], suspected.robot[sets] = end + len(open_), robot
