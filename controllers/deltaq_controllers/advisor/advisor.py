@@ -102,8 +102,8 @@ def advise(
 
     With the hands in place they are the minima of what can be driven to from here, the best of them always among
     them; or, if asked for, points of the front of two criteria there. Where hands may leave and come back, minima
-    elsewhere are options too, and marked; those without a path give way to those with one. If hands are to go elsewhere, all configurations with the hands there are
-    searched.
+    elsewhere are options too, and marked; those without a path give way to those with one. If hands are to go
+    elsewhere, all configurations with the hands there are searched.
 
     Args:
         problem: the task.
