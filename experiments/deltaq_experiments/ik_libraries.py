@@ -143,17 +143,19 @@ def mjcf(robot: RobotModel) -> str:
     for joint in range(1, model.njoints):
         place = model.jointPlacements[joint]
         parent, name = bodies[model.parents[joint]], model.names[joint]
-        bodies[joint] = body = ElementTree.SubElement(parent, "body", name=f"{name}_body", **_placed(place))
+        bodies[joint] = body = ElementTree.SubElement(
+            parent, "body", {"name": f"{name}_body", **_placed(place)}
+        )
         ElementTree.SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
         column = model.joints[joint].idx_v
         axis = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, column]
         turns = bool(robot.revolute[column])
         moved = {"type": "hinge" if turns else "slide", "axis": _numbers(axis[3:] if turns else axis[:3])}
         limits = _numbers(np.array([robot.lower[column], robot.upper[column]]))
-        ElementTree.SubElement(body, "joint", name=name, limited="true", range=limits, **moved)
+        ElementTree.SubElement(body, "joint", {"name": name, "limited": "true", "range": limits, **moved})
     for hand in robot.hands:
         frame = model.frames[robot.frame_of(hand)]
-        ElementTree.SubElement(bodies[frame.parentJoint], "site", name=hand, **_placed(frame.placement))
+        ElementTree.SubElement(bodies[frame.parentJoint], "site", {"name": hand, **_placed(frame.placement)})
     return ElementTree.tostring(root, encoding="unicode")
 
 
