@@ -1,6 +1,7 @@
 """How often the advisor's advice can be driven: whole answers from random starts of one robot.
 
     python -m deltaq_experiments.advised_starts --robot gr --starts 100
+    python -m deltaq_experiments.advised_starts --cell ./arms.yaml --robot panda --starts 100
 
 A start is a configuration drawn evenly over the joints' ranges in which nothing is too near. The advisor is asked for
 what is better with the hands where they are. With `--drive N` the best option of the first N starts is driven to, in
@@ -22,11 +23,13 @@ from deltaq_controllers.advisor.advisor import Option, advise
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.problem import AdvisorProblem
 from deltaq_controllers.inverse.tracking import ConstraintTracker
+from deltaq_controllers.live import model_of
 from deltaq_experiments.advised_drive import driven_to
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.errors import DeltaqError
 
 CELLS = {"gr": "lab", "fr": "lab", "dawm": "dawm"}
-"""The cell of each robot that the advisor knows."""
+"""The cell of each robot that is asked about without naming one."""
 BETTER = 0.01
 """An option improves if its energy is less than that of the start by more than this fraction."""
 
@@ -84,14 +87,32 @@ def starts(cell: CellModel, robot: str, count: int, seed: int) -> list[Array]:
     return found
 
 
-def run(robot: str, count: int, seed: int, drive: int = 0, hands_may_leave: bool = False) -> AdvisedStarts:
-    """Ask from every start."""
-    cell = CellModel.load(CELLS[robot])
-    model, tracker, exact = (
-        cell.robots[robot],
-        ConstraintTracker(cell.robots[robot]),
-        ExactClearance(cell, robot),
-    )
+def run(
+    robot: str,
+    count: int,
+    seed: int,
+    drive: int = 0,
+    hands_may_leave: bool = False,
+    cell_name: str | None = None,
+) -> AdvisedStarts:
+    """Ask from every start.
+
+    Args:
+        robot: the robot.
+        count: number of starts.
+        seed: of the starts.
+        drive: to the best option of so many of them.
+        hands_may_leave: whether the hands may leave their place on the way to an option, and come back.
+        cell_name: name or file of the cell; that of `CELLS` if not given.
+
+    Raises:
+        ControllerError: the cell has no such robot.
+        AdvisorError: it has no joint to spare, and its hands may not leave.
+    """
+    cell_name = cell_name or CELLS[robot]
+    cell = CellModel.load(cell_name)
+    model = model_of(cell.robots, robot)
+    tracker, exact = ConstraintTracker(model), ExactClearance(cell, robot)
     task = AdvisorProblem(cell, robot, tracker.hands(model.home), None, tracker, None, hands_may_leave)
     advise(task, model.home, generator=np.random.default_rng(0), effort=0.1, exact=exact)  # compiles
     wall_s, cpu_s, answers, here = [], [], list[list[Option]](), []
@@ -118,7 +139,7 @@ def run(robot: str, count: int, seed: int, drive: int = 0, hands_may_leave: bool
         return next((one for one in found if one.path is not None), None)
 
     goes = [q for q, found in zip(placed, better, strict=True) if found][:drive]
-    drives = [one for q in goes if (one := driven_to(CELLS[robot], robot, q, best)) is not None]
+    drives = [one for q in goes if (one := driven_to(cell_name, robot, q, best)) is not None]
     offered = [one for answer in answers for one in answer if one.path is not None]
     shares = [np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower) for q in placed]
     return AdvisedStarts(
@@ -166,14 +187,20 @@ def _counts(names: object) -> dict[str, int]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print one table, or one JSON object."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robot", choices=sorted(CELLS), default="dawm")
+    parser.add_argument("--cell", help=f"name or file; not needed for {', '.join(CELLS)}")
+    parser.add_argument("--robot", default="dawm")
     parser.add_argument("--starts", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--drive", type=int, default=0, help="drive to the best option of so many starts")
     parser.add_argument("--hands-may-leave", action="store_true")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
-    found = run(given.robot, given.starts, given.seed, given.drive, given.hands_may_leave)
+    if given.cell is None and given.robot not in CELLS:
+        parser.error(f"--robot {given.robot}: name its cell as well, --cell NAME or FILE")
+    try:
+        found = run(given.robot, given.starts, given.seed, given.drive, given.hands_may_leave, given.cell)
+    except DeltaqError as error:
+        parser.error(str(error))
     if given.json:
         print(found.model_dump_json(indent=2))
     else:

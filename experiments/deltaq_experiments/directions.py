@@ -1,7 +1,8 @@
 """How far a hand goes along each axis, how straight, and what a step costs: `python -m deltaq_experiments.directions`.
 
 From home each axis is driven for a time in either sense, all hands at once and, of several hands, the first one by
-itself. The robot does what is asked for; the gate is left out, so that the modes are compared and nothing else.
+itself. The robot does what is asked for; the gate is left out, so that the modes are compared and nothing else. With
+`--keeps-clear` it keeps clear of itself and its surroundings as when it is driven, the other robots at home.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.live import model_of
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
+from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
+from deltaq_controllers.surroundings.surroundings import RobotSurroundings
 from deltaq_protocol.arrays import Array
 
 HAND_M_S, HAND_RAD_S = 0.1, 0.2
@@ -71,15 +74,35 @@ def commands(robot: RobotModel) -> Iterator[dict[str, float]]:
 
 
 def drive(
-    robot: RobotModel, mode: ModeName, rates: dict[str, float], duration_s: float, cycle_s: float
+    robot: RobotModel,
+    mode: ModeName,
+    rates: dict[str, float],
+    duration_s: float,
+    cycle_s: float,
+    clear_in: CellModel | None = None,
 ) -> tuple[list[Array], list[float], str]:
-    """Drive from home: setpoints (n,), processor time of each step [s], and what limited the last one."""
-    teleoperator = Teleoperator(robot, cycle_s, mode)
+    """Drive from home: setpoints (n,), processor time of each step [s], and what limited the last one.
+
+    Args:
+        robot: the robot.
+        mode: its mode.
+        rates: of one axis [m/s or rad/s].
+        duration_s: of the drive [s].
+        cycle_s: of the robot [s].
+        clear_in: its cell, to keep clear of what is there; the other robots stand at home.
+    """
+    around = None if clear_in is None else RobotSurroundings(clear_in, robot.name)
+    homes = {name: other.home for name, other in ({} if clear_in is None else clear_in.robots).items()}
+    homes.pop(robot.name, None)
+    teleoperator = Teleoperator(robot, cycle_s, mode, surroundings=around)
+    practise(teleoperator)  # to compile is no part of a step
     q = robot.home.copy()
     way, seconds = [q], []
     teleoperator.command = OperatorCommand(rates)
     for cycle in range(1, round(duration_s / cycle_s) + 1):
-        view = View(RobotView(cycle, cycle * cycle_s, q, q))
+        time_s = cycle * cycle_s
+        others = {name: RobotView(cycle, time_s, home, home) for name, home in homes.items()}
+        view = View(RobotView(cycle, time_s, q, q), others)
         begin = time.thread_time()
         dq = teleoperator.increment(view)
         seconds.append(time.thread_time() - begin)
@@ -122,6 +145,7 @@ def run(
     mode: ModeName,
     duration_s: float = 6.0,
     passes: int = 1,
+    keeps_clear: bool = False,
     progress: Callable[[DirectionGone], None] = lambda _: None,
 ) -> tuple[list[DirectionGone], Steps]:
     """Drive every direction.
@@ -132,6 +156,7 @@ def run(
         mode: a mode that drives hands.
         duration_s: of each drive [s].
         passes: how often each is driven; other programs that share the core slow down a step of one pass.
+        keeps_clear: whether the robot keeps clear of itself and its surroundings.
         progress: called with each direction that is done.
 
     Raises:
@@ -139,13 +164,13 @@ def run(
     """
     loaded = CellModel.load(cell)
     model, cycle_s = model_of(loaded.robots, robot), loaded.description.cycle_s
-    drive(model, mode, next(commands(model)), 5 * cycle_s, cycle_s)  # to compile is no part of a step
+    clear_in = loaded if keeps_clear else None
     directions: list[DirectionGone] = []
     seconds: list[float] = []
     gc.collect()
     gc.freeze()
     for rates in commands(model):
-        drives = [drive(model, mode, rates, duration_s, cycle_s) for _ in range(passes)]
+        drives = [drive(model, mode, rates, duration_s, cycle_s, clear_in) for _ in range(passes)]
         way, _, limited = drives[0]
         directions.append(judged(model, rates, way, duration_s, limited))
         seconds += np.min([taken for _, taken, _ in drives], axis=0).tolist()
@@ -163,19 +188,28 @@ def main() -> int:
     parser.add_argument("--mode", nargs="+", default=["decoupled", "coupled"], help="default: both of hands")
     parser.add_argument("--duration-s", type=float, default=6.0, help="of each (default: %(default)s)")
     parser.add_argument("--passes", type=int, default=1, help="drives of each axis (default: %(default)s)")
+    parser.add_argument(
+        "--keeps-clear", action="store_true", help="of itself and its surroundings, as when it is driven"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object a mode")
     options = parser.parse_args()
     if options.passes < 1:
         parser.error(f"--passes {options.passes}: at least 1")
     for name in options.mode:
         directions, steps = run(
-            options.cell, options.robot, ModeName(name), options.duration_s, options.passes
+            options.cell,
+            options.robot,
+            ModeName(name),
+            options.duration_s,
+            options.passes,
+            options.keeps_clear,
         )
         whole = sum(one.share >= WHOLE for one in directions)
         if options.json:
             told = {
                 "robot": options.robot,
                 "mode": name,
+                "keeps_clear": options.keeps_clear,
                 "whole": whole,
                 "directions": [asdict(one) for one in directions],
                 "steps": asdict(steps),

@@ -28,7 +28,8 @@ Written by `python -m deltaq_experiments.peg_and_valve_page`; `deltaq peg-and-va
 scripted operator brings the hand of the gantry robot to a hole, puts a peg {1000 * PEG_M:.0f} mm in and takes
 it out, goes to a valve and turns it by 60 degrees, in virtual time, through the gate. A seed places hole and
 valve within {1000 * PLACED_M:.0f} mm and 10 degrees of their usual places, and is the operator; all modes have
-the same seeds. Each cell is the median over the seeds; then the worst, with its seed.
+the same seeds. Each cell is the median over the seeds, with the quartiles in brackets; then the worst, with its
+seed.
 
 """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import median
+from statistics import median, quantiles
 from typing import Any
 
 from deltaq_experiments.peg_and_valve import OPERATORS, ModeFigures
@@ -30,15 +30,25 @@ class Figure:
     worst: Callable[[Sequence[float]], float] = max
 
     def told(self, runs: Sequence[ModeFigures]) -> dict[str, Any]:
-        """Median, worst, and its seed."""
+        """Median, lower and upper quartile, worst, and its seed."""
         values = [self.of(run) for run in runs]
         worst = self.worst(values)
-        return {"median": median(values), "worst": worst, "seed": runs[values.index(worst)].seed}
+        # of one run, all three are that one
+        lower, _, upper = quantiles(values * 2 if len(values) == 1 else values, n=4, method="inclusive")
+        return {
+            "median": median(values),
+            "quartiles": [lower, upper],
+            "worst": worst,
+            "seed": runs[values.index(worst)].seed,
+        }
 
     def cell(self, runs: Sequence[ModeFigures]) -> str:
         """The same as a cell of a table."""
         told = self.told(runs)
-        return f"{told['median']:.{self.decimals}f}; {told['worst']:.{self.decimals}f} ({told['seed']})"
+        middle, lower, upper, worst = (
+            f"{value:.{self.decimals}f}" for value in (told["median"], *told["quartiles"], told["worst"])
+        )
+        return f"{middle} [{lower}, {upper}]; {worst} ({told['seed']})"
 
 
 FIGURES = (

@@ -36,6 +36,7 @@ class Driven:
     q: list[Array] = field(default_factory=list)
     verdicts: list[Verdict] = field(default_factory=list)
     limitations: list[str] = field(default_factory=list)
+    others_verdicts: list[Verdict] = field(default_factory=list)
 
     def hand_errors(self, of: list[Array], start: Array) -> tuple[float, float]:
         """How far any hand was off from where it is at `start` [m, rad]."""
@@ -115,6 +116,14 @@ class StackDrive:
         self.stack.acquire(robot, "test")
         around = RobotSurroundings(self.stack.cell, robot) if keeps_clear else None
         self.teleoperator = Teleoperator(self.robot, CYCLE_S, mode, surroundings=around)
+        self._others: dict[str, Teleoperator] = {}
+
+    def join(self, robot: str, mode: ModeName, **rates: float) -> None:
+        """Have another robot of the cell driven too, from now on."""
+        if robot not in self._others:
+            self.stack.acquire(robot, "other")
+            self._others[robot] = Teleoperator(self.stack.cell.robots[robot], CYCLE_S, mode)
+        self._others[robot].command = OperatorCommand(rates, mode)
 
     def drive(
         self, duration_s: float, mode: ModeName | None = None, option: int | None = None, **rates: float
@@ -130,6 +139,12 @@ class StackDrive:
             verdict = self.stack.ask(self.name, increment)
             assert verdict is not None
             self.teleoperator.take_verdict(verdict)
+            for name, other in self._others.items():
+                own = RobotView.from_state(self.stack.states[name])
+                verdict_on_other = self.stack.ask(name, other.increment(View(own)))
+                assert verdict_on_other is not None
+                other.take_verdict(verdict_on_other)
+                driven.others_verdicts.append(verdict_on_other)
             driven.q_cmd.append(np.array(state.q_cmd))
             driven.q.append(np.array(state.q))
             driven.verdicts.append(verdict)

@@ -21,6 +21,7 @@ from typing import Any, Self
 
 import numpy as np
 import published_arms
+from led_cycles import by_lines, by_master
 from numba.core import event
 
 from deltaq_cell.cell_model import CellModel
@@ -295,6 +296,9 @@ CASES: dict[str, tuple[str, Callable[[QuietCell], Coroutine[Any, Any, None]]]] =
     "criteria-panda": ("arms", partial(by_hand, robot="panda", modes=(ModeName.COUPLED,), weights=ALL)),
     "modes-dawm": ("dawm", partial(by_hand, robot="dawm", modes=MODES)),
     **{name: ("lab", partial(by_camera, name=name)) for name in NAMES},
+    "operated-gr": ("lab", partial(by_lines, robot="gr", master="fr")),
+    "operated-dawm": ("dawm", partial(by_lines, robot="dawm")),
+    "master-gr": ("lab", partial(by_master, robot="gr", master="fr")),
     "leader": ("lab", partial(by_controller, robot="gr", made=leader)),
     "attacker": ("lab", partial(by_controller, robot="gr", made=attacker)),
     "counsel-gr": ("lab", partial(counsel, robot="gr")),

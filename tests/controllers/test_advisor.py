@@ -181,6 +181,22 @@ def test_from_almost_every_start_some_option_is_better_and_can_be_driven_to(robo
     assert better >= len(STARTS[robot]) - 1
 
 
+@pytest.mark.long
+def test_where_nothing_better_is_found_the_search_goes_on_and_its_bar_never_goes_back() -> None:
+    (boxed_in,) = starts(CELL, "dawm", 1, seed=901)
+    done: list[float] = []
+
+    def go_on(progress: Progress) -> bool:
+        done.extend([progress.done] * (progress.doing == "searching"))
+        return True
+
+    task = problem(boxed_in)
+    found = advise(task, boxed_in, generator=np.random.default_rng(0), exact=EXACT, go_on=go_on)
+    assert found[0].energy < 0.99 * found[0].energy_here
+    assert all(later > earlier for earlier, later in pairwise(done))
+    assert 0.5 < done[-1] < 1.0, "more than one turn"
+
+
 @cache
 def answers(robot: str) -> list[list[Option]]:
     return [advised_from(robot, q) for q in STARTS[robot]]

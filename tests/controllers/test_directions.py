@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from driving import CYCLE_S, PlainDrive, StackDrive, model
 
+from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.limitation import Limit
 from deltaq_controllers.modes.motion import ModeName
@@ -153,6 +154,26 @@ def test_where_bodies_come_near_the_robot_stops_by_itself_and_the_gate_refuses_n
     assert away.limitations[-1] == ""
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("mode", [DECOUPLED, COUPLED])
+def test_a_hand_that_meets_a_moving_robot_stops_by_itself_and_the_gate_holds_neither(mode: ModeName) -> None:
+    run = StackDrive("gr", mode, keeps_clear=True)
+    run.join("fr", DECOUPLED, y=-0.08)
+    meeting = run.drive(5.6, y=0.12, x=0.04)
+    run.join("fr", DECOUPLED, y=0.08)
+    following = run.drive(1.5, y=0.12, x=0.04)
+    for driven in (meeting, following):
+        verdicts = driven.verdicts + driven.others_verdicts
+        assert {verdict.outcome for verdict in verdicts} == {Outcome.ADMITTED}
+    limitations = meeting.limitations
+    assert Limit.CLEARANCE in limitations
+    hand = [run.robot.forward(q)[1, 3] for q in meeting.q_cmd]
+    assert hand[-1] - hand[-20] < 0.005, "it waits"
+    assert run.robot.forward(following.q_cmd[-1])[1, 3] - hand[-1] > 0.05, (
+        "it goes on as soon as the other one leaves"
+    )
+
+
 def test_what_the_gate_scales_is_gone_on_from() -> None:
     """The gate admits a part: the hand's line begins anew where it is, and nothing jumps."""
     run = PlainDrive("dawm", COUPLED)
@@ -186,6 +207,16 @@ def test_a_jerk_time_out_of_range_is_named_with_its_bounds() -> None:
 
 
 @pytest.mark.long
+def test_a_drive_that_keeps_clear_ends_where_bodies_come_near_and_says_so() -> None:
+    robot, cell = model("dawm"), CellModel.load("dawm")
+    freely, _, _ = drive(robot, COUPLED, {"left.y": -0.2}, 4.0, CYCLE_S)
+    clear, _, limited = drive(robot, COUPLED, {"left.y": -0.2}, 4.0, CYCLE_S, cell)
+    ways = [judged(robot, {"left.y": -0.2}, way, 4.0).reached for way in (freely, clear)]
+    assert ways[1] < ways[0] - 0.02
+    assert "come no nearer" in limited
+
+
+@pytest.mark.long
 def test_one_command_prints_directions_and_the_cost_of_a_step() -> None:
     done = subprocess.run(
         [
@@ -199,4 +230,5 @@ def test_one_command_prints_directions_and_the_cost_of_a_step() -> None:
     told = json.loads(done.stdout)
     assert [one["axis"] for one in told["directions"]][:2] == ["+x", "-x"]
     assert len(told["directions"]) == 12
+    assert told["keeps_clear"] is False
     assert 0.0 < told["steps"]["p50_ms"] <= told["steps"]["p99_ms"]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from driving import CYCLE_S, PlainDrive, StackDrive, model
+from pages import steps
 
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.modes.hands import Hands
@@ -15,6 +18,10 @@ from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.led_pose import JUMP_M, SLACK_M, LedPose, PlacedTool
 from deltaq_controllers.operator_input.master import MOST_M_S, STALE_S, Master
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.messages import Outcome
+from deltaq_verification.virtual_cell.cell import VirtualCell
+
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "drive-by-hand.md"
 
 
 class Clutch(OperatorInput):
@@ -275,3 +282,43 @@ def test_one_robot_of_a_cell_leads_the_other_through_the_gate() -> None:
     ways = tool("fr") - start[0], tool("gr") - start[1]
     assert ways[0][2] > 0.08
     assert ways[1] == pytest.approx(0.5 * ways[0], abs=2e-3)
+
+
+@pytest.mark.long
+def test_a_twin_that_is_moved_joint_by_joint_leads_its_arm_through_the_gate(tmp_path: Path) -> None:
+    """The cell of the guide; the twin's increments are those of some device's encoders."""
+    steps_of_guide = steps(GUIDE.read_text(encoding="utf-8"))
+    (text,) = (step.text for step in steps_of_guide if (step.kind, step.argument) == ("write", "twin.yaml"))
+    (tmp_path / "twin.yaml").write_text(text, encoding="utf-8")
+    stack = VirtualCell(tmp_path / "twin.yaml")
+    arm, twin = (stack.cell.robots[name] for name in ("arm", "twin"))
+    teleoperator = Teleoperator(arm, stack.cell.description.cycle_s, ModeName.DECOUPLED)
+    stack.run_until_ready()
+    for name in ("arm", "twin"):
+        stack.acquire(name, "somebody")
+
+    def view(name: str) -> RobotView:
+        return RobotView.from_state(stack.states[name])
+
+    def tools() -> list[Array]:
+        return [robot.forward(view(robot.name).q) for robot in (twin, arm)]
+
+    master = Master(teleoperator, twin, lambda: (view("twin"), view("arm")), Clutch(), 0.25)
+    before, outcomes = tools(), set()
+    for cycle in range(350):
+        stack.cycle()
+        pace = 8e-4 * min(1.0, cycle / 40, max(0.0, (180 - cycle) / 40))
+        moved = stack.ask("twin", pace * np.array([1.0, 0.4, -0.6, 0.2, 0.3, 0.5]))
+        command = master.read(view("arm").time_s)
+        assert command is not None
+        teleoperator.command = command
+        led = stack.ask("arm", teleoperator.increment(View(view("arm"))))
+        teleoperator.take_verdict(led)
+        outcomes |= {verdict.outcome for verdict in (moved, led) if verdict is not None}
+    assert outcomes == {Outcome.ADMITTED}
+    after = tools()
+    ways = [now[:3, 3] - then[:3, 3] for now, then in zip(after, before, strict=True)]
+    assert np.linalg.norm(ways[0]) > 0.05
+    assert ways[1] == pytest.approx(0.25 * ways[0], abs=1e-3)
+    turns = [pin.log3(now[:3, :3] @ then[:3, :3].T) for now, then in zip(after, before, strict=True)]
+    assert turns[1] == pytest.approx(turns[0], abs=2e-3)

@@ -151,15 +151,16 @@ def test_operators_differ_a_little() -> None:
     assert 0.7 * REACTION_S <= min(reactions) < max(reactions) <= 1.3 * REACTION_S
 
 
-def test_a_distribution_has_the_median_and_the_worst_with_its_seed() -> None:
+def test_a_distribution_has_the_median_the_quartiles_and_the_worst_with_its_seed() -> None:
     runs = [figures("coupled", seed, time_s=time) for seed, time in enumerate((20.0, 90.0, 30.0))]
     runs[2] = figures("coupled", 2, time_s=30.0, kept=0.5, undone="'turn' is not done")
     (coupled,) = distributions(runs)
     assert coupled["runs"] == 3
     assert coupled["done"] == 2
-    assert coupled["figures"]["task, s"] == {"median": 30.0, "worst": 90.0, "seed": 1}
+    time_s = {"median": 30.0, "quartiles": [25.0, 60.0], "worst": 90.0, "seed": 1}
+    assert coupled["figures"]["task, s"] == time_s
     kept = coupled["figures"]["within tolerance, % of the time at work"]
-    assert kept == {"median": 100.0, "worst": 50.0, "seed": 2}
+    assert kept == {"median": 100.0, "quartiles": [75.0, 100.0], "worst": 50.0, "seed": 2}
 
 
 def test_a_conclusion_is_supported_or_not_by_the_seeds_that_all_modes_have() -> None:
@@ -182,7 +183,7 @@ def test_a_conclusion_is_supported_or_not_by_the_seeds_that_all_modes_have() -> 
 def test_the_page_says_what_was_not_done_and_that_there_were_few_runs(tmp_path) -> None:
     runs = [figures("joint", 3, undone="'insert' is not done after 600 s"), figures("coupled", 3)]
     told = page(runs)
-    assert "| `joint` | 1, 0 | 10; 10 (3) |" in told
+    assert "| `joint` | 1, 0 | 10 [10, 10]; 10 (3) |" in told
     assert "`joint`, seed 3: 'insert' is not done after 600 s." in told
     assert "there was no time for more" in told
     for one in (figures(mode, 0) for mode in OPERATORS):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import published_arms
 import pytest
 
 from deltaq_experiments import advised_drive
@@ -19,6 +21,25 @@ def test_what_was_made_of_the_starts_is_told_as_one_object(capsys: pytest.Captur
     assert found.improving <= found.drivable <= 1.0
     assert found.p50_s <= found.p99_s <= found.longest_s
     assert sum(found.tightest.values()) <= sum(found.bound_by.values())
+
+
+def test_a_robot_of_ones_own_is_asked_about_in_its_cell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arms.yaml").write_text(published_arms.description(), encoding="utf-8")
+    cell = str(tmp_path / "arms.yaml")
+    main(["--cell", cell, "--robot", "panda", "--starts", "2", "--json"])
+    found = AdvisedStarts.model_validate(json.loads(capsys.readouterr().out))
+    assert (found.robot, found.starts) == ("panda", 2)
+    assert found.drivable == 1.0
+    for wrong, said in (
+        (["--robot", "panda"], "name its cell as well"),
+        (["--cell", cell, "--robot", "pandar"], "no robot 'pandar'; it has"),
+        (["--cell", cell, "--robot", "ur"], "'ur' is not redundant"),
+    ):
+        with pytest.raises(SystemExit):
+            main(wrong)
+        assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("robot", ["dawm", pytest.param("gr", marks=pytest.mark.nightly)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -102,8 +102,8 @@ def advise(
 
     With the hands in place they are the minima of what can be driven to from here, the best of them always among
     them; or, if asked for, points of the front of two criteria there. Where hands may leave and come back, minima
-    elsewhere are options too, and marked. If hands are to go elsewhere, all configurations with the hands there are
-    searched.
+    elsewhere are options too, and marked; those without a path give way to those with one. If hands are to go
+    elsewhere, all configurations with the hands there are searched.
 
     Args:
         problem: the task.
@@ -159,7 +159,7 @@ class _Answer:
         found = self._reached(kept.tree, effort, trade_off)
         if problem.hands_may_leave and trade_off is None:
             found += self._left(self._searched(method, effort), found)
-            found = sorted(found, key=lambda option: option.energy)[: self._count]
+            found.sort(key=lambda option: option.energy)
         return self._with_paths(found, kept, moved)
 
     def _reached(self, tree: Tree, effort: float, trade_off: tuple[str, str] | None) -> list[Option]:
@@ -189,7 +189,8 @@ class _Answer:
             and (np.abs(one - self._present).max() > DISTINCT)
             for one in q
         ]
-        return self._described(q[other], energy[other], hands_move=True, hands_leave=True)
+        q, energy = q[other][: self._count], energy[other][: self._count]
+        return self._described(q, energy, hands_move=True, hands_leave=True)
 
     def _searched(self, method: str, effort: float) -> Pool:
         def go_on(doing: str, done: float, energy: float) -> bool:
@@ -217,7 +218,13 @@ class _Answer:
         return pool.q[chosen], pool.energy[chosen]
 
     def _with_paths(self, found: list[Option], kept: PathPlanner, moved: PathPlanner) -> list[Option]:
-        self._ask("checking", 1.0, tuple(found))
+        """The options with their paths, so many as were asked for.
+
+        Which of more than that stay is known once their paths are; they are shown then, since a rank that has been
+        shown keeps its option.
+        """
+        is_settled = len(found) <= self._count
+        self._ask("checking", 1.0, tuple(found) if is_settled else ())
         for number, option in enumerate(found):
             ways = moved if option.hands_move else kept
             try:
@@ -226,7 +233,10 @@ class _Answer:
                 found[number] = replace(option, path=path, no_path="")
             except NoPathError as error:
                 found[number] = replace(option, no_path=str(error))
-            self._ask("finding paths", (number + 1) / len(found), tuple(found))
+            self._ask("finding paths", (number + 1) / len(found), tuple(found) if is_settled else ())
+        if not is_settled:
+            found = kept_of(found, self._count)
+            self._ask("finding paths", 1.0, tuple(found))
         return found
 
     def _ask(self, doing: str, done: float, found: tuple[Option, ...] = ()) -> bool:
@@ -264,6 +274,17 @@ class _Answer:
             )
             for row in range(len(q))
         ]
+
+
+def kept_of(found: Sequence[Option], count: int) -> list[Option]:
+    """Those with a path before those without, best first; the best that keeps the hands in place is always kept."""
+
+    def worth(option: Option) -> tuple[bool, float]:
+        return option.path is None, option.energy
+
+    best_in_place = min((option for option in found if not option.hands_leave), key=worth, default=None)
+    first = sorted(found, key=lambda option: (option is not best_in_place, *worth(option)))[:count]
+    return sorted(first, key=lambda option: option.energy)
 
 
 def hands_are_there(problem: AdvisorProblem, q: Array) -> bool:

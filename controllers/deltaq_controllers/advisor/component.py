@@ -23,6 +23,11 @@ ROUNDS = 16
 DESCENTS = 8
 """Nodes from which the energy descends, and the steps of that."""
 STEPS = 12
+BETTER = 0.01
+"""A search that has found nothing better than the start by this fraction of its energy goes on: one start in ten is
+boxed in so that a tree of the usual size is too small."""
+TURNS = 4
+"""How often at most it spreads and descends, each time farther, and from nodes that differ less."""
 TOGETHER = 8
 """So many descents are made side by side."""
 LEAST_SINGULAR = 0.02
@@ -55,7 +60,7 @@ class Component:
         self.energy = problem.energies(tree.q)
 
     def explore(self, effort: float, go_on: Callable[[float], bool]) -> Indices:
-        """Spread, and descend from the best nodes.
+        """Spread, and descend from the best nodes; again, a few times, where nothing better than the root is found.
 
         Args:
             effort: factor of the usual time.
@@ -64,38 +69,51 @@ class Component:
         Returns:
             The nodes at which descents ended, the root's first.
         """
-        rounds = max(1, round(ROUNDS * effort))
         ends = self.descend(np.zeros(1, dtype=np.intp), STEPS)
+        for turn in range(1, TURNS + 1 if len(self._problem.tracker.base) else 1):
+            half = 0.5**turn  # of a bar that is not to stand still, nor to go back
+
+            def goes_on(done: float, half: float = half) -> bool:
+                return go_on(1.0 - half * (2.0 - done))
+
+            if not self._spread(max(1, round(ROUNDS * turn * effort)), goes_on):
+                break
+            # a few at a time: what may be shown grows, and the operator may end it
+            nodes = self.best(max(1, round(DESCENTS * effort)), ends, apart=APART / turn)
+            for first in range(0, len(nodes), TOGETHER):
+                if not goes_on(0.5 + 0.5 * first / len(nodes)):
+                    return ends
+                ends = np.append(ends, self.descend(nodes[first : first + TOGETHER], STEPS))
+            if self.energy[ends].min() < (1.0 - BETTER) * self.energy[0]:
+                break
+        return ends
+
+    def _spread(self, rounds: int, go_on: Callable[[float], bool]) -> bool:
+        """Grow the tree; whether to go on."""
         for number in range(rounds):
-            if not len(self._problem.tracker.base) or not go_on(0.5 * number / rounds):
-                return ends
+            if not go_on(0.5 * number / rounds):
+                return False
             new = self.tree.spread(self._problem.lower, self._problem.upper, self._generator)
             self._problem.count += len(new)
             self._measure()
-        # a few at a time: what may be shown grows, and the operator may end it
-        nodes = self.best(max(1, round(DESCENTS * effort)), ends)
-        for first in range(0, len(nodes), TOGETHER):
-            if not go_on(0.5 + 0.5 * first / len(nodes)):
-                break
-            ends = np.append(ends, self.descend(nodes[first : first + TOGETHER], STEPS))
-        return ends
+        return True
 
-    def best(self, count: int, known: Indices, energy: Array | None = None) -> Indices:
-        """The nodes of least energy that differ by `APART` from one another and from those known, at most `count`.
+    def best(self, count: int, known: Indices, energy: Array | None = None, apart: float = APART) -> Indices:
+        """The nodes of least energy that differ by `apart` from one another and from those known, at most `count`.
 
         Their edges hold. Another energy (K,) of the nodes may be given.
         """
         energy = self.energy if energy is None else energy
         q, left = self.tree.q, np.isfinite(energy)
         for node in known:
-            left &= np.abs(q - q[node]).max(axis=1) > APART
+            left &= np.abs(q - q[node]).max(axis=1) > apart
         chosen: list[int] = []
         while left.any() and len(chosen) < count:
             node = int(np.argmin(np.where(left, energy, np.inf)))
             left[node] = False
             if self.tree.holds(node):
                 chosen.append(node)
-                left &= np.abs(q - q[node]).max(axis=1) > APART
+                left &= np.abs(q - q[node]).max(axis=1) > apart
         return np.array(chosen, dtype=np.intp)
 
     def descend(self, nodes: Indices, steps: int, problem: AdvisorProblem | None = None) -> Indices:

@@ -62,32 +62,47 @@ async def operate(options: argparse.Namespace) -> None:
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     say(DriverReport(stage=DriverStage.STARTING, mode=DrivingMode.JOINT))
     async with connect(options.url, client=f"driver of {options.robot}") as cell:
-        with ExitStack() as stack:
-            teleoperator = teleoperator_for(cell, options.robot, stack)
-            has_camera = teleoperator.robot.description.camera is not None
-            compiling = asyncio.ensure_future(_compiled_camera() if has_camera else asyncio.sleep(0))
-            pilot = Pilot(
-                teleoperator,
-                partial(_follower, cell, options.robot, compiling),
-                partial(_led, cell, teleoperator),
-            )
-            for mode in DrivingMode:
-                # the advisor is a process of its own, for who asks for it
-                if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW, DrivingMode.POSE):
-                    _prepare(pilot, mode)
-            await asyncio.to_thread(practise, teleoperator)
-            if compiling.done():
-                _prepare(pilot, DrivingMode.FOLLOW)
-            operated = OperatedRobot(cell, options.robot, pilot, say, _planning(cell, options.robot))
-            listening = asyncio.ensure_future(operated.listen(lines))
-            for number in (signal.SIGTERM, signal.SIGINT):
-                loop.add_signal_handler(number, listening.cancel)
-            try:
-                with control_loop():
-                    await operated.run()
-            finally:
-                compiling.cancel()
-                await asyncio.gather(compiling, return_exceptions=True)
+        await drive_by_lines(cell, options.robot, lines, say)
+
+
+async def drive_by_lines(
+    cell: Cell, robot: str, lines: asyncio.StreamReader, say: Callable[[DriverMessage], None]
+) -> None:
+    """Get ready, so that nothing is left to be compiled once the robot is leased, and drive until the input ends.
+
+    Args:
+        cell: connection to the cell.
+        robot: its name.
+        lines: of requests.
+        say: sends a line.
+
+    Raises:
+        ControllerError: the cell has no such robot.
+    """
+    with ExitStack() as stack:
+        teleoperator = teleoperator_for(cell, robot, stack)
+        has_camera = teleoperator.robot.description.camera is not None
+        compiling = asyncio.ensure_future(_compiled_camera() if has_camera else asyncio.sleep(0))
+        pilot = Pilot(
+            teleoperator, partial(_follower, cell, robot, compiling), partial(_led, cell, teleoperator)
+        )
+        for mode in DrivingMode:
+            # the advisor is a process of its own, for who asks for it
+            if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW, DrivingMode.POSE):
+                _prepare(pilot, mode)
+        await asyncio.to_thread(practise, teleoperator)
+        if compiling.done():
+            _prepare(pilot, DrivingMode.FOLLOW)
+        operated = OperatedRobot(cell, robot, pilot, say, _planning(cell, robot))
+        listening = asyncio.ensure_future(operated.listen(lines))
+        for number in (signal.SIGTERM, signal.SIGINT):
+            asyncio.get_running_loop().add_signal_handler(number, listening.cancel)
+        try:
+            with control_loop():
+                await operated.run()
+        finally:
+            compiling.cancel()
+            await asyncio.gather(compiling, return_exceptions=True)
 
 
 def _prepare(pilot: Pilot, mode: DrivingMode) -> None:

@@ -1,0 +1,143 @@
+"""First cycles of a robot that is led: by the lines to the console's driver process, or by another robot's motion."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from contextlib import ExitStack, asynccontextmanager
+from typing import TYPE_CHECKING, Any, Self
+
+from deltaq_controllers.live_teleoperator import teleoperator_for
+from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
+from deltaq_controllers.operated.__main__ import drive_by_lines
+from deltaq_controllers.operator_input.interface import OperatorInput
+from deltaq_controllers.operator_input.master import Master, looking_at
+from deltaq_controllers.statistics import ControlStatistics
+from deltaq_controllers.teleoperation import teleoperate
+from deltaq_protocol.driving import DriverMessage
+
+if TYPE_CHECKING:
+    from first_cycles import QuietCell
+
+CYCLES = 20
+"""Cycles of each wish; then as many again to come to rest."""
+CREEP_RAD = 5e-4
+"""Way of a master's first joint in each cycle."""
+
+
+class Lines:
+    """Requests to a driver process, one after the other, each followed by some of its robot's cycles."""
+
+    def __init__(self, cell: QuietCell, master: str | None) -> None:
+        self._cell, self._master = cell, master
+        self.reader = asyncio.StreamReader()
+        self.answers: dict[str, dict[str, Any]] = {}
+
+    def say(self, told: DriverMessage) -> None:
+        """What the process says."""
+        line = told.model_dump(mode="json")
+        if line["type"] == "answer":
+            self.answers[line["id"]] = line
+
+    def send(self, kind: str, **fields: Any) -> None:
+        self.reader.feed_data(json.dumps({"type": kind, **fields}).encode() + b"\n")
+
+    async def ask(self, kind: str, **fields: Any) -> None:
+        """Send a request, and wait until it is done."""
+        number = str(len(self.answers))
+        self.send(kind, id=number, **fields)
+        while number not in self.answers:
+            await asyncio.sleep(0)
+        assert self.answers[number]["done"], self.answers[number]["text"]
+
+    async def wish(self, **fields: Any) -> None:
+        """Wish for some cycles, and then for nothing until the robot rests."""
+        for wished in (fields, {}):
+            for _ in range(CYCLES):
+                self.send("wish", **wished)
+                leased = self._cell.leased
+                assert leased is not None
+                seen = leased.cycle
+                if self._master is not None:
+                    self._cell.places[self._master] = self._cell.places[self._master].copy()
+                    self._cell.places[self._master][0] += CREEP_RAD
+                while leased.cycle == seen:
+                    await asyncio.sleep(0)
+
+
+@asynccontextmanager
+async def driven(cell: QuietCell, robot: str, master: str | None) -> AsyncIterator[Lines]:
+    """The driver process of a robot, within this one."""
+    lines = Lines(cell, master)
+    driving = asyncio.ensure_future(drive_by_lines(cell, robot, lines.reader, lines.say))
+    try:
+        yield lines
+    finally:
+        lines.reader.feed_eof()
+        await driving
+
+
+async def by_lines(cell: QuietCell, robot: str, master: str | None = None) -> None:
+    """Everything that the console may ask for of a leased robot but ways, which are planned at rest."""
+    model = cell.models[robot]
+    hands = model.hands if len(model.hands) > 1 else ("",)
+    async with driven(cell, robot, master) as lines:
+        await lines.ask("take", client="operator")
+        for mode in ("joint", "decoupled", "self-motion", "coupled"):
+            for frame in ("world", "tool"):
+                await lines.ask("mode", mode=mode, frame=frame)
+                if mode in ("joint", "self-motion"):
+                    await lines.wish(joints=[0.05, *([0.0] * (model.n - 1))])
+                    continue
+                for hand in (*hands, "*") if len(hands) > 1 else hands:
+                    await lines.wish(twist=[0.05, 0.0, 0.0, 0.0, 0.0, 0.1], hand=hand)
+        if len(hands) > 1:
+            await lines.ask("mode", mode="coupled", grip="object")
+            await lines.wish(twist=[0.0, 0.0, 0.05, 0.0, 0.0, 0.1], hand="object")
+        if master is not None:
+            await lines.ask("choose_master", master=master, scale=0.5)
+            before = model.forward(cell.leased.q)[:3, 3] if cell.leased is not None else None
+            await lines.wish(led=True)
+            assert cell.leased is not None
+            assert abs(model.forward(cell.leased.q)[:3, 3] - before).max() > 1e-3, "the master leads"
+        await lines.ask("release")
+
+
+class Coupled(OperatorInput):
+    """A button that is pressed in one mode of hands, and held while another one takes over."""
+
+    hand: str | None = None
+    is_clutched = False
+    status = "a button"
+
+    def __init__(self) -> None:
+        self._left = [mode for mode in (ModeName.DECOUPLED, ModeName.COUPLED) for _ in range(5 * CYCLES)]
+
+    def read(self, time_s: float) -> OperatorCommand | None:
+        self.is_clutched = len(self._left) < 9 * CYCLES
+        return OperatorCommand(mode=self._left.pop(0)) if self._left else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held."""
+
+
+async def by_master(cell: QuietCell, robot: str, master: str) -> None:
+    """`deltaq drive --master`: another robot's tool leads a hand."""
+    led: list[dict[str, float]] = []
+    with ExitStack() as stack:
+        teleoperator = teleoperator_for(cell, robot, stack)
+        teleoperator.make_modes()
+        look = looking_at(cell, master, robot)
+        operator = Master(teleoperator, cell.models[master], look, Coupled(), 0.5)
+
+        def watch(_q: Any) -> None:
+            led.append(dict(teleoperator.command.rates))
+            cell.places[master] = cell.places[master].copy()
+            cell.places[master][0] += CREEP_RAD
+
+        await teleoperate(cell, teleoperator, operator, ControlStatistics(), watch, asyncio.Event())
+    assert any(set(rates) == set(HAND_AXES) for rates in led), "the master leads"
