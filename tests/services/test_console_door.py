@@ -14,6 +14,8 @@ from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.console.web import listening_socket
 
+TOKEN = "0123456789abcdef-desk"
+
 
 async def answered(host, head):
     """The first line of the answer to a request with these lines."""
@@ -49,7 +51,7 @@ async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_p
 
 @pytest.mark.long
 async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path):
-    async with served(tmp_path, token="s3cret") as (console, host):
+    async with served(tmp_path, token=TOKEN) as (console, host):
         with pytest.raises(websockets.InvalidStatus):
             await websockets.connect(live(host, token="guessed"))
         assert console.core.counters["turned_away"] == 1
@@ -60,7 +62,7 @@ async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path)
                 json.dumps({"type": "lease", "id": "1", "sent_ms": 0, "robot": "fr", "action": "take"})
             )
             assert "observer" in (await told(observer, "ack"))["text"]
-        async with websockets.connect(live(host, token="s3cret", name="desk")) as operator:
+        async with websockets.connect(live(host, token=TOKEN, name="desk")) as operator:
             hello = await told(operator, "hello")
             assert (hello["operator"], hello["client"]) == (True, "desk")
 
@@ -120,9 +122,14 @@ def test_an_address_beyond_this_machine_needs_a_token():
     for address in ("0.0.0.0", "192.168.1.5", "::", "plant.example"):
         with pytest.raises(NoTokenError, match=address):
             replace(here, address=address)
-        assert replace(here, address=address, token="t").token_needed
+        assert replace(here, address=address, token=TOKEN).token_needed
     for address in ("127.0.0.2", "::1", "localhost"):
         assert not replace(here, address=address).token_needed
+
+
+def test_a_token_that_can_be_guessed_is_refused():
+    with pytest.raises(NoTokenError, match="15 characters, at least 16"):
+        Settings("lab", True, "0.0.0.0", 7480, "x" * 15)
 
 
 async def test_who_asks_before_there_is_a_session_waits_for_it():
