@@ -131,7 +131,8 @@ def tokens_document(cell_name: str = CELL) -> dict[str, Any]:
     cell = load_cell(cell_name)
     everybody = (*_services(cell, cell_name), *demo_controllers(cell))
     services = tuple(one for one in everybody if one.role in (*_TOKENS, *_CONTROLLER_ROLES))
-    document = {service.name: {"environment": {}} for service in services} | {ADDRESS: {}}
+    document: dict[str, Any] = {service.name: {"environment": {}} for service in services}
+    document[ADDRESS] = {}
     _give_tokens(document, given, services)
     return {"services": document, "secrets": given}
 

@@ -12,25 +12,22 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
-from deltaq_launch.console_token import ConsoleToken, console_needs_token
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
+from deltaq_launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
 from deltaq_launch.launch_key import LaunchKey
 from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.given_token import CLIENT_TOKEN
 from deltaq_protocol.log import RESULT, read_json_line
-from deltaq_protocol.role_prover import environment_has_role
 from deltaq_services.console.settings import CONSOLE_TOKEN
 from deltaq_services.guarded_key import KEY_FILE
-from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
 from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 
 SHOWN_LINES = 12
@@ -58,9 +55,8 @@ class Launcher:
             launcher.start()
             launcher.wait()
 
-    Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`. So
-    does a console that commands in the name of a role get a token, `console_token`; the demonstration's controllers get
-    the controllers' where the environment has one.
+    Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`;
+    consoles and controllers get the tokens that `given_tokens` tells of.
     SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one. Should this process be
     killed, its warden ends the services, those last that robots need to come to rest.
     """
@@ -256,8 +252,7 @@ class Launcher:
     def _secrets_of(self, service: Service) -> dict[str, str]:
         """What a service's environment has of secrets, besides those that the user gave."""
         if service.role is Role.CONSOLE and console_needs_token():
-            if self.console_token is None:
-                self.console_token = ConsoleToken(service.listens[0].port)
+            self.console_token = self.console_token or ConsoleToken(service.listens[0].port)
             return {f"{CONSOLE_TOKEN}_FILE": str(self.console_token.file)}
         if service.role in (Role.LEADER, Role.FOLLOWER):
             return controllers_token(os.environ)
@@ -272,14 +267,6 @@ class Launcher:
         if not lines:
             return f"; {name} printed nothing"
         return f"; {name} said last:\n" + "\n".join(f"  {line}" for line in lines)
-
-
-def controllers_token(environment: Mapping[str, str]) -> dict[str, str]:
-    """What shows the role of the launch's own controllers: the controller's token, unless the environment has another."""
-    if environment_has_role(environment):
-        return {}
-    given = {CLIENT_TOKEN: CONTROLLER_TOKEN, f"{CLIENT_TOKEN}_FILE": f"{CONTROLLER_TOKEN}_FILE"}
-    return {name: environment[source] for name, source in given.items() if environment.get(source)}
 
 
 def describe_exit(name: str, status: int) -> str:

@@ -13,7 +13,6 @@ from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.client_roles import Tries
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.handshake import Handshake
 from deltaq_services.hli.line_turns import LineTurns
@@ -21,6 +20,7 @@ from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Pl
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
 from deltaq_services.outputs import ClientOrigin
+from deltaq_services.tries import Tries
 
 _log = logging.getLogger(__name__)
 

@@ -1,7 +1,7 @@
-"""The token of a launch's console: made where the console holds a role that it would lend to every user of the machine.
+"""Tokens of what a launch starts: one for its console, and the controllers' for the demonstration's.
 
-It lies in the user's runtime folder for as long as the launch lasts. Two launches cannot have the same console, since
-only one of them gets its port.
+A console gets a new one where it holds a role that it would lend to every user of the machine. It lies in the user's
+runtime folder for as long as the launch lasts. Two launches cannot have the same console, since only one gets its port.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from deltaq_launch.errors import LaunchError
-from deltaq_protocol.given_token import OPERATOR_TOKEN, given_token
+from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN, given_token
 from deltaq_protocol.role_prover import environment_has_role
 from deltaq_services.console.settings import CONSOLE_TOKEN
+from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
 from deltaq_services.runtime_folder import runtime_folder
 
 _TOKEN_BYTES = 24
@@ -30,6 +31,14 @@ def console_needs_token(environment: Mapping[str, str] = os.environ) -> bool:
     if given_token(CONSOLE_TOKEN, environment) is not None:
         return False
     return given_token(OPERATOR_TOKEN, environment) is not None or environment_has_role(environment)
+
+
+def controllers_token(environment: Mapping[str, str]) -> dict[str, str]:
+    """What shows the role of a launch's own controllers: the controllers' token, unless its clients show another."""
+    if environment_has_role(environment):
+        return {}
+    given = {CLIENT_TOKEN: CONTROLLER_TOKEN, f"{CLIENT_TOKEN}_FILE": f"{CONTROLLER_TOKEN}_FILE"}
+    return {name: environment[source] for name, source in given.items() if environment.get(source)}
 
 
 class ConsoleToken:
@@ -51,7 +60,7 @@ class ConsoleToken:
         _write_anew(self.file, token)
 
     def page(self, address: str) -> str:
-        """Where a browser of this user is sent to open the console: a file, since all users see a program's arguments."""
+        """What a browser of this user opens, and is led on by: a file, since all users see a program's arguments."""
         page = self.file.with_suffix(".html")
         _write_anew(page, f'<meta http-equiv="refresh" content="0;url={address}{self.query}">')
         return page.as_uri()

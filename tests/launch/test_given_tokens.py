@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deltaq_command.up import tell_of_console
-from deltaq_launch.console_token import console_needs_token
+from deltaq_launch.given_tokens import console_needs_token
 from deltaq_launch.launcher import Launcher
 from deltaq_launch.services import ListeningSocket, Role, Service
 
