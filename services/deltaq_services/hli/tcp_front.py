@@ -15,6 +15,7 @@ from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.handshake import Handshake
+from deltaq_services.hli.handshake_places import HandshakePlaces
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
@@ -35,7 +36,12 @@ _WAITING_CONNECTIONS = 1024
 
 
 class TcpFront:
-    """The TCP server and its connections."""
+    """The TCP server and its connections.
+
+    Attributes:
+        handshakes: connections that have not agreed on their encryption yet.
+        counters: what it counted.
+    """
 
     def __init__(self, port: Port) -> None:
         self._port = port
@@ -43,6 +49,7 @@ class TcpFront:
         self._places: Places[TcpConnection] = Places()
         self._turns: LineTurns[TcpConnection] = LineTurns()
         self._tries = Tries()
+        self.handshakes: HandshakePlaces[Handshake] = HandshakePlaces()
         self._is_scheduled = False
         self.counters: Counter[str] = Counter()
 
@@ -142,7 +149,8 @@ class TcpFront:
         return TcpConnection(self._port, self)
 
     def _new_handshake(self, encryption: ssl.SSLContext) -> Handshake:
-        return Handshake(self._port.loop, encryption, self._new_connection, self._refuse_unencrypted)
+        loop = self._port.loop
+        return Handshake(loop, encryption, self._new_connection, self._refuse_unencrypted, self.handshakes)
 
     def _refuse_unencrypted(self, transport: asyncio.BaseTransport, why: str) -> None:
         self.counters["tcp_unencrypted"] += 1
