@@ -1,7 +1,7 @@
 """Places for connections that have not agreed on their encryption yet, so that silent ones use nothing up.
 
-Plain decisions. Nobody is refused one, since a stop may be behind each: where there are too many an older one gives way,
-of the address that has the most. An agreement takes milliseconds, and a newcomer is the last to give way.
+Plain decisions. Nobody is refused one, since a stop may be behind each: where there are too many an older one gives
+way, of the address that has the most. An agreement takes milliseconds, and a newcomer is the last to give way.
 """
 
 from __future__ import annotations
