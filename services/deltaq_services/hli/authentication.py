@@ -5,10 +5,11 @@ Plain decisions; the shell passes the time in. What is not proven is not decoded
 
 from __future__ import annotations
 
+from hmac import compare_digest
 from typing import TYPE_CHECKING, NamedTuple
 
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
-from deltaq_protocol.proof import MAX_PROOF_BYTES, key_of, proven_nonce
+from deltaq_protocol.proof import MAX_PROOF_BYTES, key_of, line_proof, proven_nonce
 from deltaq_services.hli.challenges import Challenges
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
@@ -87,8 +88,8 @@ class Authentication:
         if len(message) > MAX_MESSAGE_BYTES:
             return False
         if len(proof) > MAX_PROOF_BYTES:
-            name, nonce = self._signer(key, message, proof, self._heard_challenges, time_s)
-            return bool(name) and self._heard_challenges.accept(nonce, time_s)
+            name, signed = self._signer(key, message, proof, self._heard_challenges, time_s)
+            return bool(name) and self._heard_challenges.accept(signed, time_s)
         holders = self._leases.tokens()
         self._heard_counts = {
             token: self._heard_counts.get(token, Sequence(_TOLD_APART)) for token in holders
@@ -115,6 +116,13 @@ class Authentication:
             nonce = proven_nonce(key_of(token), key, message, proof)
             if nonce and self._challenges.accept(nonce, time_s):
                 return token
+        return None
+
+    def token_of_line(self, challenge: str, proof: str, time_s: float) -> str | None:
+        """The token of a role that a hello over TCP proves, in answer to a challenge that is not used yet."""
+        for token in self._roles.tokens:
+            if compare_digest(line_proof(token, challenge), proof):
+                return token if self._challenges.accept(bytes.fromhex(challenge), time_s) else None
         return None
 
     def identity(self, key: str, message: bytes, proof: bytes, time_s: float) -> str:

@@ -34,7 +34,8 @@ class HandshakePlaces(Generic[C]):
         if len(mine) >= MAX_HANDSHAKES_OF_A_PEER and not is_loopback(address):
             gives_way = next(iter(mine))
         elif len(self) >= MAX_HANDSHAKES:
-            gives_way = next(iter(max(self._by_address.values(), key=len)))
+            most: dict[C, None] = max(self._by_address.values(), key=len)
+            gives_way = next(iter(most))
         else:
             gives_way = None
         if gives_way is not None:

@@ -100,18 +100,24 @@ class TcpFront:
         )
         return False
 
-    def token_may_be_used(self, hello: Hello, address: str) -> bool:
-        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
+    def proven(self, hello: Hello, address: str) -> Hello | None:
+        """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
+        if hello.token is None and hello.proof is None:
+            return hello
         now = self._port.now()
         if not self._tries.may_try(address, now):
             self.counters["tokens_not_compared"] += 1
-            return False
-        if not self._port.roles.is_wrong(hello.token or ""):
-            return True
+            return None
+        if hello.proof is not None and self._port.roles.tokens:
+            token = self._port.authentication.token_of_line(hello.challenge or "", hello.proof, now)
+        else:
+            token = None if self._port.roles.is_wrong(hello.token or "") else hello.token or ""
+        if token is not None:
+            return hello.model_copy(update={"token": token})
         self._tries.failed(address, now)
         self.counters["tokens_wrong"] += 1
         _log.warning("a wrong token from %s, who says to be %r", address, hello.client)
-        return False
+        return None
 
     def leave(self, connection: TcpConnection) -> None:
         """Forget a connection that broke, and tell the core what it held."""

@@ -52,11 +52,12 @@ def connections(cell: CellDescription) -> Step:
 def handshakes(cell: CellDescription) -> Step:
     """New connections to encrypted lines that agree on nothing, half of them after they have begun to."""
     begun: list[bool] = []
+    hello = _client_hello()
 
     def opened() -> socket.socket:
         connection = _connected(cell)
         if len(begun) % 2:
-            connection.sendall(_client_hello())
+            connection.sendall(hello)
         begun.append(True)
         return connection
 

@@ -24,7 +24,7 @@ from deltaq_launch.services import Role, Service, cell_services
 from deltaq_protocol import topics
 from deltaq_protocol.blocking import BlockingCell
 from deltaq_protocol.errors import DeltaqError, ServiceUnreachableError
-from deltaq_protocol.messages import Phase
+from deltaq_protocol.messages import Phase, RobotStatus
 from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, KEY_FILE
 from deltaq_verification.floods.attacks import ATTACKS, Attack
 
@@ -162,7 +162,7 @@ class _Bench:
         return Figures(states / took_s, braked, admissions / cycles)
 
     def _counts(self) -> Mapping[str, int]:
-        one = self._asked(lambda: self._running.status()).robots[self._robot]
+        one: RobotStatus = self._asked(lambda: self._running.status()).robots[self._robot]
         return one.counters | {"cycle": one.cycle}
 
     def _stopped(self, stop: Callable[[], object]) -> float | None:
