@@ -11,6 +11,7 @@
 #include <optional>
 #include <utility>
 #include "given_token.hpp"
+#include "hmac_sha256.hpp"
 #include "in_flight.hpp"
 #include "json.hpp"
 #include "lines.hpp"
@@ -23,8 +24,12 @@ class Client {
   /// Connect; the token is needed where the cell asks for one, and is by default that of the environment.
   Client(const std::string& host, const std::string& port, const std::string& name = "c++",
          const std::string& token = given_token()) : lines_(host, port) {
-    const std::string secret = token.empty() ? "" : ",\"token\":" + quoted(token);
-    welcome = ask("\"hello\",\"protocol\":3,\"client\":" + quoted(name) + secret, "welcome");
+    std::string proof;  // the token is shown and not sent: somebody else may listen at this port
+    if (!token.empty()) {
+      const std::string challenge = ask("\"challenge\"", "challenge")["challenge"].text;
+      proof = ",\"challenge\":" + quoted(challenge) + ",\"proof\":" + quoted(hmac_sha256(token, "deltaq hello " + challenge));
+    }
+    welcome = ask("\"hello\",\"protocol\":3,\"client\":" + quoted(name) + proof, "welcome");
   }
   ~Client() {
     try { release(); } catch (const std::runtime_error&) {}  // the server has gone: the robot comes to rest by itself

@@ -6,6 +6,7 @@
 //
 // `deltaq schema` prints the fields of all messages. No verdict is waited for: newVerdicts() returns what has come.
 // An `error` of the server ends the connection, and the robot comes to rest.
+import { createHmac } from "node:crypto";
 import { EventEmitter, once } from "node:events";
 import { readFileSync } from "node:fs";
 import net from "node:net";
@@ -34,7 +35,12 @@ export class Client {
   /** Connect; the token is needed where the cell asks for one, and is by default that of the environment. */
   static async connect({ host = "127.0.0.1", port = 5210, token = givenToken(), name = "node" } = {}) {
     const client = new Client(host, port);
-    const hello = { type: "hello", protocol: 3, client: name, token: token || null };
+    const hello = { type: "hello", protocol: 3, client: name };
+    if (token) { // it is shown and not sent: somebody else may listen at this port
+      const { challenge } = await client.#ask({ type: "challenge" }, (answer) => answer.type === "challenge");
+      hello.challenge = challenge;
+      hello.proof = createHmac("sha256", token).update(`deltaq hello ${challenge}`).digest("hex");
+    }
     client.welcome = await client.#ask(hello, (answer) => answer.type === "welcome");
     return client;
   }

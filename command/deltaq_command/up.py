@@ -121,11 +121,12 @@ def audit_file_of(wanted: str, cell: str) -> tuple[Path | None, str]:
 
 
 def tell_of_console(launcher: Launcher, wanted: bool) -> str | None:
-    """Say where the console is, or why there is none; returns its address."""
+    """Say where the console is, or why there is none; returns what opens it in this machine's browser."""
     for service in launcher.services:
-        if service.name == "console" and service.name in launcher.ready:
-            launcher.say(f"the console is at {service.endpoint}")
-            return service.endpoint
+        if service.name == "console" and service.name in launcher.ready and service.endpoint is not None:
+            token = launcher.console_token
+            launcher.say(f"the console is at {service.endpoint}{token.query if token else ''}")
+            return token.page(service.endpoint) if token else service.endpoint
     from deltaq_launch.services import console_is_installed
 
     if wanted and not console_is_installed():

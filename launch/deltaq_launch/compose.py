@@ -27,7 +27,8 @@ from deltaq_launch.services import (
     metrics_exporter,
 )
 from deltaq_protocol.errors import DeltaqError
-from deltaq_protocol.given_token import OPERATOR_TOKEN
+from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
+from deltaq_services.console.settings import CONSOLE_TOKEN
 from deltaq_services.guarded_key import KEY_FILE, off_loopback
 from deltaq_services.hli.audit_file import audit_file_name
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
@@ -52,7 +53,6 @@ TOKENS_HEADER = """\
 #   docker compose -f deploy/compose.yaml -f deploy/compose.tokens.yaml up --wait
 """
 
-CONSOLE_TOKEN = "DELTAQ_CONSOLE_TOKEN"
 KEY_MAKER = "guarded-key"
 """The service that makes the guarded realm's key for the others, if it is not there yet."""
 ADDRESS = "address"
@@ -65,6 +65,7 @@ _TOKENS = {
     Role.HLI: (f"{OPERATOR_TOKEN}_FILE", f"{CONTROLLER_TOKEN}_FILE"),
     Role.CONSOLE: (f"{CONSOLE_TOKEN}_FILE", f"{OPERATOR_TOKEN}_FILE"),
 }
+_CONTROLLER_ROLES = (Role.LEADER, Role.FOLLOWER)
 _MAKES_TOKEN = "name a file with a token"
 _MAKES = {
     KEY_FILE: "name a file made with `deltaq key`",
@@ -84,9 +85,10 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
     services = _services(cell, cell_name)
     document: dict[str, Any] = {service.name: container(service, cell_name) for service in services}
     document[ADDRESS] = _address(services[-1])
+    controllers = demo_controllers(cell)
     # `up --wait` fails on a container that ends, unless another waits for its end
     told = {ADDRESS: {"condition": "service_completed_successfully"}}
-    for controller in demo_controllers(cell):
+    for controller in controllers:
         one = container(controller, cell_name) | {"profiles": ["demo"]}
         document[controller.name] = one | {"depends_on": one["depends_on"] | told}
     exporter = metrics_exporter(cell_name)
@@ -110,8 +112,7 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
         for service in guarded:
             _give(document[service.name], given, KEY_FILE)
     if cell.clients_need_tokens:
-        for service in services:
-            _give(document[service.name], given, *_TOKENS.get(service.role, ()))
+        _give_tokens(document, given, (*services, *controllers))
         if not is_loopback(cell.tcp_address):
             _give(hli, given, CERTIFICATE_FILE, LINES_KEY_FILE)
     elif not is_loopback(cell.console_address):
@@ -126,12 +127,13 @@ def compose_document(cell_name: str = CELL) -> dict[str, Any]:
 
 def tokens_document(cell_name: str = CELL) -> dict[str, Any]:
     """What a second compose file adds to a cell that runs without tokens: all of them, as secrets."""
-    document: dict[str, Any] = {}
     given: dict[str, Any] = {}
-    for service in _services(load_cell(cell_name), cell_name):
-        if names := _TOKENS.get(service.role):
-            document[service.name] = {"environment": {}}
-            _give(document[service.name], given, *names)
+    cell = load_cell(cell_name)
+    everybody = (*_services(cell, cell_name), *demo_controllers(cell))
+    services = tuple(one for one in everybody if one.role in (*_TOKENS, *_CONTROLLER_ROLES))
+    document: dict[str, Any] = {service.name: {"environment": {}} for service in services}
+    document[ADDRESS] = {}
+    _give_tokens(document, given, services)
     return {"services": document, "secrets": given}
 
 
@@ -153,11 +155,29 @@ def _services(cell: CellDescription, cell_name: str) -> tuple[Service, ...]:
 def _give(one: dict[str, Any], given: dict[str, Any], *variables: str) -> None:
     """Give a container secrets, each in a file that the variable names: inside, and outside for who starts compose."""
     for variable in variables:
-        secret = variable.lower().removesuffix("_file").replace("_", "-")
+        secret = _secret_of(variable)
         one["environment"][variable] = f"/run/secrets/{secret}"
         one["secrets"] = [*one.get("secrets", []), secret]
         needed = f"{_MAKES.get(variable, _MAKES_TOKEN)} in {variable}"
         given[secret] = {"file": f"${{{variable}:?{needed}}}"}  # compose refuses to start anything without it
+
+
+def _give_tokens(document: dict[str, Any], given: dict[str, Any], services: Sequence[Service]) -> None:
+    """Give each container of a cell with tokens those that it needs, and tell the console's with its address."""
+    for service in services:
+        _give(document[service.name], given, *_TOKENS.get(service.role, ()))
+        if service.role in _CONTROLLER_ROLES:
+            secret = _secret_of(f"{CONTROLLER_TOKEN}_FILE")
+            document[service.name]["environment"][f"{CLIENT_TOKEN}_FILE"] = f"/run/secrets/{secret}"
+            document[service.name]["secrets"] = [secret]
+        if service.role is Role.CONSOLE:
+            secret = _secret_of(f"{CONSOLE_TOKEN}_FILE")
+            told = f"echo the console is at '{service.endpoint}/?token='$$(cat /run/secrets/{secret})"
+            document[ADDRESS] |= {"command": ["sh", "-c", told], "secrets": [secret]}
+
+
+def _secret_of(variable: str) -> str:
+    return variable.lower().removesuffix("_file").replace("_", "-")
 
 
 def _key_maker(file: str) -> dict[str, Any]:

@@ -19,12 +19,14 @@ from typing import Any, Self
 
 from deltaq_launch.child_process import Child, Exited, Ready
 from deltaq_launch.errors import LaunchError, LaunchInterruptedError
+from deltaq_launch.given_tokens import ConsoleToken, console_needs_token, controllers_token
 from deltaq_launch.launch_key import LaunchKey
 from deltaq_launch.services import BRAKING_ROLES, ListeningSocket, Role, Service
 from deltaq_launch.warden import Warden
 from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.log import RESULT, read_json_line
+from deltaq_services.console.settings import CONSOLE_TOKEN
 from deltaq_services.guarded_key import KEY_FILE
 from deltaq_services.robot_server.crash_brake.core import PORT_PATIENCE_S
 
@@ -53,7 +55,8 @@ class Launcher:
             launcher.start()
             launcher.wait()
 
-    Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`.
+    Services of a guarded realm get a key that this launch makes, unless the environment names one: see `LaunchKey`;
+    consoles and controllers get the tokens that `given_tokens` tells of.
     SIGINT, SIGTERM and SIGHUP are events inside the block if the thread is the main one. Should this process be
     killed, its warden ends the services, those last that robots need to come to rest.
     """
@@ -87,6 +90,7 @@ class Launcher:
         self._handlers: dict[signal.Signals, Any] = {}
         self._warden: Warden | None = None
         self._keys: dict[str, LaunchKey] = {}
+        self.console_token: ConsoleToken | None = None
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -104,6 +108,8 @@ class Launcher:
                 self._warden.close()
             while self._keys:
                 self._keys.popitem()[1].close()
+            if self.console_token is not None:
+                self.console_token.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
@@ -245,6 +251,11 @@ class Launcher:
 
     def _secrets_of(self, service: Service) -> dict[str, str]:
         """What a service's environment has of secrets, besides those that the user gave."""
+        if service.role is Role.CONSOLE and console_needs_token():
+            self.console_token = self.console_token or ConsoleToken(service.listens[0].port)
+            return {f"{CONSOLE_TOKEN}_FILE": str(self.console_token.file)}
+        if service.role in (Role.LEADER, Role.FOLLOWER):
+            return controllers_token(os.environ)
         if service.realm is None or os.environ.get(KEY_FILE) or os.environ.get(IDENTITY):
             return {}
         if service.realm not in self._keys:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import functools
 import itertools
 import os
 import socket
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +22,10 @@ from deltaq_protocol.errors import DeltaqError
 
 
 class NoFreePortsError(DeltaqError):
-    """Every port that may be used is claimed by a process that runs."""
+    """Every port that may be used is claimed by a process that runs, or the folder of the claims is somebody else's."""
+
+
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 FIRST_PORT = 15_000
@@ -54,9 +59,15 @@ def _ports() -> Iterator[int]:
 @functools.cache
 def _claims(first: int) -> int | None:
     """A lock on a block of ports, kept until this process ends; None if another process has it."""
-    folder = Path(tempfile.gettempdir()) / f"deltaq-ports-{os.getuid()}"
-    folder.mkdir(exist_ok=True)
-    lock = os.open(folder / str(first), os.O_RDWR | os.O_CREAT, 0o600)
+    folder = Path(tempfile.gettempdir()) / f"deltaq-ports-{os.geteuid()}"
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    about = folder.lstat()  # a link would lead wherever its owner wants
+    if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.geteuid() or about.st_mode & _OTHERS_WRITE:
+        raise NoFreePortsError(
+            f"{folder} is no folder that only user {os.geteuid()} may write to; remove it, or let TMPDIR name another"
+        )
+    lock = os.open(folder / str(first), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -90,7 +101,7 @@ def write_private_cell(
 
     Raises:
         CellError: there is no such cell.
-        NoFreePortsError: every port is claimed.
+        NoFreePortsError: every port is claimed, or the folder of the claims is not this user's.
     """
     file = find_cell(base)
     rsi = {name: isinstance(robot.driver, RsiDescription) for name, robot in load_cell(file).robots.items()}

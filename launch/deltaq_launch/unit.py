@@ -9,6 +9,7 @@ from deltaq_launch.child_process import NICENESS
 from deltaq_launch.resources import RESOURCES
 from deltaq_launch.services import GUARDED_ROLES, Role, Service
 from deltaq_protocol.heartbeat import PERIOD_S
+from deltaq_services.console.settings import CONSOLE_TOKEN
 from deltaq_services.guarded_key import KEY_FILE
 from deltaq_services.process import AUDIT_FILE
 
@@ -16,6 +17,8 @@ USER = "deltaq"
 TARGET = "deltaq.target"
 KEY_UNIT = "deltaq-key.service"
 KEY = "/run/deltaq/guarded.key"
+CONSOLE_FOLDER = "deltaq-console"
+"""Of /run: the console's token is there for as long as the console is up."""
 SETTINGS = "/etc/deltaq/deltaq.env"
 """Where whoever runs the cell sets variables of the environment: tokens' files, a key of their own."""
 STOPS_WITHIN_S = 20
@@ -96,6 +99,7 @@ def unit(service: Service, cell_name: str, python: Path, here: Iterable[Service]
         "",
         "[Service]",
         *_life(service),
+        *_token(service, python),
         f"ExecStart={' '.join((str(python), *service.arguments))}",
         *_environment(service, needs_key),
         *_limits(service.role),
@@ -146,6 +150,20 @@ def _life(service: Service) -> Lines:
     if service.probe is not None and service.role is not Role.SIM:  # the gate lives by what it is sent
         lines.append(f"WatchdogSec={PERIOD_S * _SILENT_BEATS:g}")
     return lines
+
+
+def _token(service: Service, python: Path) -> Lines:
+    """Of the console, which would command for every user of the machine where the settings give it the operator's."""
+    if service.role is not Role.CONSOLE:
+        return []
+    file = f"/run/{CONSOLE_FOLDER}/console.token"
+    return [
+        f"RuntimeDirectory={CONSOLE_FOLDER}",
+        "RuntimeDirectoryMode=0700",
+        "RuntimeDirectoryPreserve=restart",
+        f"Environment={CONSOLE_TOKEN}_FILE={file}",
+        f"ExecStartPre={python.parent / 'deltaq'} key {file} --keep",  # a key's digits are as good a token
+    ]
 
 
 def _environment(service: Service, needs_key: bool) -> Lines:

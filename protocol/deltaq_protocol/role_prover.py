@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
@@ -48,5 +49,9 @@ def role_prover(token: str | None, identity: str | os.PathLike[str] | None) -> R
         return identity_prover(Path(identity))
     if token and not os.environ.get(CLIENT_IDENTITY):
         return Prover(token)
-    named = (CLIENT_IDENTITY, CLIENT_TOKEN, f"{CLIENT_TOKEN}_FILE")
-    return RoleOfEnvironment() if any(map(os.environ.get, named)) else None
+    return RoleOfEnvironment() if environment_has_role(os.environ) else None
+
+
+def environment_has_role(environment: Mapping[str, str]) -> bool:
+    """Whether an environment names an identity or a token that its clients show."""
+    return any(map(environment.get, (CLIENT_IDENTITY, CLIENT_TOKEN, f"{CLIENT_TOKEN}_FILE")))

@@ -19,6 +19,8 @@ import pytest
 from languages import LANGUAGES, Language
 from served import Server
 
+from deltaq_protocol.proof import line_proof
+
 READ = re.compile(
     r"""\b(?:state|verdict|reason|answer|lease|welcome|message|error|refusal|newest\(\)|description)
         (?:\.(?P<dot>[a-z_]+)\b(?!\()|\["(?P<index>[a-z_]+)"\])""",
@@ -103,9 +105,11 @@ def test_every_line_that_it_says_is_valid_by_the_exported_schema(language: Langu
         listener.join()
     assert done.returncode == 0, done.stderr
     said = [json.loads(line) for line in listener.said.splitlines()]
-    assert {message["type"] for message in said} == {"hello", "lease", "increment"}
+    assert {message["type"] for message in said} == {"challenge", "hello", "lease", "increment"}
     assert [message.get("action") for message in said if message["type"] == "lease"][-1] == "release"
-    assert said[0]["token"] == 'with "quotes"'
+    assert not any("token" in message for message in said), "who listens at the port learns it otherwise"
+    hello = said[1]
+    assert hello["proof"] == line_proof('with "quotes"', hello["challenge"])
     for message in said:
         jsonschema.validate(message, schema()[message["type"]][0])
 
@@ -113,7 +117,7 @@ def test_every_line_that_it_says_is_valid_by_the_exported_schema(language: Langu
 @pytest.mark.long
 @pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)
 def test_every_field_that_it_reads_is_one_of_the_exported_schema(language: Language) -> None:
-    kinds = ("welcome", "state", "verdict", "lease", "error", "description")
+    kinds = ("welcome", "challenge", "state", "verdict", "lease", "error", "description")
     known = set().union(*(fields(kind) for kind in kinds)) | {"code", "what", "value", "bound"}
     text = "\n".join(map(_without_comments, language.sources))
     read = {match["dot"] or match["index"] for match in READ.finditer(text)}

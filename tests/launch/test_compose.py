@@ -199,8 +199,17 @@ def test_tokens_are_secrets_and_in_no_environment(containers: dict[str, Any], tm
             "DELTAQ_CONSOLE_TOKEN_FILE": "/run/secrets/deltaq-console-token",
             "DELTAQ_OPERATOR_TOKEN_FILE": "/run/secrets/deltaq-operator-token",
         },
+        "leader": {"DELTAQ_CLIENT_TOKEN_FILE": "/run/secrets/deltaq-controller-token"},
+        "follower": {"DELTAQ_CLIENT_TOKEN_FILE": "/run/secrets/deltaq-controller-token"},
     }
     assert tokens_of(tokens_document()) == expected
+    added = tokens_document()
+    for one in added["services"].values():
+        given = {file.rpartition("/")[2] for file in one.get("environment", {}).values()}
+        assert given <= set(one["secrets"]) <= set(added["secrets"])
+    told = added["services"][ADDRESS]
+    assert told["command"][-1].endswith("/?token='$$(cat /run/secrets/deltaq-console-token)")
+    assert told["secrets"] == ["deltaq-console-token"]
     cell = tmp_path / "plant.yaml"
     cell.write_text(
         "extends: lab\nhli: tcp/192.168.7.1:7447\ntcp_address: 192.168.7.1\nclients_need_tokens: true\n",

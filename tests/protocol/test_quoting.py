@@ -33,7 +33,7 @@ def refusal_of(kind: type[Message], data: object) -> str:
 
 def test_every_field_for_a_token_is_known_as_a_secret() -> None:
     named = {name for names in WITH_A_SECRET.values() for name in names}
-    assert named == {"lease", "token", "challenge"}
+    assert named == {"lease", "token", "challenge", "proof"}
     for kind, names in WITH_A_SECRET.items():
         assert named.intersection(kind.model_fields) == set(names), kind
 

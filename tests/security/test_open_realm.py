@@ -9,6 +9,7 @@ from typing import Any
 
 import msgpack
 import pytest
+import zenoh
 from guarded_peer import guarded_peer
 from json_client import json_client
 from open_stranger import OpenStranger
@@ -31,6 +32,7 @@ from deltaq_protocol.proof import Prover
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.session import open_session
 from deltaq_services.hli import open_front
+from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
@@ -307,3 +309,33 @@ async def test_tokens_are_not_guessed_over_tcp(running: Running, caplog: pytest.
     assert "guess" not in logged[0].replace("guesser", "")
     async with json_client(port) as line:  # without a token everybody may look on, and stop
         assert (await line.ask("done", type="stop"))["type"] == "done"
+
+
+@pytest.mark.long
+async def test_who_sends_an_overheard_increment_again_and_again_takes_nothing_of_its_holder_s_rate(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The attack: an eavesdropper beside the holder's link has one increment with its proof, and repeats it."""
+    overheard: list[tuple[bytes, bytes]] = []
+    of = Authentication.holder_of_increment
+
+    def listening(ours: Authentication, robot: str, key: str, message: bytes, proof: bytes) -> Any:
+        overheard.append((message, proof))
+        return of(ours, robot, key, message, proof)
+
+    monkeypatch.setattr(Authentication, "holder_of_increment", listening)
+    stranger = await running.stranger()
+    async with running.cell.lease("fr") as robot:
+        await robot.move(DQ)
+        monkeypatch.undo()
+        payload, proof = overheard[0]
+        key, block = topics.INCREMENT.key("small", robot="fr"), zenoh.CongestionControl.BLOCK
+        for _ in range(20):
+            for _ in range(20):  # as many as ten cycles' share of the holder
+                stranger.session.put(key, payload, attachment=proof, congestion_control=block)
+            await asyncio.to_thread(stranger.wait)
+            async with asyncio.timeout(60):
+                assert (await robot.move(DQ)).outcome is Outcome.ADMITTED
+    counters = running.hli.status().hli
+    assert counters["increments_too_many"] >= 300
+    await asyncio.to_thread(stranger.close)

@@ -93,3 +93,31 @@ def test_a_flood_of_challenges_takes_nobody_s_away_and_leaves_nothing_behind() -
     assert not Challenges("another").accept(challenges.new(1.0), 1.0)
     assert not challenges.accept(challenges.new(0.0), GOOD_FOR_S + 0.1)
     assert challenges._used == {}
+
+
+def test_an_overheard_request_of_a_holder_goes_first_once_whatever_it_asks() -> None:
+    leases, authentication = bench()
+    prover = Prover(leases.grant("fr", ClientOrigin("x"), None, 0.0).token)
+    first, second, third = (prover.prove_next(KEY, MESSAGE) for _ in range(3))
+    assert [authentication.goes_first(KEY, MESSAGE, proof, 0.0) for proof in (second, first, third)] == [
+        True
+    ] * 3
+    assert not any(authentication.goes_first(KEY, MESSAGE, proof, 0.0) for proof in (first, second, third))
+    # what zenoh's threads have heard is not taken up yet
+    assert authentication.holder("fr", KEY, MESSAGE, first) == "secret-0"
+    # and a lease that ended leaves nothing behind
+    leases.grant("fr", ClientOrigin("y"), None, 0.0)
+    assert not authentication.goes_first(KEY, MESSAGE, prover.prove_next(KEY, MESSAGE), 0.0)
+    assert list(authentication._heard_counts) == ["secret-1"]
+
+
+def test_an_overheard_request_of_the_operator_goes_first_once_and_none_does_when_it_is_late() -> None:
+    _, authentication = bench()
+    prover = Prover("token")
+    proof = prover.prove(KEY, MESSAGE, authentication.challenge(0.0))
+    late = prover.prove(KEY, MESSAGE, authentication.challenge(0.0))
+    assert authentication.goes_first(KEY, MESSAGE, proof, 0.0)
+    assert not authentication.goes_first(KEY, MESSAGE, proof, 0.0)
+    assert not authentication.goes_first(KEY, MESSAGE, late, GOOD_FOR_S + 0.1)
+    assert not authentication.goes_first(KEY, MESSAGE, prover.prove(KEY, MESSAGE), 0.0)
+    assert authentication.token(KEY, MESSAGE, proof, 0.0) == "token"

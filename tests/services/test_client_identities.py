@@ -49,7 +49,8 @@ def forged(name, folder):
 def test_a_name_is_proven_once_in_answer_to_a_challenge(folder):
     server, desk = bench(folder), IdentityProver(folder / "operator-desk")
     proof = desk.prove(KEY, MESSAGE, server.challenge(10.0))
-    assert server.is_known(KEY, MESSAGE, proof)
+    assert server.goes_first(KEY, MESSAGE, proof, 10.0)
+    assert not server.goes_first(KEY, MESSAGE, proof, 10.0), "whoever overheard it waits with the strangers"
     assert server.identity(KEY, MESSAGE, proof, 10.0 + GOOD_FOR_S) == "operator-desk"
     assert server.identity(KEY, MESSAGE, proof, 10.0) == ""
     tower = IdentityProver(folder / "controller-tower")
@@ -66,7 +67,7 @@ def test_late_or_without_a_challenge_nobody_is_known(folder):
     for nonce in (b"", b"of mine", bench(folder).challenge(0.0)[:-1] + b"x"):
         proof = desk.prove(KEY, MESSAGE, nonce)
         assert server.identity(KEY, MESSAGE, proof, 0.0) == ""
-        assert not server.is_known(KEY, MESSAGE, proof)
+        assert not server.goes_first(KEY, MESSAGE, proof, 10.0)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +90,7 @@ def test_whatever_bit_is_changed_or_left_out_nobody_is_known(folder, place, bit,
     assert server.identity(KEY, MESSAGE, bytes(proof), 0.0) == ""
     part = bytes(proof)[: int(end * len(proof))]
     assert server.identity(KEY, MESSAGE, part, 0.0) == ""
-    assert not server.is_known(KEY, MESSAGE, part)
+    assert not server.goes_first(KEY, MESSAGE, part, 0.0)
 
 
 def test_a_certificate_is_known_by_one_spelling():
@@ -110,7 +111,7 @@ def test_a_certificate_is_known_by_one_spelling():
 def test_bytes_that_somebody_made_up_are_nobody_s(folder, proof):
     server = bench(folder)
     assert server.identity(KEY, MESSAGE, proof, 0.0) == ""
-    assert not server.is_known(KEY, MESSAGE, proof)
+    assert not server.goes_first(KEY, MESSAGE, proof, 10.0)
 
 
 @given(
@@ -175,7 +176,7 @@ def test_a_message_that_is_too_long_is_nobody_s(folder):
     long = bytes(MAX_MESSAGE_BYTES + 1)
     proof = desk.prove(KEY, long, server.challenge(0.0))
     assert server.identity(KEY, long, proof, 0.0) == ""
-    assert not server.is_known(KEY, long, proof)
+    assert not server.goes_first(KEY, long, proof, 0.0)
 
 
 def test_a_flood_of_certificates_leaves_nothing_behind_and_costs_no_signature(folder):

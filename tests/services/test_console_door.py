@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -10,9 +11,12 @@ from served_console import live, served, told
 
 from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.errors import ServiceUnreachableError
+from deltaq_services.console.door import Door, Entrance
 from deltaq_services.console.hli_link import HliLink
 from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.console.web import listening_socket
+
+TOKEN = "0123456789abcdef-desk"
 
 
 async def answered(host, head):
@@ -49,7 +53,7 @@ async def test_a_web_site_that_calls_itself_by_this_address_is_turned_away(tmp_p
 
 @pytest.mark.long
 async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path):
-    async with served(tmp_path, token="s3cret") as (console, host):
+    async with served(tmp_path, token=TOKEN) as (console, host):
         with pytest.raises(websockets.InvalidStatus):
             await websockets.connect(live(host, token="guessed"))
         assert console.core.counters["turned_away"] == 1
@@ -60,7 +64,7 @@ async def test_a_wrong_token_is_turned_away_and_none_makes_an_observer(tmp_path)
                 json.dumps({"type": "lease", "id": "1", "sent_ms": 0, "robot": "fr", "action": "take"})
             )
             assert "observer" in (await told(observer, "ack"))["text"]
-        async with websockets.connect(live(host, token="s3cret", name="desk")) as operator:
+        async with websockets.connect(live(host, token=TOKEN, name="desk")) as operator:
             hello = await told(operator, "hello")
             assert (hello["operator"], hello["client"]) == (True, "desk")
 
@@ -120,9 +124,39 @@ def test_an_address_beyond_this_machine_needs_a_token():
     for address in ("0.0.0.0", "192.168.1.5", "::", "plant.example"):
         with pytest.raises(NoTokenError, match=address):
             replace(here, address=address)
-        assert replace(here, address=address, token="t").token_needed
+        assert replace(here, address=address, token=TOKEN).token_needed
     for address in ("127.0.0.2", "::1", "localhost"):
         assert not replace(here, address=address).token_needed
+
+
+def test_guesses_beyond_three_a_second_of_an_address_are_not_compared():
+    counters = Counter()
+    door = Door(Settings("lab", True, "0.0.0.0", 7480, TOKEN), counters)
+    found = [door.look(f"guess {n}", "10.0.0.9", n / 1000) for n in range(900)]
+    assert found[:3] == [Entrance.WRONG] * 3
+    assert counters["tokens_wrong"] <= 6
+    assert counters["tokens_wrong"] + counters["tokens_not_compared"] == 900
+    # not even the right one, which a guess might be; it is from elsewhere, and a moment later
+    assert door.look(TOKEN, "10.0.0.9", 0.9) is Entrance.NOT_COMPARED
+    assert door.look(TOKEN, "10.0.0.8", 0.9) is Entrance.OPERATOR
+    assert door.look(TOKEN, "10.0.0.9", 2.0) is Entrance.OPERATOR
+    assert door.look("", "10.0.0.9", 0.9) is Entrance.OBSERVER
+
+
+async def test_each_wrong_token_is_logged_with_its_address(tmp_path, caplog):
+    async with served(tmp_path, token=TOKEN) as (console, host):
+        for guess in range(4):
+            with pytest.raises(websockets.InvalidStatus):
+                await websockets.connect(live(host, token=f"guessed{guess}"))
+        assert console.core.counters["tokens_wrong"] >= 3
+    said = [record.getMessage() for record in caplog.records if "wrong token" in record.getMessage()]
+    assert len(said) == console.core.counters["tokens_wrong"]
+    assert all("127.0.0.1" in line and "guessed" not in line for line in said)
+
+
+def test_a_token_that_can_be_guessed_is_refused():
+    with pytest.raises(NoTokenError, match="15 characters, at least 16"):
+        Settings("lab", True, "0.0.0.0", 7480, "x" * 15)
 
 
 async def test_who_asks_before_there_is_a_session_waits_for_it():

@@ -21,6 +21,7 @@ from deltaq_services.console.shell import Console
 from deltaq_services.console.web import application, listening_socket, server_of
 from deltaq_services.recorder.writer import RecordingWriter
 
+TOKEN = "0123456789abcdef-desk"
 REFUSED, ASKED, DONE = AckOutcome.REFUSED, AckOutcome.ASKED, AckOutcome.DONE
 OUTSIDE = [
     "../secret.mcap", "..", ".", "", "/etc/passwd", "a/b.mcap", "..\\secret.mcap", ".hidden.mcap", "link.mcap",
@@ -62,10 +63,10 @@ def test_a_folder_that_is_not_there_is_told_at_the_start(tmp_path):
 
 
 @asynccontextmanager
-async def served(tmp_path, folder):
+async def served(tmp_path, folder, token=""):
     cell = CellModel.load(write_private_cell(tmp_path))
-    settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, recordings=folder)
-    console = Console(cell, True, False, None, "lab", folder)
+    settings = Settings("lab", True, "127.0.0.1", cell.description.console_port, token, recordings=folder)
+    console = Console(cell, True, bool(token), None, "lab", folder)
     server = server_of(application(console, settings))
     with listening_socket(settings) as listening:
         serving = asyncio.ensure_future(server.serve(sockets=[listening]))
@@ -113,6 +114,18 @@ async def test_recordings_are_for_the_console_s_own_page(tmp_path, folder):
             assert (await get(port, path, Sec_Fetch_Site="cross-site"))[0] == 403
             assert (await get(port, path, Sec_Fetch_Site="same-site"))[0] == 403
         status, body = await get(port, "/recordings", Sec_Fetch_Site="same-origin")
+        assert (status, [each["name"] for each in json.loads(body)]) == (200, ["run.mcap"])
+
+
+@pytest.mark.long
+async def test_recordings_are_for_who_shows_the_console_s_token_where_it_has_one(tmp_path, folder):
+    async with served(tmp_path, folder, TOKEN) as (console, _, port):
+        for path in ("/recordings", "/recordings/run.mcap"):
+            for shown in ({}, {"Authorization": "Bearer guessed"}, {"Authorization": f"Basic {TOKEN}"}):
+                status, body = await get(port, path, **shown)
+                assert (status, "token" in body, "recorded" in body) == (403, True, False)
+        assert console.core.counters["tokens_wrong"] == 2
+        status, body = await get(port, "/recordings", Authorization=f"Bearer {TOKEN}")
         assert (status, [each["name"] for each in json.loads(body)]) == (200, ["run.mcap"])
 
 

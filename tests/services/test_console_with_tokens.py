@@ -14,17 +14,22 @@ from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.codec import pack
 from deltaq_protocol.messages import Challenge
 from deltaq_protocol.session import open_session
+from deltaq_services.console.settings import NoTokenError, Settings
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
 pytestmark = pytest.mark.long
 
-OPERATOR, CONTROLLER = "0123456789abcdef-operator", "0123456789abcdef-controller"
+OPERATOR, CONTROLLER, DESK = (
+    "0123456789abcdef-operator",
+    "0123456789abcdef-controller",
+    "0123456789abcdef-desk",
+)
 
 
 @asynccontextmanager
-async def operated(folder, operator_token):
-    """The HLI of a cell with tokens, and a browser at its console."""
+async def operated(folder, operator_token, shown=DESK):
+    """The HLI of a cell with tokens, and a browser at its console that shows this token, or none."""
     cell = CellModel.load(write_private_cell(folder))
     description = cell.description
     roles = ClientRoles(OPERATOR, CONTROLLER)
@@ -34,8 +39,8 @@ async def operated(folder, operator_token):
     ):
         await peer.turn("fr")
         async with (
-            served(folder, cell=cell, operator_token=operator_token) as (_, host),
-            websockets.connect(live(host)) as websocket,
+            served(folder, DESK, cell, operator_token) as (_, host),
+            websockets.connect(live(host, **({"token": shown} if shown else {}))) as websocket,
         ):
             browser = Browser(websocket)
             while not (await browser.status())["hli"]:
@@ -48,6 +53,29 @@ async def test_a_console_with_the_operators_token_frees_robots_and_asks_for_view
         assert (await browser.ask("reset", robot="fr"))["outcome"] == "done"
         assert (await browser.ask("view_distance", robot="fr", value_m=1.5))["outcome"] == "done"
         assert hli.core.counters["views_asked"] == 1
+
+
+async def test_another_user_of_the_machine_gets_nothing_moved_or_freed_by_a_console_with_the_operators_token(
+    tmp_path,
+):
+    """The attack: a program that is no browser, of any user, at the loopback's port, without a word of who it is."""
+    async with operated(tmp_path, OPERATOR, shown=None) as (stranger, hli):
+        for kind, fields in (
+            ("reset", {"robot": "fr"}),
+            ("lease", {"robot": "fr", "action": "take"}),
+            ("view_distance", {"robot": "fr", "value_m": 1.5}),
+        ):
+            answer = await stranger.ask(kind, **fields)
+            assert (answer["outcome"], "observer" in answer["text"]) == ("refused", True)
+        assert hli.status().robots["fr"].lease.holder is None
+        assert (await stranger.ask("stop"))["outcome"] == "done"
+
+
+@pytest.mark.parametrize("holds", [{"operator_token": OPERATOR}, {"has_role": True}])
+def test_a_console_that_commands_in_a_role_does_not_start_without_a_token_of_its_own(holds):
+    with pytest.raises(NoTokenError, match="DELTAQ_CONSOLE_TOKEN_FILE"):
+        Settings("lab", True, "127.0.0.1", 7480, **holds)
+    assert Settings("lab", True, "127.0.0.1", 7480, DESK, **holds).token_needed
 
 
 async def test_a_console_without_it_is_told_what_is_missing(tmp_path):
@@ -73,8 +101,8 @@ async def test_whoever_listens_where_the_hli_does_learns_no_token(tmp_path):
 
         impostor.declare_queryable("deltaq/**", zenoh.handlers.Callback(answer, indirect=False))
         async with (
-            served(tmp_path, cell=cell, operator_token=OPERATOR) as (_, host),
-            websockets.connect(live(host)) as websocket,
+            served(tmp_path, DESK, cell, OPERATOR) as (_, host),
+            websockets.connect(live(host, token=DESK)) as websocket,
         ):
             browser = Browser(websocket)
             while not asked:  # the console's session may not have found whom it takes for the HLI yet

@@ -16,6 +16,11 @@ from small_cell import small_cell, told, tool_pose
 
 from deltaq_services.hli import handshake
 from deltaq_services.hli.client_roles import ClientRoles
+from deltaq_services.hli.handshake_places import (
+    MAX_HANDSHAKES,
+    MAX_HANDSHAKES_OF_A_PEER,
+    HandshakePlaces,
+)
 from deltaq_services.hli.line_encryption import line_encryption
 from deltaq_services.hli.shell import Hli
 
@@ -73,3 +78,45 @@ async def test_who_speaks_in_the_clear_to_an_encrypted_line_or_not_at_all_is_nob
         writer.close()
         with contextlib.suppress(OSError):
             await writer.wait_closed()
+
+
+@pytest.mark.long
+async def test_beside_any_number_of_half_agreed_encryptions_a_client_is_served_and_stops(
+    files: dict[str, str],
+) -> None:
+    """The attack: connections that say nothing. Each one more than there are places ends the oldest."""
+    trusted = ssl.create_default_context(cafile=files["DELTAQ_LINES_CERTIFICATE_FILE"])
+    async with encrypted(files) as (hli, peer), contextlib.AsyncExitStack() as stack:
+        port = peer.cell.tcp_port
+        silent = []
+        for _ in range(MAX_HANDSHAKES + 20):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            stack.callback(writer.close)
+            silent.append(reader)
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted, limit=2**22)
+        stack.callback(writer.close)
+        client = JsonClient(reader, writer)
+        await client.ask("welcome", type="hello", protocol=1, client="late", token=None)
+        await client.ask("done", type="stop")
+        assert (await peer.commands.get()).kind == "stop"
+        assert len(hli._tcp.handshakes) <= MAX_HANDSHAKES
+        for reader in silent[:20]:  # those that were there first
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+        assert not silent[-1].at_eof()
+
+
+def test_a_flood_from_one_address_ends_its_own_and_those_of_many_the_oldest() -> None:
+    places: HandshakePlaces[str] = HandshakePlaces()
+    assert places.take("stop", "192.0.2.1") is None
+    for n in range(10 * MAX_HANDSHAKES):
+        gave_way = places.take(f"flood {n}", "192.0.2.66")
+        older = n - MAX_HANDSHAKES_OF_A_PEER
+        assert gave_way == (None if older < 0 else f"flood {older}")
+    for n in range(10 * MAX_HANDSHAKES):
+        assert places.take(f"here {n}", "127.0.0.1") != "stop"
+        assert len(places) <= MAX_HANDSHAKES
+    places.leave("stop")
+    places.leave("stop")
+    assert places.take("again", "192.0.2.1") is None
+    assert places.take("one more", "192.0.2.1") not in (None, "again")

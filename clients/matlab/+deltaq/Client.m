@@ -48,7 +48,11 @@ classdef Client < handle
             obj.in_flight = deltaq.InFlight();
             obj.socket = connected(char(host), port, obj.address);
             hello = struct('type', 'hello', 'protocol', int64(3), 'client', char(name));
-            if ~isempty(char(token)), hello.token = char(token); end
+            if ~isempty(char(token)) % it is shown and not sent: somebody else may listen at this port
+                given = obj.ask(struct('type', 'challenge'), @(answer) strcmp(answer.type, 'challenge'));
+                hello.challenge = given.challenge;
+                hello.proof = deltaq.hmac_sha256(char(token), ['deltaq hello ' given.challenge]);
+            end
             welcome = obj.ask(hello, @(answer) strcmp(answer.type, 'welcome'));
             [obj.cell_name, obj.cycle_s, obj.robots] = deal(welcome.cell, welcome.cycle_s, welcome.robots);
         end

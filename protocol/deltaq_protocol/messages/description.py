@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
@@ -10,12 +10,18 @@ from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, Pos
 
 
 class Hello(Message):
-    """First line of a TCP client."""
+    """Who a TCP client is; nothing but a `challenge` and a stop may come before it.
+
+    `proof` shows the role of a token that is not sent: HMAC-SHA256 with the token over `deltaq hello ` and `challenge`,
+    which the server gave on this connection or another, in hexadecimal digits. Over TLS `token` does as well.
+    """
 
     type: Literal["hello"] = "hello"
     protocol: int
     client: str = Field(min_length=1, max_length=64)
     token: Secret = None
+    challenge: Annotated[str | None, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$", repr=False)] = None
+    proof: Annotated[str | None, Field(pattern=r"^[0-9a-f]{64}$", repr=False)] = None
 
 
 class DescribeRequest(Message):

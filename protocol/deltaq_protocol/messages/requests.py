@@ -60,13 +60,13 @@ class ContactRequest(Message):
 
 
 class ChallengeRequest(Message):
-    """Ask for a challenge, which the operator's next request over zenoh answers."""
+    """Ask for a challenge, which the operator's next request over zenoh answers, or the hello of a TCP client."""
 
     type: Literal["challenge"] = "challenge"
 
 
 class Challenge(Message):
-    """A challenge: nonce of the proof beside one request of the operator, in hexadecimal digits; good once."""
+    """Nonce of the proof beside a request of the operator, or in a hello, in hexadecimal digits; good once."""
 
     type: Literal["challenge"] = "challenge"
     challenge: Annotated[str, Field(max_length=128, pattern=r"^([0-9a-f]{2})+$", repr=False)]

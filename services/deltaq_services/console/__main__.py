@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from deltaq_cell.load import load_cell
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import OPERATOR_TOKEN, given_token
-from deltaq_services.console.settings import Settings
+from deltaq_protocol.role_prover import environment_has_role
+from deltaq_services.console.settings import CONSOLE_TOKEN, Settings
 from deltaq_services.process import run
-
-TOKEN_VARIABLE = "DELTAQ_CONSOLE_TOKEN"
 
 
 class NotInstalledError(DeltaqError):
@@ -33,8 +33,9 @@ def main() -> None:
         emulated=options.emulated,
         address=options.address or description.console_address,
         port=options.port if options.port is not None else description.console_port,
-        token=given_token(TOKEN_VARIABLE) or "",
+        token=given_token(CONSOLE_TOKEN) or "",
         operator_token=given_token(OPERATOR_TOKEN),
+        has_role=environment_has_role(os.environ),
         recordings=options.recordings,
     )
     # after the settings were found good: this import takes seconds

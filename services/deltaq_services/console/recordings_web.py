@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response
+from starlette.requests import HTTPConnection
 
+from deltaq_services.console.door import Entrance
 from deltaq_services.console.recordings import NoSuchRecordingError
 from deltaq_services.console.replay_process import BusyError, UnreadableError
 from deltaq_services.console.shell import Console
@@ -14,17 +17,29 @@ _NOT_PERMITTED, _NOT_FOUND, _UNREADABLE, _BUSY = 403, 404, 422, 503
 _OF_THIS_PAGE = ("same-origin", "none")
 
 
-def add_recordings(app: FastAPI, console: Console) -> None:
-    """Serve `/recordings` and `/recordings/NAME`."""
+def add_recordings(app: FastAPI, console: Console, enter: Callable[[HTTPConnection, str], Entrance]) -> None:
+    """Serve `/recordings` and `/recordings/NAME` to operators: recordings have the audit log's entries too.
+
+    Args:
+        app: to add them to.
+        console: whose they are.
+        enter: what the token that a request shows makes of who sends it.
+    """
+
+    def must_be_operators(request: Request) -> None:
+        _must_be_own(request)
+        kind, _, token = request.headers.get("authorization", "").partition(" ")
+        if enter(request, token if kind.lower() == "bearer" else "") is not Entrance.OPERATOR:
+            raise HTTPException(_NOT_PERMITTED, "recordings are for operators: the console's token makes one")
 
     @app.get("/recordings")
     async def recordings(request: Request) -> list[dict[str, Any]]:
-        _must_be_own(request)
+        must_be_operators(request)
         return [] if console.folder is None else console.folder.listed()
 
     @app.get("/recordings/{name}")
     async def recording(name: str, request: Request) -> Response:
-        _must_be_own(request)
+        must_be_operators(request)
         try:
             if console.folder is None:
                 raise NoSuchRecordingError("the console was given no folder for recordings")

@@ -8,13 +8,20 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from deltaq_protocol.errors import DeltaqError
+from deltaq_protocol.given_token import MAKE_ONE
 
 LOOPBACK_HOSTS = ("localhost", "127.0.0.1", "[::1]")
 """Names by which a browser on this machine may call it. Any other is a web site that pretends to live here."""
 
 
+CONSOLE_TOKEN = "DELTAQ_CONSOLE_TOKEN"
+"""Environment variable: makes an operator of the console of whoever knows it."""
+LEAST_CHARACTERS = 16
+"""Of the console's token: nobody guesses so long a one, where it was drawn by chance."""
+
+
 class NoTokenError(DeltaqError):
-    """The console is to be reached from other machines, and nothing tells operators from strangers."""
+    """Nothing tells the console's operators from strangers, who can reach it."""
 
 
 class NoFolderError(DeltaqError):
@@ -32,10 +39,12 @@ class Settings:
         port: it is bound to.
         token: makes an operator of whoever knows it; empty: whoever is on this machine is one.
         operator_token: the HLI's, which resets and drivers need where it was given one.
+        has_role: the environment has a token or an identity that the console's drivers show to the HLI.
         recordings: folder in which recordings are written and opened; None for none.
 
     Raises:
-        NoTokenError: another address than this machine's loopback without a token.
+        NoTokenError: there is no token, or one that can be guessed, and the console is reached from other machines or
+            commands in the name of a role that others of this machine do not have.
         NoFolderError: there is no such folder for recordings.
     """
 
@@ -45,13 +54,24 @@ class Settings:
     port: int
     token: str = field(default="", repr=False)
     operator_token: str | None = field(default=None, repr=False)
+    has_role: bool = False
     recordings: Path | None = None
 
     def __post_init__(self) -> None:
         if not self.is_loopback and not self.token:
             raise NoTokenError(
-                f"the console would be reached from other machines at {self.address}: set DELTAQ_CONSOLE_TOKEN or "
-                "DELTAQ_CONSOLE_TOKEN_FILE, which its operators then have to know, or bind it to 127.0.0.1"
+                f"the console would be reached from other machines at {self.address}: set {CONSOLE_TOKEN} or "
+                f"{CONSOLE_TOKEN}_FILE, which its operators then have to know, or bind it to 127.0.0.1"
+            )
+        if (self.operator_token or self.has_role) and not self.token:
+            raise NoTokenError(
+                "the console has a token or an identity of the cell's, and would command in its name for every user of "
+                f"this machine: give it a token of its own ({CONSOLE_TOKEN}_FILE; {MAKE_ONE}), start it with "
+                "`deltaq up`, which makes one, or start it without the other"
+            )
+        if self.token and len(self.token) < LEAST_CHARACTERS:
+            raise NoTokenError(
+                f"{CONSOLE_TOKEN}: {len(self.token)} characters, at least {LEAST_CHARACTERS} are needed; {MAKE_ONE}"
             )
         if self.recordings is not None and not self.recordings.is_dir():
             raise NoFolderError(f"--recordings {self.recordings}: there is no such folder; make it first")

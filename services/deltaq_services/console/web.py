@@ -10,6 +10,7 @@ import asyncio
 import logging
 import signal
 import socket
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
@@ -18,11 +19,13 @@ from urllib.parse import urlsplit
 import uvicorn
 from fastapi import FastAPI, Response, WebSocket
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import HTTPConnection
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_protocol.errors import ServiceUnreachableError
 from deltaq_services.console import page
 from deltaq_services.console.connection import BrowserConnection
+from deltaq_services.console.door import Door, Entrance
 from deltaq_services.console.recordings_web import add_recordings
 from deltaq_services.console.scene import MESHES
 from deltaq_services.console.settings import LOOPBACK_HOSTS, Settings
@@ -116,19 +119,29 @@ def application(console: Console, settings: Settings) -> FastAPI:
         text = console.scene.meshes.get(name)
         return Response(status_code=404) if text is None else Response(text, media_type="model/obj")
 
-    add_recordings(app, console)
+    door = Door(settings, console.core.counters)
+
+    def enter(request: HTTPConnection, token: str) -> Entrance:
+        address = request.client.host if request.client else ""
+        entrance = door.look(token, address, time.monotonic())
+        if entrance is Entrance.WRONG:
+            _log.warning("a wrong token from %s at the console", address)
+        return entrance
+
+    add_recordings(app, console, enter)
 
     @app.websocket("/live")
     async def live(websocket: WebSocket) -> None:
-        token = websocket.query_params.get("token", "")
-        is_operator = settings.is_operator(token)
-        if not _is_own(websocket) or (token and not is_operator):
+        entrance = enter(websocket, websocket.query_params.get("token", ""))
+        if not _is_own(websocket) or entrance not in (Entrance.OPERATOR, Entrance.OBSERVER):
             console.core.counters["turned_away"] += 1
             await websocket.close(_NOT_PERMITTED)
             return
         await websocket.accept()
         name = websocket.query_params.get("name", "")[:_LONGEST_NAME]
-        await console.serve(BrowserConnection(websocket), name if name.isprintable() else "", is_operator)
+        await console.serve(
+            BrowserConnection(websocket), name if name.isprintable() else "", entrance is Entrance.OPERATOR
+        )
 
     return app
 

@@ -5,16 +5,22 @@ Plain decisions; the shell passes the time in. What is not proven is not decoded
 
 from __future__ import annotations
 
+from hmac import compare_digest
 from typing import TYPE_CHECKING, NamedTuple
 
 from deltaq_protocol.codec import MAX_MESSAGE_BYTES
-from deltaq_protocol.proof import MAX_PROOF_BYTES, key_of, proven_nonce
+from deltaq_protocol.proof import MAX_PROOF_BYTES, key_of, line_proof, proven_nonce
 from deltaq_services.hli.challenges import Challenges
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.leases import Leases
+from deltaq_services.hli.sequence import Sequence
 
 if TYPE_CHECKING:
     from deltaq_services.hli.client_identities import ClientIdentities
+
+
+_TOLD_APART = 64
+"""Newest requests of a lease: such as overtake one another are all new."""
 
 
 class Proven(NamedTuple):
@@ -41,6 +47,9 @@ class Authentication:
         self._leases = leases
         self._roles = roles
         self._challenges = Challenges(secret)
+        # what was heard in zenoh's threads, before the loop takes it up
+        self._heard_challenges = Challenges(secret)
+        self._heard_counts: dict[str, Sequence] = {}
         self._counts: dict[str, tuple[str, int]] = {}
 
     def holder_of_increment(self, robot: str, key: str, message: bytes, proof: bytes) -> Proven | None:
@@ -71,14 +80,29 @@ class Authentication:
         self._counts[robot] = lease.token, asked
         return lease.token
 
-    def is_known(self, key: str, message: bytes, proof: bytes) -> bool:
-        """Whether any holder, or who has a token, made a request, new or not; any thread may ask."""
+    def goes_first(self, key: str, message: bytes, proof: bytes, time_s: float) -> bool:
+        """Whether a holder, or who has a role, made a request that was not heard before; one thread at a time may ask.
+
+        A proof that was overheard is nobody's the second time, and waits among those of strangers.
+        """
         if len(message) > MAX_MESSAGE_BYTES:
             return False
         if len(proof) > MAX_PROOF_BYTES:
-            return bool(self._signer(key, message, proof)[0])
-        tokens = (*self._leases.tokens(), *self._roles.tokens)
-        return any(proven_nonce(key_of(token), key, message, proof) is not None for token in tokens)
+            name, signed = self._signer(key, message, proof, self._heard_challenges, time_s)
+            return bool(name) and self._heard_challenges.accept(signed, time_s)
+        holders = self._leases.tokens()
+        self._heard_counts = {
+            token: self._heard_counts.get(token, Sequence(_TOLD_APART)) for token in holders
+        }
+        for token in holders:
+            nonce = proven_nonce(key_of(token), key, message, proof)
+            if nonce is not None:
+                return self._heard_counts[token].take(int.from_bytes(nonce, "big"))
+        for token in self._roles.tokens:
+            nonce = proven_nonce(key_of(token), key, message, proof)
+            if nonce is not None:
+                return self._heard_challenges.accept(nonce, time_s)
+        return False
 
     def challenge(self, time_s: float) -> bytes:
         """A challenge for the next request with a token; any thread may ask."""
@@ -94,21 +118,30 @@ class Authentication:
                 return token
         return None
 
+    def token_of_line(self, challenge: str, proof: str, time_s: float) -> str | None:
+        """The token of a role that a hello over TCP proves, in answer to a challenge that is not used yet."""
+        for token in self._roles.tokens:
+            if compare_digest(line_proof(token, challenge), proof):
+                return token if self._challenges.accept(bytes.fromhex(challenge), time_s) else None
+        return None
+
     def identity(self, key: str, message: bytes, proof: bytes, time_s: float) -> str:
         """Under which name a request was signed, in answer to a challenge that is not used yet; empty: none."""
         if len(message) > MAX_MESSAGE_BYTES:
             return ""
-        name, nonce = self._signer(key, message, proof)
+        name, nonce = self._signer(key, message, proof, self._challenges, time_s)
         return name if name and self._challenges.accept(nonce, time_s) else ""
 
-    def _signer(self, key: str, message: bytes, proof: bytes) -> tuple[str, bytes]:
-        """Who signed a request, and the challenge that it answers; any thread may ask.
+    def _signer(
+        self, key: str, message: bytes, proof: bytes, challenges: Challenges, time_s: float
+    ) -> tuple[str, bytes]:
+        """Who signed a request, and the challenge that it answers.
 
         A signature takes a hundred times as long to look at as a MAC, so the challenge's comes first.
         """
         if self._identities is None:
             return "", b""
         nonce, name = self._identities.nonce(proof), ""
-        if self._challenges.is_own(nonce):
+        if challenges.is_new(nonce, time_s):
             name = self._identities.name(key, message, proof)
         return name, nonce

@@ -38,18 +38,21 @@ class Challenges:
     def accept(self, challenge: bytes, time_s: float) -> bool:
         """Whether a challenge is one of this process's, fresh, and was never accepted before."""
         self._used = {used: until_s for used, until_s in self._used.items() if time_s <= until_s}
-        if not self.is_own(challenge):
+        if not self.is_new(challenge, time_s):
             return False
-        until_s = _MADE.unpack(challenge[: _MADE.size])[0] + GOOD_FOR_S
-        if time_s > until_s or challenge in self._used:
-            return False
-        self._used[challenge] = until_s
+        self._used[challenge] = _until_s(challenge)
         return True
 
-    def is_own(self, challenge: bytes) -> bool:
-        """Whether a challenge is one of this process's, of whatever time; any thread may ask."""
+    def is_new(self, challenge: bytes, time_s: float) -> bool:
+        """The same, without accepting it; any thread may ask."""
         made = challenge[: _MADE.size]
-        return len(made) == _MADE.size and compare_digest(self._mac(made), challenge[_MADE.size :])
+        is_own = len(made) == _MADE.size and compare_digest(self._mac(made), challenge[_MADE.size :])
+        return is_own and time_s <= _until_s(challenge) and challenge not in self._used
 
     def _mac(self, made: bytes) -> bytes:
         return blake2b(made, digest_size=_MAC_BYTES, key=self._key).digest()
+
+
+def _until_s(challenge: bytes) -> float:
+    made_s: float = _MADE.unpack(challenge[: _MADE.size])[0]
+    return made_s + GOOD_FOR_S

@@ -1,4 +1,4 @@
-"""ClientRoles of clients: what a token makes of whoever has it. Plain decisions; the shell passes the time in.
+"""ClientRoles of clients: what a token makes of whoever has it. Plain decisions.
 
 Where no operator's token is set, everybody is an operator: that is for one machine, whose users trust one another.
 """
@@ -10,12 +10,6 @@ from dataclasses import dataclass
 
 from deltaq_protocol.certified.names import IdentityKind, kind_of
 from deltaq_protocol.client_rights import ClientRole
-from deltaq_services.rate_limit import RateLimit
-
-MOST_TRIES_S = 3.0
-"""Wrong tokens a second of one peer; what comes beyond is not compared."""
-_MOST_PEERS = 256
-
 
 _ROLES = {
     IdentityKind.SERVICE: ClientRole.OBSERVER,
@@ -57,23 +51,6 @@ class ClientRoles:
     def tokens(self) -> tuple[str, ...]:
         """Those that are set."""
         return tuple(token for token in (self.operator_token, self.controller_token) if token is not None)
-
-
-class Tries:
-    """Wrong tokens, by the address that they came from: only so many of each are compared in a second."""
-
-    def __init__(self) -> None:
-        self._rates: dict[str, RateLimit] = {}
-
-    def may_try(self, address: str, time_s: float) -> bool:
-        """Whether a token from there is compared at all."""
-        return address not in self._rates or self._rates[address].has_left(time_s)
-
-    def failed(self, address: str, time_s: float) -> None:
-        """A wrong token came from there."""
-        while len(self._rates) >= _MOST_PEERS and address not in self._rates:
-            del self._rates[next(iter(self._rates))]
-        self._rates.setdefault(address, RateLimit(MOST_TRIES_S)).take(time_s)
 
 
 def _is(wanted: str | None, token: str | None) -> bool:

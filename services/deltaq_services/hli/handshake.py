@@ -7,6 +7,7 @@ import ssl
 from collections.abc import Callable
 
 from deltaq_protocol.certified.names import person_named
+from deltaq_services.hli.handshake_places import HandshakePlaces
 
 HANDSHAKE_S = 5.0
 """Connections that do not agree on their encryption until then end."""
@@ -20,6 +21,7 @@ class Handshake(asyncio.Protocol):
         encryption: with the certificate.
         begin: makes the protocol of an encrypted connection.
         failed: takes the transport, and why nothing was agreed on.
+        places: of those that have not agreed yet.
     """
 
     def __init__(
@@ -28,10 +30,13 @@ class Handshake(asyncio.Protocol):
         encryption: ssl.SSLContext,
         begin: Callable[[], asyncio.Protocol],
         failed: Callable[[asyncio.BaseTransport, str], None],
+        places: HandshakePlaces[Handshake],
     ) -> None:
         self._loop, self._encryption = loop, encryption
         self._begin, self._failed = begin, failed
+        self._places = places
         self._connection: asyncio.Protocol | None = None
+        self._gave_way = ""
         self._early = bytearray()
         self._is_lost = False
 
@@ -39,6 +44,11 @@ class Handshake(asyncio.Protocol):
         """Somebody has connected."""
         assert isinstance(transport, asyncio.Transport)  # of a TCP server, always
         transport.pause_reading()  # what comes is for the encryption
+        self._transport = transport
+        peer = transport.get_extra_info("peername")
+        older = self._places.take(self, peer[0] if peer else "")
+        if older is not None:
+            older.give_way()
         self._task = self._loop.create_task(self._agree(transport))
 
     def data_received(self, data: bytes) -> None:
@@ -54,6 +64,11 @@ class Handshake(asyncio.Protocol):
         if self._connection is not None:
             self._connection.connection_lost(exc)
 
+    def give_way(self) -> None:
+        """End, for one that came later."""
+        self._gave_way = "too many were agreeing on theirs, and this was the oldest"
+        self._transport.abort()
+
     async def _agree(self, transport: asyncio.Transport) -> None:
         try:
             encrypted = await self._loop.start_tls(
@@ -61,9 +76,11 @@ class Handshake(asyncio.Protocol):
             )
         except OSError as error:
             why = error.reason if isinstance(error, ssl.SSLError) else type(error).__name__
-            self._failed(transport, why)
+            self._failed(transport, self._gave_way or why)
             transport.abort()
             return
+        finally:
+            self._places.leave(self)
         if self._is_lost or encrypted is None:
             return
         connection = self._connection = self._begin()

@@ -8,6 +8,7 @@ from typing import Any
 from deltaq_protocol.codec import InvalidMessageError, from_map
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
+    ChallengeRequest,
     ContactRequest,
     DescribeRequest,
     DryRunRequest,
@@ -24,6 +25,7 @@ from deltaq_protocol.quoting import shown
 from deltaq_protocol.reasons import ReasonCode
 
 REQUESTS: dict[str, type[Message]] = {
+    "challenge": ChallengeRequest,
     "hello": Hello,
     "lease": LeaseRequest,
     "increment": Increment,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections import Counter
 from collections.abc import Callable
 from typing import TypeVar
@@ -76,21 +77,22 @@ class OpenFront:
         self._increment_keys = {robot: topics.INCREMENT.key(cell.cell, robot=robot) for robot in cell.robots}
         self._port = port
         self._description = pack(port.core.description)
+        self._lock = threading.Lock()
         self._stamps = stamps_if_asked("hli", list(cell.robots))
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
         opened = open_session(listen=[cell.hli], access=rules)
         session = self._session = LoopSession(opened, cell.cell, port.loop)
         self._sieve = Sieve(self._increment_keys, cell.cycle_s, port.authentication, port.now)
         session.subscribe_sifted(topics.INCREMENT, self._sieve.sift, self._on_increment)
-        session.answer(topics.LEASE, self._on_lease, self._is_proven)
-        session.answer(topics.IO, self._on_io, self._is_proven)
-        session.answer(topics.RESET, self._on_reset, self._is_proven)
+        session.answer(topics.LEASE, self._on_lease, self._goes_first)
+        session.answer(topics.IO, self._on_io, self._goes_first)
+        session.answer(topics.RESET, self._on_reset, self._goes_first)
         session.answer(topics.STOP, self._on_stop)
-        session.answer(topics.DRY_RUN, self._on_dry_run, _is_nobody_s)
-        session.answer(topics.VIEW, self._on_view, self._is_proven)
+        session.answer(topics.DRY_RUN, self._on_dry_run)
+        session.answer(topics.VIEW, self._on_view, self._goes_first)
         session.answer_at_once(topics.CHALLENGE, self._on_challenge)
-        session.answer(topics.CONTACT, self._on_contact, self._is_proven)
-        session.answer(topics.STATUS, self._on_status, _is_nobody_s)
+        session.answer(topics.CONTACT, self._on_contact, self._goes_first)
+        session.answer(topics.STATUS, self._on_status)
         # clients ask for the description first: when it is there, so is everything above
         session.answer_at_once(topics.DESCRIPTION, self._on_description)
 
@@ -228,10 +230,13 @@ class OpenFront:
         role = self._port.roles.of(token, identity)
         return ClientOrigin(client or "", _ADDRESS, role.name.lower(), identity)
 
-    def _is_proven(self, query: zenoh.Query) -> bool:
+    def _goes_first(self, query: zenoh.Query) -> bool:
         """Whether it is a holder's or the operator's, in zenoh's thread: a flood of others takes no place of theirs."""
-        proof = _proof(query)
-        return bool(proof) and self._port.authentication.is_known(str(query.key_expr), _payload(query), proof)
+        proof, port = _proof(query), self._port
+        if not proof:
+            return False
+        with self._lock:
+            return port.authentication.goes_first(str(query.key_expr), _payload(query), proof, port.now())
 
     def _identity(self, query: zenoh.Query) -> str:
         return self._port.authentication.identity(
@@ -242,11 +247,6 @@ class OpenFront:
         return self._port.authentication.token(
             str(query.key_expr), _payload(query), _proof(query), self._port.now()
         )
-
-
-def _is_nobody_s(_query: zenoh.Query) -> bool:
-    """Anybody may ask; nobody goes first."""
-    return False
 
 
 def _payload(query: zenoh.Query) -> bytes:

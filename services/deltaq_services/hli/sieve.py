@@ -11,20 +11,25 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+import msgpack
 import zenoh
 
+from deltaq_protocol.codec import MAX_MESSAGE_BYTES
 from deltaq_services.hli.authentication import Authentication
 from deltaq_services.hli.flood_wait import FloodWait
+from deltaq_services.hli.sequence import Sequence
 from deltaq_services.rate_limit import RateLimit
 
 MOST_A_CYCLE = 4
 """Increments of a holder that are judged, on average: one is passed on, the rest is replaced by newer ones."""
-MOST_ENDED_S = 5.0
-"""Increments a second of one who has lost the lease that are answered; each answer goes to every watcher."""
-
-
+MOST_RARE_S = 5.0
+"""Increments a second that are answered of one who has lost the lease, and of those that come again or name no number.
+Each answer goes to every watcher. Whoever has overheard an increment can send it again: it takes nothing of the rate
+that its holder has."""
 MOST_UNPROVEN_S = 100.0
-"""Increments a second that show no lease and are read as fast as they come; no client sends any."""
+"""Increments a second that show no lease, or are too many, and are read as fast as they come; no client sends any."""
+_TOLD_APART = 1024
+"""Newest sequence numbers of a lease; a playout buffer's are fewer."""
 
 
 class Sifted(NamedTuple):
@@ -56,7 +61,8 @@ class Sieve:
         self._authentication = authentication
         self._now = now
         self._rates = {robot: RateLimit(MOST_A_CYCLE / cycle_s) for robot in keys}
-        self._ended_rates = {robot: RateLimit(MOST_ENDED_S) for robot in keys}
+        self._rare_rates = {robot: RateLimit(MOST_RARE_S) for robot in keys}
+        self._seen: dict[str, tuple[str, Sequence]] = {}
         self._flood_wait = FloodWait(MOST_UNPROVEN_S)
         self._lock = threading.Lock()
         self._counters: Counter[str] = Counter()
@@ -73,12 +79,15 @@ class Sieve:
         if proven is None:
             self._count_unproven()
             return None
-        rates = self._rates if proven.is_present else self._ended_rates
+        seq = _seq_in(payload)
         with self._lock:
-            if not rates[robot].take(self._now()):
-                self._counters["increments_too_many"] += 1
-                return None
-        return Sifted(robot, proven.token, payload)
+            is_new = proven.is_present and self._is_new(robot, proven.token, seq)
+            rates = self._rates if is_new else self._rare_rates
+            if rates[robot].take(self._now()):
+                return Sifted(robot, proven.token, payload)
+            self._counters["increments_too_many"] += 1
+        self._flood_wait.one_more()
+        return None
 
     @property
     def unproven(self) -> int:
@@ -90,7 +99,28 @@ class Sieve:
         with self._lock:
             return self._counters.copy()
 
+    def _is_new(self, robot: str, token: str, seq: int | None) -> bool:
+        """Whether a sequence number was not seen yet under the present lease."""
+        if seq is None:
+            return False
+        known, sequence = self._seen.get(robot, ("", Sequence()))
+        if known != token:
+            sequence = Sequence(_TOLD_APART)
+            self._seen[robot] = token, sequence
+        return sequence.take(seq)
+
     def _count_unproven(self) -> None:
         with self._lock:
             self._counters["increments_unproven"] += 1
         self._flood_wait.one_more()
+
+
+def _seq_in(payload: bytes) -> int | None:
+    """The sequence number of an increment, which the loop is to decode; None if it has none."""
+    if len(payload) > MAX_MESSAGE_BYTES:
+        return None
+    try:
+        seq = msgpack.unpackb(payload)["seq"]
+    except Exception:  # what a holder makes up raises many unrelated types
+        return None
+    return seq if type(seq) is int and seq >= 0 else None

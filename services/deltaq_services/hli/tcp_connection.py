@@ -13,6 +13,8 @@ from deltaq_protocol.codec import InvalidMessageError, from_map, line_to_map, to
 from deltaq_protocol.messages import (
     LINE_VERSIONS,
     PROTOCOL_VERSION,
+    Challenge,
+    ChallengeRequest,
     DescribeRequest,
     Error,
     Hello,
@@ -54,8 +56,8 @@ class Front(Protocol):
     def admit(self, connection: TcpConnection, address: str) -> bool:
         """Take up a connection; False: for a stop alone, since there are too many."""
 
-    def token_may_be_used(self, hello: Hello, address: str) -> bool:
-        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
+    def proven(self, hello: Hello, address: str) -> Hello | None:
+        """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
 
     def leave(self, connection: TcpConnection) -> None:
         """Forget a connection that broke."""
@@ -229,6 +231,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         if message_type is StopRequest:
             # anybody may stop, and a stop is obeyed whatever else the line says
             return core.take(StopRequest(), now, self)
+        if message_type is ChallengeRequest:
+            return self._told(Challenge(challenge=self._port.authentication.challenge(now).hex()))
         client = self._client
         if client is None:
             text = f"a {data['type']} before the hello"
@@ -243,13 +247,14 @@ class TcpConnection(asyncio.Protocol, Sender):
             return self._told(core.description)
         return core.take(of_client(request, client, self.leases), now, self)
 
-    def _greet(self, hello: Hello) -> list[Output]:
-        if hello.token is not None and not self._front.token_may_be_used(hello, self._address):
+    def _greet(self, said: Hello) -> list[Output]:
+        hello = self._front.proven(said, self._address)
+        if hello is None:
             text = "wrong token, or too many wrong ones came from this address; the connection ends"
             hint = "give the right one a second later, or none: then you may look on, and stop"
-            self.origin = replace(self.origin, client=hello.client)
+            self.origin = replace(self.origin, client=said.client)
             self._tell(AuditKind.CONNECTED, ReasonCode.NOT_PERMITTED, text)
-            self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=hello.type))
+            self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=said.type))
             self.close()
             return []
         self.origin = self._origin(hello, self.origin.address)

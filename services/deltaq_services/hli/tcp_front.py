@@ -13,14 +13,15 @@ from deltaq_protocol.audit import AuditKind, AuditOutcome
 from deltaq_protocol.codec import to_line
 from deltaq_protocol.messages import Error, Hello, RobotState
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.hli.client_roles import Tries
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.handshake import Handshake
+from deltaq_services.hli.handshake_places import HandshakePlaces
 from deltaq_services.hli.line_turns import LineTurns
 from deltaq_services.hli.places import MAX_CONNECTIONS, MAX_OF_A_PEER, Place, Places
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.tcp_connection import TcpConnection, address_of
 from deltaq_services.outputs import ClientOrigin
+from deltaq_services.tries import Tries
 
 _log = logging.getLogger(__name__)
 
@@ -35,7 +36,12 @@ _WAITING_CONNECTIONS = 1024
 
 
 class TcpFront:
-    """The TCP server and its connections."""
+    """The TCP server and its connections.
+
+    Attributes:
+        handshakes: connections that have not agreed on their encryption yet.
+        counters: what it counted.
+    """
 
     def __init__(self, port: Port) -> None:
         self._port = port
@@ -43,6 +49,7 @@ class TcpFront:
         self._places: Places[TcpConnection] = Places()
         self._turns: LineTurns[TcpConnection] = LineTurns()
         self._tries = Tries()
+        self.handshakes: HandshakePlaces[Handshake] = HandshakePlaces()
         self._is_scheduled = False
         self.counters: Counter[str] = Counter()
 
@@ -93,18 +100,24 @@ class TcpFront:
         )
         return False
 
-    def token_may_be_used(self, hello: Hello, address: str) -> bool:
-        """Whether the token of a hello is right; not many wrong ones of an address are compared."""
+    def proven(self, hello: Hello, address: str) -> Hello | None:
+        """A hello with the token that it has or proves; None: a wrong one. Not many of an address are compared."""
+        if hello.token is None and hello.proof is None:
+            return hello
         now = self._port.now()
         if not self._tries.may_try(address, now):
             self.counters["tokens_not_compared"] += 1
-            return False
-        if not self._port.roles.is_wrong(hello.token or ""):
-            return True
+            return None
+        if hello.proof is not None and self._port.roles.tokens:
+            token = self._port.authentication.token_of_line(hello.challenge or "", hello.proof, now)
+        else:
+            token = None if self._port.roles.is_wrong(hello.token or "") else hello.token or ""
+        if token is not None:
+            return hello.model_copy(update={"token": token})
         self._tries.failed(address, now)
         self.counters["tokens_wrong"] += 1
         _log.warning("a wrong token from %s, who says to be %r", address, hello.client)
-        return False
+        return None
 
     def leave(self, connection: TcpConnection) -> None:
         """Forget a connection that broke, and tell the core what it held."""
@@ -142,7 +155,8 @@ class TcpFront:
         return TcpConnection(self._port, self)
 
     def _new_handshake(self, encryption: ssl.SSLContext) -> Handshake:
-        return Handshake(self._port.loop, encryption, self._new_connection, self._refuse_unencrypted)
+        loop = self._port.loop
+        return Handshake(loop, encryption, self._new_connection, self._refuse_unencrypted, self.handshakes)
 
     def _refuse_unencrypted(self, transport: asyncio.BaseTransport, why: str) -> None:
         self.counters["tcp_unencrypted"] += 1

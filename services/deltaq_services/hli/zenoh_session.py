@@ -23,7 +23,7 @@ T = TypeVar("T")
 _WAITING = 256
 """Samples or queries of one topic that may wait for the loop; at rest there is none."""
 _QUERIES_S = 200.0
-"""Of one topic, of all who prove nothing: whoever asks more has to wait, and nobody else."""
+"""Of one topic, of all who prove nothing, and as many of all others: whoever asks more has to wait, and nobody else."""
 _QUERIES_A_TURN = 4
 """Of one topic, before the loop turns to others: robots' states do not wait for a flood of questions."""
 
@@ -84,23 +84,21 @@ class LoopSession:
     ) -> None:
         """Call `take` in the loop with every query of a topic, of any robot.
 
-        Those that `goes_first` names, which zenoh's thread asks, wait apart from the others.
+        Those that `goes_first` names, which zenoh's thread asks, wait apart from the others. Whoever asks too much has
+        to wait, among those who go first too, but only when its query was put: so no stop waits for a flood of others.
         """
-        inbox = self._inbox(topic, take, _QUERIES_A_TURN)
+        inbox, flood = self._inbox(topic, take, _QUERIES_A_TURN), FloodWait(_QUERIES_S)
         if goes_first is None:
-            self._served.answer(topic.key(self._cell), inbox.put)
+            self._served.answer(topic.key(self._cell), _put_and_wait(inbox, flood))
             return
-        first, flood = self._served.inbox(take, _WAITING), FloodWait(_QUERIES_S)
+        first = self._served.inbox(take, _WAITING, _QUERIES_A_TURN)
         self._first.append(first)
+        put_first, put = _put_and_wait(first, FloodWait(_QUERIES_S)), _put_and_wait(inbox, flood)
 
-        def put(query: zenoh.Query) -> None:
-            if goes_first(query):
-                first.put(query)
-            else:
-                inbox.put(query)
-                flood.one_more()
+        def put_in_place(query: zenoh.Query) -> None:
+            (put_first if goes_first(query) else put)(query)
 
-        self._served.answer(topic.key(self._cell), put)
+        self._served.answer(topic.key(self._cell), put_in_place)
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
@@ -132,3 +130,11 @@ class LoopSession:
     ) -> ClientInbox[Any]:
         inbox = self._inboxes[topic.name] = self._served.inbox(take, _WAITING, a_turn)
         return inbox
+
+
+def _put_and_wait(inbox: ClientInbox[zenoh.Query], flood: FloodWait) -> Callable[[zenoh.Query], None]:
+    def put(query: zenoh.Query) -> None:
+        inbox.put(query)
+        flood.one_more()
+
+    return put

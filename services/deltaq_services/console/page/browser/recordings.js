@@ -34,7 +34,8 @@ export function recordings(live, scene, open) {
   /** What a request answers, or null and the reason why there is none. */
   async function fetched(path) {
     try {
-      const answered = await fetch(path);
+      const token = new URLSearchParams(location.search).get("token");
+      const answered = await fetch(path, token ? { headers: { Authorization: `Bearer ${token}` } } : {});
       const said = await answered.json();
       if (answered.ok) return said;
       say(answer, said.detail ?? `the console answered ${answered.status}`);

@@ -1,0 +1,72 @@
+"""Questions over zenoh: whoever asks too much waits, whatever they prove, and no question is lost by that."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from deltaq_protocol import topics
+from deltaq_services.hli import zenoh_session
+from deltaq_services.hli.zenoh_session import LoopSession
+
+
+class Waits:
+    """In place of what makes a session's thread wait: notes after how many questions it was asked to."""
+
+    def __init__(self, _most_s: float) -> None:
+        self.asked = 0
+
+    def one_more(self) -> None:
+        self.asked += 1
+
+
+class Session:
+    """In place of a zenoh session: what was declared is called by the test."""
+
+    def declare_queryable(self, key: str, callback: Any) -> Any:
+        self.put = callback.callback
+        return self
+
+    def undeclare(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("topic", "goes_first"), [(topics.RESET, lambda _: True), (topics.STOP, None), (topics.STATUS, None)]
+)
+async def test_the_proven_and_those_who_stop_are_served_and_then_their_session_is_read_at_a_rate(
+    monkeypatch: pytest.MonkeyPatch, topic: topics.Topic, goes_first: Callable[[Any], bool] | None
+) -> None:
+    waits: list[Waits] = []
+    monkeypatch.setattr(zenoh_session, "FloodWait", lambda most_s: waits.append(Waits(most_s)) or waits[-1])
+    taken: list[int] = []
+    session = Session()
+    loop_session = LoopSession(session, "small", asyncio.get_running_loop())
+    loop_session.answer(topic, taken.append, goes_first)
+    for query in range(100):
+        session.put(query)
+        assert sum(wait.asked for wait in waits) == query + 1
+    while len(taken) < 100:
+        before = len(taken)
+        await asyncio.sleep(0)
+        assert len(taken) - before <= zenoh_session._QUERIES_A_TURN, "the loop turns to others in between"
+    assert taken == list(range(100))
+    loop_session.close()
+
+
+async def test_who_floods_with_proven_questions_keeps_those_of_strangers_not_waiting_nor_the_other_way(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waits: list[Waits] = []
+    monkeypatch.setattr(zenoh_session, "FloodWait", lambda most_s: waits.append(Waits(most_s)) or waits[-1])
+    session = Session()
+    loop_session = LoopSession(session, "small", asyncio.get_running_loop())
+    loop_session.answer(topics.RESET, lambda _: None, lambda query: bool(query % 2))
+    for query in range(9):
+        session.put(query)
+    assert sorted(wait.asked for wait in waits) == [4, 5]
+    loop_session.close()

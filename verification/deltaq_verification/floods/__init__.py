@@ -1,0 +1,1 @@
+"""What floods at the HLI's ports cost everybody else, in figures."""

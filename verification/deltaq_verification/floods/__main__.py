@@ -1,0 +1,71 @@
+"""What floods cost others, in one run: `python -m deltaq_verification.floods --json`.
+
+A cell of real processes is started, one robot moves, and one flood after another goes at the HLI's ports. For each:
+states a second at an observer and braked cycles without it and with it, and how long a stop takes. It wants a machine
+on which nothing else runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from deltaq_launch.private_cell import write_private_cell
+from deltaq_protocol.errors import DeltaqError
+from deltaq_verification.floods.attacks import ATTACKS
+from deltaq_verification.floods.measure import Row, measure
+
+_HEADING = (
+    f"{'flood':30} {'steps/s':>9} {'states/s':>15} {'kept':>7} {'braked':>9} {'stop ms':>9} {'by line':>9}"
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m deltaq_verification.floods",
+        description="Figures of others beside each flood of the list.",
+    )
+    parser.add_argument("--cell", default="lab", help="whose like is started, on ports of its own")
+    parser.add_argument("--robot", default="fr", help="the one that moves")
+    parser.add_argument(
+        "--attack", action="append", choices=ATTACKS, help="only this one; may be given again"
+    )
+    parser.add_argument("--duration-s", type=float, default=5.0, help="of each count (default: %(default)s)")
+    parser.add_argument(
+        "--attackers", type=int, default=2, help="processes that flood (default: %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of a table")
+    given = parser.parse_args(arguments)
+    if not given.json:
+        print(_HEADING)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            cell = str(write_private_cell(Path(folder), given.cell))
+            names = given.attack or ATTACKS
+            for row in measure(cell, given.robot, names, given.duration_s, given.attackers):
+                print(json.dumps(asdict(row)) if given.json else _line(row), flush=True)
+    except DeltaqError as error:
+        print(f"deltaq_verification.floods: {error}", file=sys.stderr)
+        return 3
+    return 0
+
+
+def _line(row: Row) -> str:
+    def ms(value: float | None) -> str:
+        return "-" if value is None else f"{value * 1000:.0f}"
+
+    states = f"{row.without.states_hz:.0f} -> {row.during.states_hz:.0f}"
+    braked = f"{row.without.braked_cycles} -> {row.during.braked_cycles}"
+    return (
+        f"{row.attack:30} {row.steps_s:9.0f} {states:>15} {row.states_kept:7.1%} {braked:>9} "
+        f"{ms(row.stop_s):>9} {ms(row.line_stop_s):>9}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
