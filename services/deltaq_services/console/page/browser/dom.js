@@ -25,6 +25,15 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** What the console serves at `url`; throws where it serves nothing. */
+export async function fetched(url) {
+  const answer = await fetch(url).catch(() => {
+    throw new Error(`${url} did not come: there is no connection to the console. Load the page again once it runs.`);
+  });
+  if (!answer.ok) throw new Error(`${url} did not come: the console answers ${answer.status}. Its log says why.`);
+  return answer;
+}
+
 /** Offer a file to be saved. */
 export function save(name, content, type) {
   const url = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type }));
