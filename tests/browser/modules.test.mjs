@@ -5,7 +5,7 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }] = await Promise.all(
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }] = await Promise.all(
   ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace"].map(load),
 );
 
@@ -277,11 +277,76 @@ test("a stick rests in its dead zone and reaches full speed at its end", () => {
   assert.ok(shaped(0.3) < 0.3 && shaped(0.3) > 0);
 });
 
-test("sticks count only while a shoulder button is held", () => {
-  const pad = (lb) => ({ axes: [0, -1, 0, 0], buttons: Array.from({ length: 16 }, (_, k) => ({ pressed: k === 4 && lb })) });
-  const driven = { isByJoints: false, share: 1 };
-  assert.equal(wishOf(pad(false), driven, 0), null);
-  assert.ok(wishOf(pad(true), driven, 0)[0] > 0);
+const layout = JSON.parse(process.env.DELTAQ_PAD);
+const place = Object.fromEntries(layout.controls.map((control) => [control.function, control.standard]));
+/** A pad as browsers tell it, with that held and the sticks so. */
+const pad = (held = [], axes = [0, 0, 0, 0]) => ({ connected: true, index: 0, axes, buttons: Array.from({ length: 17 }, (_, k) => ({ pressed: held.some((what) => place[what] === k), value: Number(held.some((what) => place[what] === k)) })) });
+
+test("sticks count only while a shoulder button is held: move goes along x, y, z, and turn about them", () => {
+  const driven = { isByJoints: false, share: 1, mode: "coupled" };
+  const sticks = [-0.5, -1, 0, 1];
+  assert.equal(wishOf(pad([], sticks), layout, driven, 1), null);
+  const moved = wishOf(pad(["move"], sticks), layout, driven, 1);
+  assert.deepEqual(Object.keys(moved), ["0", "1", "2"]);
+  assert.deepEqual(Object.values(moved).map(Math.sign), [1, 1, -1]);
+  assert.deepEqual(Object.keys(wishOf(pad(["turn"], sticks), layout, driven, 1)), ["3", "4", "5"]);
+});
+
+test("in a mode of ways the left stick, pushed ahead, goes along the chosen one", () => {
+  const driven = { goesAlongWays: true, mode: "advisor", share: 1 };
+  assert.deepEqual(wishOf(pad(["turn"], [0, -1, 0, 0]), layout, driven, 3), { option: 3 });
+  assert.deepEqual(wishOf(pad(["turn"], [0, -0.3, 0, 0]), layout, driven, 3), {});
+  assert.deepEqual(wishOf(pad(["turn"], [0, -1, 0, 0]), layout, { ...driven, mode: "pose" }, 3), { option: 1 });
+});
+
+/** The gamepad of a page, before a robot of three joints and two outputs, and what it has asked for. */
+function plugged(t, { mode = "coupled", isByJoints = false, held = [] } = {}) {
+  mock.timers.reset(); // the pad before it
+  mock.timers.enable({ apis: ["setInterval", "setTimeout"] });
+  t.after(() => mock.timers.reset());
+  const world = { pad: pad(held), done: [] };
+  Object.defineProperty(globalThis, "navigator", { configurable: true, value: { getGamepads: () => [world.pad] } });
+  globalThis.document.hasFocus = () => true;
+  const done = (what) => (...values) => world.done.push([what, ...values]);
+  const driven = { mode, isByJoints, share: 0.3, joint: 0, length: () => 3, scenery: { outputs: ["gripper", "tool"], joints: [] }, changeShare: done("speed"), chooseJoint: done("joint") };
+  const actions = Object.fromEntries(["mode", "frame", "robot", "hand", "picture", "stop", "output", "distance"].map((what) => [what, done(what)]));
+  world.gamepad = new Gamepad(layout, driven, { hold: done("hold"), release: () => {} }, actions, () => {});
+  world.press = (...what) => {
+    for (const held of [what, []]) {
+      world.pad = pad(held);
+      mock.timers.tick(40);
+    }
+    return world.done.splice(0);
+  };
+  mock.timers.tick(40);
+  return world;
+}
+
+test("each button of the layout does what the layout says, once", (t) => {
+  const { press } = plugged(t);
+  for (const what of ["mode", "frame", "robot", "hand", "picture", "stop"]) assert.deepEqual(press(what), [[what]]);
+  assert.deepEqual(press("nearer"), [["distance", -layout.view_step_m]]);
+  assert.deepEqual(press("farther"), [["distance", layout.view_step_m]]);
+  assert.deepEqual([press("on"), press("output"), press("off")], [[["output", 0, true]], [], [["output", 1, false]]]);
+  assert.deepEqual([press("next"), press("previous")].flat().map(([what, step]) => [what, Math.sign(step)]), [["speed", 1], ["speed", -1]]);
+  assert.deepEqual([press("move"), press("turn")], [[], []]);
+});
+
+test("the cross chooses among the joints in a mode of joints, and among the options in the advisor's", (t) => {
+  const joints = plugged(t, { mode: "joint", isByJoints: true });
+  assert.deepEqual([joints.press("next"), joints.press("previous")], [[["joint", 1]], [["joint", 2]]]);
+  const advised = plugged(t, { mode: "advisor" });
+  advised.press("next");
+  assert.equal(advised.gamepad.option, 2);
+  advised.press("previous"), advised.press("previous");
+  assert.equal(advised.gamepad.option, 9);
+});
+
+test("what is held as a pad is plugged in does nothing until it is pressed anew, but a stop is one", (t) => {
+  const held = plugged(t, { held: ["mode", "on", "stop"] });
+  assert.deepEqual(held.done.splice(0), [["stop"]]);
+  assert.deepEqual(held.press("mode"), [], "it was not let go in between");
+  assert.deepEqual(held.press("mode"), [["mode"]]);
 });
 
 test("a saved event cannot become a formula of a spreadsheet", () => {

@@ -45,6 +45,6 @@ def test_a_page_that_cannot_show_the_cell_says_why_and_stops_a_robot_that_moves(
     page.locator("[data-part=stop]").dispatch_event("pointerdown")
     page.wait_for_function("deltaq.stop.state === 'at_rest'")
     assert page.locator("[data-part=stop-answer]").text_content() == "every robot is at rest"
-    assert page.locator(".chip", has_text="gr").get_attribute("data-phase") == "held"
-    assert "held: an operator" in told.locator("dt", has_text="gr").locator("+ dd").text_content()
+    page.locator(".chip[data-phase=held]", has_text="gr").wait_for()
+    page.locator(".undrawn dt:text-is('gr') + dd", has_text="held: an operator").wait_for()
     driving.wait_for_function(AT_REST)

@@ -79,21 +79,20 @@ export async function showCell(holder, live, stop, look) {
     },
     hand: () => hands.next(),
     picture: () => picture?.toggle(),
-    gripper() {
-      const outputs = Object.entries(live.robot(driven.name)?.outputs ?? {});
-      if (outputs.length) ask("output", { index: 0, value: !outputs[0][1] });
-    },
+    frame: () => ask("mode", { mode: driven.mode ?? MODES[0][0], frame: driven.frame === "world" ? "tool" : "world" }),
+    output: (index, value) => ask("output", { index, value }),
     distance(change) {
       const name = follower?.name;
       const now = live.robot(name)?.view_distance_m ?? picture?.error()?.distance;
-      if (now) live.send("view_distance", { robot: name, value_m: Math.min(2.5, Math.max(0.4, now + change)) });
+      const [least, most] = scene.pad.view_range_m;
+      if (now) live.send("view_distance", { robot: name, value_m: Math.min(most, Math.max(least, now + change)) });
     },
     stop: () => stop.press(),
   };
   driveByKeys(driven, wish, actions);
-  const drawing = padDrawing(driven);
+  const drawing = padDrawing(scene.pad, driven);
   part("driving").append(drawing.box);
-  const gamepad = new Gamepad(driven, wish, actions, drawing.show);
+  const gamepad = new Gamepad(scene.pad, driven, wish, actions, drawing.show);
 
   // for tests and the curious: what is behind the page
   Object.assign(window.deltaq, { scene, stage, views, wish, driven, picture, overlays, motion, gamepad, player, ways, wayPicture, gizmo: pose.gizmo });

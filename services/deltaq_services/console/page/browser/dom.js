@@ -9,7 +9,7 @@ export function part(name) {
 
 /** A new element: el("button", {class: "plain", onclick: f}, "text", child, ...). */
 export function el(tag, attributes = {}, ...children) {
-  const svg = ["svg", "path", "circle", "line", "rect", "g", "text", "polyline"].includes(tag);
+  const svg = ["svg", "path", "circle", "line", "rect", "g", "text", "title"].includes(tag);
   const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
