@@ -308,17 +308,23 @@ function plugged(t, { mode = "coupled", isByJoints = false, held = [] } = {}) {
   Object.defineProperty(globalThis, "navigator", { configurable: true, value: { getGamepads: () => [world.pad] } });
   globalThis.document.hasFocus = () => true;
   const done = (what) => (...values) => world.done.push([what, ...values]);
+  world.holds = true;
   const driven = { mode, isByJoints, share: 0.3, joint: 0, length: () => 3, scenery: { outputs: ["gripper", "tool"], joints: [] }, changeShare: done("speed"), chooseJoint: done("joint") };
   const actions = Object.fromEntries(["mode", "frame", "robot", "hand", "picture", "stop", "output", "distance"].map((what) => [what, done(what)]));
-  world.gamepad = new Gamepad(layout, driven, { hold: done("hold"), release: () => {} }, actions, () => {});
+  world.gamepad = new Gamepad(layout, driven, { hold: (...values) => (done("hold")(...values), world.holds), release: done("rest") }, actions, () => {});
   world.press = (...what) => {
     for (const held of [what, []]) {
       world.pad = pad(held);
-      mock.timers.tick(40);
+      mock.timers.tick(30);
     }
-    return world.done.splice(0);
+    return world.done.splice(0).filter(([what]) => what !== "rest");
   };
-  mock.timers.tick(40);
+  world.stand = (held, axes) => {
+    world.pad = held && pad(held, axes);
+    mock.timers.tick(30);
+    return world.done.splice(0).map(([what]) => what);
+  };
+  mock.timers.tick(30);
   return world;
 }
 
@@ -344,9 +350,23 @@ test("the cross chooses among the joints in a mode of joints, and among the opti
 
 test("what is held as a pad is plugged in does nothing until it is pressed anew, but a stop is one", (t) => {
   const held = plugged(t, { held: ["mode", "on", "stop"] });
-  assert.deepEqual(held.done.splice(0), [["stop"]]);
+  assert.deepEqual(held.done.splice(0).map(([what]) => what), ["rest", "stop"]);
   assert.deepEqual(held.press("mode"), [], "it was not let go in between");
   assert.deepEqual(held.press("mode"), [["mode"]]);
+});
+
+test("a stick that is held while nothing can be driven, or a pad that is pulled out, has to be pressed anew", (t) => {
+  const world = plugged(t);
+  const ahead = [0, -1, 0, 0];
+  world.stand([]);
+  assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
+  world.holds = false; // the picture is old
+  assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
+  world.holds = true;
+  assert.deepEqual(world.stand(["move"], ahead), ["rest"]);
+  world.stand([], ahead);
+  assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
+  assert.deepEqual(world.stand(null), ["rest"]);
 });
 
 test("a saved event cannot become a formula of a spreadsheet", () => {

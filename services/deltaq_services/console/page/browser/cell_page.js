@@ -55,7 +55,10 @@ export async function showCell(holder, live, stop, look) {
   const motion = new Motion(live, views, stage);
   const overlays = new Overlays(stage, live, scene, views, structure, picture);
   viewBar(stage, scene, views);
-  look.follow((isDark) => stage.enter(isDark));
+  look.follow((isDark) => {
+    overlays.enter(isDark);
+    stage.enter(isDark);
+  });
 
   const driven = new Driven(live, scene);
   const wish = new Wish(live, driven);

@@ -87,7 +87,7 @@ export class Gamepad {
     }
     const wish = wishOf(pad, this.layout, this.driven, this.option);
     if (!wish) this._armed = true;
-    if (wish && this._armed && Object.values(wish).some((speed) => speed)) this.wish.hold("gamepad", wish);
+    if (wish && this._armed && Object.values(wish).some((speed) => speed)) this._armed = this.wish.hold("gamepad", wish); // refused: to be pressed anew
     else this.wish.release("gamepad");
     this._press(pad);
   }

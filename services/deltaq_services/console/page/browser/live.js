@@ -21,6 +21,7 @@ export class Live extends EventTarget {
     connection.addEventListener("event", ({ detail }) => this._tell("event", detail));
     connection.addEventListener("up", ({ detail }) => {
       this.hello = detail;
+      this.status = null; // what was known before is old: who has which lease, too
       this._offsets = [];
       if (this.replay) this.send("replay", { shown: true });
       this._tell("line");
