@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -629,4 +629,38 @@ test("graphics hardware draws as fine as the screen, and for every frame of it",
   assert.equal(pace.next(), 2);
   assert.equal(pace.isDue(1), true);
   assert.equal(pace.isStill(10_000), false);
+});
+
+test("a camera stands where it sees all that it is to see, and as near as that allows", () => {
+  const points = [[0, 0, 0], [2, 0, 0.3], [1, 1.5, 2], [-1, 0.2, 1]];
+  const from = [0.7, 0.6, 0.3];
+  const [wide, high] = [0.5, 0.3];
+  const { eye, target } = framed(points, from, wide, high);
+  const minus = (a, b) => a.map((value, k) => value - b[k]);
+  const dot = (a, b) => a.reduce((sum, value, k) => sum + value * b[k], 0);
+  const length = Math.hypot(...from);
+  const back = from.map((value) => value / length);
+  const right = [-back[1], back[0], 0].map((value) => value / Math.hypot(back[0], back[1]));
+  const up = [back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2], back[0] * right[1] - back[1] * right[0]];
+  assert.ok(Math.abs(dot(minus(eye, target), right)) < 1e-9 && Math.abs(dot(minus(eye, target), up)) < 1e-9, "it looks along the direction");
+  const shares = points.map((point) => minus(point, eye)).map((line) => [Math.abs(dot(line, right)) / -dot(line, back) / wide, Math.abs(dot(line, up)) / -dot(line, back) / high]);
+  assert.ok(Math.max(...shares.flat()) < 1 + 1e-9, "all are in the picture");
+  assert.ok(Math.max(...shares.flat()) > 1 - 1e-9, "one is at its edge");
+});
+
+test("words stand beside a place, within the picture, and know how much room they leave to others", () => {
+  const boxes = boxesBeside([10, 50], [80, 20], [400, 300]);
+  assert.ok(boxes.every(([left, top]) => left >= 6 && left + 80 <= 394 && top >= 6 && top + 20 <= 294));
+  assert.equal(boxes[0][0], 36);
+  assert.equal(roomOf([36, 40, 80, 20], [[36, 70], [300, 300]]), 10);
+  assert.equal(roomOf([36, 40, 80, 20], [[50, 50]]), 0);
+});
+
+test("an axis has the range of its values and is no narrower than is worth looking at", () => {
+  const series = new Series();
+  [[0, 4], [1, 4.2], [2, NaN], [130, 4.1]].forEach(([time, value]) => series.add(time, value));
+  assert.deepEqual(axisOf({ lines: [{ series }], least: 1, from: 0 }, 10), [0, 4.1]);
+  assert.deepEqual(axisOf({ lines: [{ series }], least: 1 }, 0).map((value) => value.toFixed(2)), ["3.60", "4.60"]);
+  assert.deepEqual(axisOf({ lines: [{ series: new Series() }], least: 20, from: 0 }, 0), [0, 20]);
+  assert.deepEqual([axisText(7.38, [0, 7.38]), axisText(100, [0, 100]), axisText(1.31, [1.31, 1.51])], ["7", "100", "1.31"]);
 });

@@ -4,8 +4,8 @@ import { el, say } from "./dom.js";
 
 // part of the layout: [x, y, width, height, what is written on it]; a round one has a radius alone
 const PARTS = {
-  left_trigger: [56, 4, 44, 15, "LT"], right_trigger: [200, 4, 44, 15, "RT"],
-  left_shoulder: [52, 24, 52, 13, "LB"], right_shoulder: [196, 24, 52, 13, "RB"],
+  left_trigger: [44, 3, 42, 15, "LT"], right_trigger: [214, 3, 42, 15, "RT"],
+  left_shoulder: [40, 22, 46, 14, "LB"], right_shoulder: [214, 22, 46, 14, "RB"],
   back: [124, 62, 20, 11, "⧉"], start: [156, 62, 20, 11, "≡"],
   up: [91, 100, 16, 15, "▴"], down: [91, 130, 16, 15, "▾"], left: [75, 115, 16, 15, "◂"], right: [107, 115, 16, 15, "▸"],
   y: [226, 54, 10, null, "Y"], x: [206, 74, 10, null, "X"], b: [246, 74, 10, null, "B"], a: [226, 94, 10, null, "A"],
@@ -30,8 +30,8 @@ export function padDrawing(layout, driven) {
     el("path", { class: "pad-body", d: "M76 40h148c30 0 50 24 60 80 6 42 2 66-18 66-24 0-30-36-54-36H88c-24 0-30 36-54 36-20 0-24-24-18-66 10-56 30-80 60-80z" }),
     ...Object.entries(PARTS).map(shapeOf),
     ...sticks.flatMap(({ x, y, dot }) => [el("circle", { cx: x, cy: y, r: 18, class: "well" }), dot]),
-    beside(106, 15, "left_trigger", "start"), beside(194, 15, "right_trigger", "end"),
-    beside(108, 34, "left_shoulder", "start"), beside(192, 34, "right_shoulder", "end"),
+    beside(91, 14, "left_trigger", "start"), beside(209, 14, "right_trigger", "end"),
+    beside(91, 33, "left_shoulder", "start"), beside(209, 33, "right_shoulder", "end"),
   );
   const doing = el("p", { class: "pad-words" });
   const listed = layout.controls.filter(({ name }) => !/shoulder|trigger/.test(name)); // those are told in the drawing

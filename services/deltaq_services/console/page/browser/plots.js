@@ -7,7 +7,7 @@ import { Series, SPAN_S } from "./series.js";
 const DRAW_MS = 250;
 const COLOURS = ["--line-1", "--line-2"];
 const DASH = [5, 3];
-const [GUTTER, TIMES] = [30, 13]; // px for numbers at the axis, and for times below it
+const [GUTTER, TIMES, EDGE] = [30, 13, 6]; // px for numbers at the axis, for times below it, and half a number's height
 const SHEET = { width: 720, height: 110, title: 24, scale: 2 }; // of a saved picture, a plot each
 
 /** The plots: title, unit, decimals, least span of the axis, lines {name, value()}. */
@@ -47,7 +47,7 @@ function draw(pen, [left, top, width, height], plot, now_s, styles, hasTimes) {
   const [least, most] = axis;
   const [x0, bottom] = [left + GUTTER, top + height - (hasTimes ? TIMES : 0)];
   const x = (time) => left + width - ((now_s - time) / SPAN_S) * (width - GUTTER);
-  const y = (value) => bottom - 4 - ((value - least) / (most - least)) * (bottom - top - 8);
+  const y = (value) => bottom - EDGE - ((value - least) / (most - least)) * (bottom - top - 2 * EDGE);
   pen.font = "10px Roboto, system-ui, sans-serif";
   pen.strokeStyle = styles.getPropertyValue("--rule");
   pen.fillStyle = styles.getPropertyValue("--soft");
@@ -56,7 +56,7 @@ function draw(pen, [left, top, width, height], plot, now_s, styles, hasTimes) {
   pen.textAlign = "right";
   pen.beginPath();
   for (const at of [least, (least + most) / 2, most]) pen.moveTo(x0, Math.round(y(at)) + 0.5), pen.lineTo(left + width, Math.round(y(at)) + 0.5);
-  for (let back = 0; back <= SPAN_S; back += 30) pen.moveTo(x(now_s - back), top + 4), pen.lineTo(x(now_s - back), bottom - 4);
+  for (let back = 0; back <= SPAN_S; back += 30) pen.moveTo(x(now_s - back), top + EDGE), pen.lineTo(x(now_s - back), bottom - EDGE);
   pen.stroke();
   for (const at of [least, most]) pen.fillText(axisText(at, axis), x0 - 4, y(at));
   if (hasTimes) {
