@@ -18,7 +18,8 @@ PAD = """(() => {
     const button = (pressed) => ({pressed, value: Number(pressed)});
     window.pad = {
         stand(held, axes) {
-            pads[0] = {index: 0, connected: true, axes, buttons: Array.from({length: 17}, (_, k) => button(held.includes(k)))};
+            const buttons = Array.from({length: 17}, (_, k) => button(held.includes(k)));
+            pads[0] = {index: 0, connected: true, axes, buttons};
         },
         plug() { this.stand([], [0, 0, 0, 0]); tell("gamepadconnected"); },
         unplug() { pads[0] = null; tell("gamepaddisconnected"); },
@@ -51,7 +52,8 @@ def test_a_pad_is_plugged_in_drives_the_hand_before_the_camera_and_pulled_out_is
 
     # pressed anew where the picture was old for a moment
     page.evaluate(
-        """place => { window.pushing = setInterval(() => pad.stand(deltaq.gamepad._armed ? [place] : [], [0, -1, 0, 0]), 40); }""",
+        """place => { window.pushing = setInterval(
+            () => pad.stand(deltaq.gamepad._armed ? [place] : [], [0, -1, 0, 0]), 40); }""",
         PLACE[PadFunction.MOVE],
     )
     page.wait_for_function(

@@ -23,7 +23,9 @@ def take_control(page):
         page.wait_for_function("deltaq.live.robot('gr').phase !== 'held'")
     page.get_by_role("button", name="Take control").click()
     page.wait_for_function("deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode")
-    page.evaluate("deltaq.live.send('mode', {robot: 'gr', mode: 'joint'})")  # whatever it was driven in before
+    page.evaluate(
+        "deltaq.live.send('mode', {robot: 'gr', mode: 'joint'})"
+    )  # whatever it was driven in before
     page.wait_for_function("deltaq.live.robot('gr').mode === 'joint'")
 
 
