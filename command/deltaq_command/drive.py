@@ -223,20 +223,22 @@ class _Choice:
             return Script.load(self.script, teleoperator)
         teleoperator.make_modes()  # the operator may switch to any of them
         if self.led is None:
-            return self._held(teleoperator)
+            return self._held(running, teleoperator)
         name, scale = self.led
         model = model_of(robot_models(running.description), name)
         print(master.HELP, file=sys.stderr)
         look = master.looking_at(running, name, self.robot)
-        return master.Master(teleoperator, model, look, self._held(teleoperator), scale)
+        return master.Master(teleoperator, model, look, self._held(running, teleoperator), scale)
 
-    def _held(self, teleoperator: Teleoperator) -> Clutch:
+    def _held(self, running: Cell, teleoperator: Teleoperator) -> Clutch:
         """The device in the operator's hand."""
         from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
 
         if self.device == "gamepad":
+            from deltaq_controllers.operator_input.view_distance import ViewDistance
+
             print(gamepad.HELP, file=sys.stderr)
-            return gamepad.Gamepad(teleoperator, self.speed_m_s)
+            return gamepad.Gamepad(teleoperator, self.speed_m_s, ViewDistance(running, self.robot))
         keys = keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
         if self.device == "spacemouse":
             print(f"{spacemouse.HELP}\n{keyboard.HELP}", file=sys.stderr)

@@ -1,14 +1,17 @@
 """Pictures of the console before a running cell: `python -m deltaq_experiments.console_picture docs/images`.
 
-Start the cell first (`deltaq up --cell lab`). An operator is played, who takes `gr`, moves its hand by the keyboard for
-a while and lets go, asks the advisor, and puts a pose where there is no way. It needs Chromium and playwright (the
+Start the cell first (`deltaq up --cell lab`), on a computer that does nothing else. An operator is played, who has `fr`
+follow, moves the hand of `gr` to and fro by the keyboard until the plots are full, asks the advisor, and puts a pose
+where there is no way. It needs Chromium and playwright (the
 extra `dev`).
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import shutil
+import time
 from pathlib import Path
 
 from PIL import Image
@@ -29,8 +32,11 @@ FLAGS = (
 _TIMEOUT_MS = 60_000
 _WIDE: ViewportSize = {"width": 1440, "height": 860}
 _PHONE: ViewportSize = {"width": 390, "height": 844}
-# keys of the hand's directions, and for how long each is held [ms]
-_WAY = (("KeyF", 2500), ("KeyD", 2500), ("KeyW", 2000))
+# keys of the hand's directions, and for how long each is held [ms]: there and back
+_WAY = (("KeyF", 2500), ("KeyD", 2500), ("KeyW", 2000), ("KeyR", 2500), ("KeyA", 2500), ("KeyS", 2000))
+_PLOTTED_S = 120
+_COMPILES_S = 180
+"""The camera's law is compiled once after an installation."""
 
 
 _SETTLED = """() => deltaq.stage.isFinest() && !deltaq.live.isStale()
@@ -56,8 +62,8 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = _opened(browser, url, _WIDE)
-        _drive(page)
-        _save(page, folder / "console.png")
+        _follow(page)
+        _drive(page, folder / "console.png")
         _ask_the_advisor(page)
         _save(page, folder / "console-advisor.png")
         _put_a_pose(page)
@@ -66,7 +72,8 @@ def take_pictures(url: str, folder: Path, chromium: str) -> None:
         page.locator("[data-part=look]").click()
         page.locator(".opener").click()
         _save(page, folder / "console-light.png")
-        page.evaluate("deltaq.live.send('lease', {robot: 'gr', action: 'release'})")
+        for robot in ("gr", "fr"):
+            page.evaluate("robot => deltaq.live.send('lease', {robot, action: 'release'})", robot)
         page.close()
         _save(_opened(browser, url, _PHONE), folder / "console-phone.png")
         browser.close()
@@ -81,19 +88,44 @@ def _opened(browser: Browser, url: str, size: ViewportSize) -> Page:
     return page
 
 
-def _drive(page: Page) -> None:
-    """Take `gr`, and move its hand by the keyboard."""
-    page.locator("[data-robot=gr]").click()
+def _take(page: Page, robot: str) -> None:
+    page.locator(f"[data-robot={robot}]").click()
     page.get_by_role("button", name="Take control").click()
-    page.wait_for_function("deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode")
+    page.wait_for_function(
+        "robot => deltaq.live.robot(robot).lease.mine && deltaq.live.robot(robot).mode", arg=robot
+    )
+
+
+def _follow(page: Page) -> None:
+    """Have `fr` follow the hand of `gr` with its camera."""
+    _take(page, "fr")
+    until_s = time.monotonic() + _COMPILES_S
+    while page.evaluate("deltaq.live.robot('fr').mode") != "follow":
+        if time.monotonic() > until_s:
+            raise SystemExit(f"fr does not follow: {page.locator('.answer').text_content()}")
+        page.locator("[data-mode=follow]").click()
+        page.wait_for_timeout(2000)
+
+
+def _drive(page: Page, file: Path) -> None:
+    """Take `gr`, move its hand to and fro until the plots are full, and take a picture while it moves."""
+    _take(page, "gr")
     _in_mode(page, "coupled")
-    for key, held_ms in _WAY:
+    until_s = time.monotonic() + _PLOTTED_S
+    for key, held_ms in itertools.cycle(_WAY):
         page.keyboard.down(key)
-        page.wait_for_timeout(held_ms)
+        page.wait_for_timeout(held_ms / 2)
+        is_over = time.monotonic() > until_s
+        if is_over:
+            _write(page, file)
+        page.wait_for_timeout(held_ms / 2)
         page.keyboard.up(key)
+        if is_over:
+            return
 
 
 def _in_mode(page: Page, mode: str) -> None:
+    """Drive `gr` in that mode."""
     page.locator(f"[data-mode={mode}]").click()
     page.wait_for_function("mode => deltaq.live.robot('gr').mode === mode", arg=mode)
 
@@ -126,14 +158,19 @@ def _put_a_pose(page: Page) -> None:
 
 
 def _save(page: Page, file: Path) -> None:
-    """Save what the page shows once nothing moves any more, packed tightly."""
-    file.parent.mkdir(parents=True, exist_ok=True)
+    """Save what the page shows once nothing moves any more."""
     is_grey = True
     while is_grey:  # taking it may hold the page up for so long that it shows its data as old
         page.wait_for_function(_SETTLED)
         page.evaluate(_WATCH)
-        page.screenshot(path=file)
+        _write(page, file)
         is_grey = page.evaluate("window.wentGrey")
+
+
+def _write(page: Page, file: Path) -> None:
+    """Write what the page shows now, packed tightly."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=file)
     with Image.open(file) as picture:
         picture.convert("RGB").save(file, optimize=True)
 

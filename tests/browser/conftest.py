@@ -70,7 +70,7 @@ def opened(chromium, served_cell):
     """Opens pages of the console; each in a browser of its own, closed with the test."""
     contexts = []
 
-    def open_page(prepare=lambda page: None):
+    def open_page(prepare=lambda page: None, ready="true"):
         # small, so that a machine without graphics draws it quickly
         context = chromium.new_context(viewport={"width": 1000, "height": 560})
         contexts.append(context)
@@ -81,7 +81,7 @@ def opened(chromium, served_cell):
         page.add_init_script(SLOW_SCREEN)
         prepare(page)
         page.goto(served_cell.url)
-        page.wait_for_selector("[data-ready=true]", state="attached")
+        page.wait_for_selector(f"[data-ready={ready}]", state="attached")
         page.wait_for_function("deltaq.live.status?.hli")
         return page
 

@@ -5,8 +5,8 @@ import { mock, test } from "node:test";
 
 const folder = process.env.DELTAQ_BROWSER_MODULES;
 const load = (name) => import(`${folder}/${name}.js`);
-const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }] = await Promise.all(
-  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace"].map(load),
+const [{ Connection }, { Live }, { Stop }, { Wish }, { readFrame }, { Series }, { Gamepad, shaped, wishOf }, { csvCell }, { Player, Replay }, drag, { score }, hands, { Pace }, { framed }, { boxesBeside, roomOf }, { axisOf, axisText }] = await Promise.all(
+  ["connection", "live", "stop", "wish", "frame", "series", "gamepad", "event_log", "replay", "drag_math", "advisor_cards", "hands", "pace", "framing", "tags", "plots"].map(load),
 );
 
 // what wish.js and stop.js hear from a page
@@ -277,11 +277,96 @@ test("a stick rests in its dead zone and reaches full speed at its end", () => {
   assert.ok(shaped(0.3) < 0.3 && shaped(0.3) > 0);
 });
 
-test("sticks count only while a shoulder button is held", () => {
-  const pad = (lb) => ({ axes: [0, -1, 0, 0], buttons: Array.from({ length: 16 }, (_, k) => ({ pressed: k === 4 && lb })) });
-  const driven = { isByJoints: false, share: 1 };
-  assert.equal(wishOf(pad(false), driven, 0), null);
-  assert.ok(wishOf(pad(true), driven, 0)[0] > 0);
+const layout = JSON.parse(process.env.DELTAQ_PAD);
+const place = Object.fromEntries(layout.controls.map((control) => [control.function, control.standard]));
+/** A pad as browsers tell it, with that held and the sticks so. */
+const pad = (held = [], axes = [0, 0, 0, 0]) => ({ connected: true, index: 0, axes, buttons: Array.from({ length: 17 }, (_, k) => ({ pressed: held.some((what) => place[what] === k), value: Number(held.some((what) => place[what] === k)) })) });
+
+test("sticks count only while a shoulder button is held: move goes along x, y, z, and turn about them", () => {
+  const driven = { isByJoints: false, share: 1, mode: "coupled" };
+  const sticks = [-0.5, -1, 0, 1];
+  assert.equal(wishOf(pad([], sticks), layout, driven, 1), null);
+  const moved = wishOf(pad(["move"], sticks), layout, driven, 1);
+  assert.deepEqual(Object.keys(moved), ["0", "1", "2"]);
+  assert.deepEqual(Object.values(moved).map(Math.sign), [1, 1, -1]);
+  assert.deepEqual(Object.keys(wishOf(pad(["turn"], sticks), layout, driven, 1)), ["3", "4", "5"]);
+});
+
+test("in a mode of ways the left stick, pushed ahead, goes along the chosen one", () => {
+  const driven = { goesAlongWays: true, mode: "advisor", share: 1 };
+  assert.deepEqual(wishOf(pad(["turn"], [0, -1, 0, 0]), layout, driven, 3), { option: 3 });
+  assert.deepEqual(wishOf(pad(["turn"], [0, -0.3, 0, 0]), layout, driven, 3), {});
+  assert.deepEqual(wishOf(pad(["turn"], [0, -1, 0, 0]), layout, { ...driven, mode: "pose" }, 3), { option: 1 });
+});
+
+/** The gamepad of a page, before a robot of three joints and two outputs, and what it has asked for. */
+function plugged(t, { mode = "coupled", isByJoints = false, held = [] } = {}) {
+  mock.timers.reset(); // the pad before it
+  mock.timers.enable({ apis: ["setInterval", "setTimeout"] });
+  t.after(() => mock.timers.reset());
+  const world = { pad: pad(held), done: [] };
+  Object.defineProperty(globalThis, "navigator", { configurable: true, value: { getGamepads: () => [world.pad] } });
+  globalThis.document.hasFocus = () => true;
+  const done = (what) => (...values) => world.done.push([what, ...values]);
+  world.holds = true;
+  const driven = { mode, isByJoints, share: 0.3, joint: 0, length: () => 3, scenery: { outputs: ["gripper", "tool"], joints: [] }, changeShare: done("speed"), chooseJoint: done("joint") };
+  const actions = Object.fromEntries(["mode", "frame", "robot", "hand", "picture", "stop", "output", "distance"].map((what) => [what, done(what)]));
+  world.gamepad = new Gamepad(layout, driven, { hold: (...values) => (done("hold")(...values), world.holds), release: done("rest") }, actions, () => {});
+  world.press = (...what) => {
+    for (const held of [what, []]) {
+      world.pad = pad(held);
+      mock.timers.tick(30);
+    }
+    return world.done.splice(0).filter(([what]) => what !== "rest");
+  };
+  world.stand = (held, axes) => {
+    world.pad = held && pad(held, axes);
+    mock.timers.tick(30);
+    return world.done.splice(0).map(([what]) => what);
+  };
+  mock.timers.tick(30);
+  return world;
+}
+
+test("each button of the layout does what the layout says, once", (t) => {
+  const { press } = plugged(t);
+  for (const what of ["mode", "frame", "robot", "hand", "picture", "stop"]) assert.deepEqual(press(what), [[what]]);
+  assert.deepEqual(press("nearer"), [["distance", -layout.view_step_m]]);
+  assert.deepEqual(press("farther"), [["distance", layout.view_step_m]]);
+  assert.deepEqual([press("on"), press("output"), press("off")], [[["output", 0, true]], [], [["output", 1, false]]]);
+  assert.deepEqual([press("next"), press("previous")].flat().map(([what, step]) => [what, Math.sign(step)]), [["speed", 1], ["speed", -1]]);
+  assert.deepEqual([press("move"), press("turn")], [[], []]);
+});
+
+test("the cross chooses among the joints in a mode of joints, and among the options in the advisor's", (t) => {
+  const joints = plugged(t, { mode: "joint", isByJoints: true });
+  assert.deepEqual([joints.press("next"), joints.press("previous")], [[["joint", 1]], [["joint", 2]]]);
+  const advised = plugged(t, { mode: "advisor" });
+  advised.press("next");
+  assert.equal(advised.gamepad.option, 2);
+  advised.press("previous"), advised.press("previous");
+  assert.equal(advised.gamepad.option, 9);
+});
+
+test("what is held as a pad is plugged in does nothing until it is pressed anew, but a stop is one", (t) => {
+  const held = plugged(t, { held: ["mode", "on", "stop"] });
+  assert.deepEqual(held.done.splice(0).map(([what]) => what), ["rest", "stop"]);
+  assert.deepEqual(held.press("mode"), [], "it was not let go in between");
+  assert.deepEqual(held.press("mode"), [["mode"]]);
+});
+
+test("a stick that is held while nothing can be driven, or a pad that is pulled out, has to be pressed anew", (t) => {
+  const world = plugged(t);
+  const ahead = [0, -1, 0, 0];
+  world.stand([]);
+  assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
+  world.holds = false; // the picture is old
+  assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
+  world.holds = true;
+  assert.deepEqual(world.stand(["move"], ahead), ["rest"]);
+  world.stand([], ahead);
+  assert.deepEqual(world.stand(["move"], ahead), ["hold"]);
+  assert.deepEqual(world.stand(null), ["rest"]);
 });
 
 test("a saved event cannot become a formula of a spreadsheet", () => {
@@ -544,4 +629,38 @@ test("graphics hardware draws as fine as the screen, and for every frame of it",
   assert.equal(pace.next(), 2);
   assert.equal(pace.isDue(1), true);
   assert.equal(pace.isStill(10_000), false);
+});
+
+test("a camera stands where it sees all that it is to see, and as near as that allows", () => {
+  const points = [[0, 0, 0], [2, 0, 0.3], [1, 1.5, 2], [-1, 0.2, 1]];
+  const from = [0.7, 0.6, 0.3];
+  const [wide, high] = [0.5, 0.3];
+  const { eye, target } = framed(points, from, wide, high);
+  const minus = (a, b) => a.map((value, k) => value - b[k]);
+  const dot = (a, b) => a.reduce((sum, value, k) => sum + value * b[k], 0);
+  const length = Math.hypot(...from);
+  const back = from.map((value) => value / length);
+  const right = [-back[1], back[0], 0].map((value) => value / Math.hypot(back[0], back[1]));
+  const up = [back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2], back[0] * right[1] - back[1] * right[0]];
+  assert.ok(Math.abs(dot(minus(eye, target), right)) < 1e-9 && Math.abs(dot(minus(eye, target), up)) < 1e-9, "it looks along the direction");
+  const shares = points.map((point) => minus(point, eye)).map((line) => [Math.abs(dot(line, right)) / -dot(line, back) / wide, Math.abs(dot(line, up)) / -dot(line, back) / high]);
+  assert.ok(Math.max(...shares.flat()) < 1 + 1e-9, "all are in the picture");
+  assert.ok(Math.max(...shares.flat()) > 1 - 1e-9, "one is at its edge");
+});
+
+test("words stand beside a place, within the picture, and know how much room they leave to others", () => {
+  const boxes = boxesBeside([10, 50], [80, 20], [400, 300]);
+  assert.ok(boxes.every(([left, top]) => left >= 6 && left + 80 <= 394 && top >= 6 && top + 20 <= 294));
+  assert.equal(boxes[0][0], 36);
+  assert.equal(roomOf([36, 40, 80, 20], [[36, 70], [300, 300]]), 10);
+  assert.equal(roomOf([36, 40, 80, 20], [[50, 50]]), 0);
+});
+
+test("an axis has the range of its values and is no narrower than is worth looking at", () => {
+  const series = new Series();
+  [[0, 4], [1, 4.2], [2, NaN], [130, 4.1]].forEach(([time, value]) => series.add(time, value));
+  assert.deepEqual(axisOf({ lines: [{ series }], least: 1, from: 0 }, 10), [0, 4.1]);
+  assert.deepEqual(axisOf({ lines: [{ series }], least: 1 }, 0).map((value) => value.toFixed(2)), ["3.60", "4.60"]);
+  assert.deepEqual(axisOf({ lines: [{ series: new Series() }], least: 20, from: 0 }, 0), [0, 20]);
+  assert.deepEqual([axisText(7.38, [0, 7.38]), axisText(100, [0, 100]), axisText(1.31, [1.31, 1.51])], ["7", "100", "1.31"]);
 });

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_services.console.scene import scene_of
+from deltaq_services.console.scene import pad_document, scene_of
 
 HERE = Path(__file__).parent
 MODULES = HERE.parents[1] / "services" / "deltaq_services" / "console" / "page" / "browser"
@@ -24,7 +24,11 @@ pytestmark = [
 
 
 def node(*arguments, text=""):
-    environment = {**os.environ, "DELTAQ_BROWSER_MODULES": MODULES.as_uri()}
+    environment = {
+        **os.environ,
+        "DELTAQ_BROWSER_MODULES": MODULES.as_uri(),
+        "DELTAQ_PAD": json.dumps(pad_document()),
+    }
     return subprocess.run(
         [NODE, "--no-warnings", *arguments],
         input=text,

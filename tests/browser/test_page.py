@@ -22,7 +22,11 @@ def take_control(page):
             page.evaluate("robot => deltaq.live.send('reset', {robot})", robot)
         page.wait_for_function("deltaq.live.robot('gr').phase !== 'held'")
     page.get_by_role("button", name="Take control").click()
-    page.wait_for_function("deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode === 'joint'")
+    page.wait_for_function("deltaq.live.robot('gr').lease.mine && deltaq.live.robot('gr').mode")
+    page.evaluate(
+        "deltaq.live.send('mode', {robot: 'gr', mode: 'joint'})"
+    )  # whatever it was driven in before
+    page.wait_for_function("deltaq.live.robot('gr').mode === 'joint'")
 
 
 def hold_until_it_moves(page):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,13 +16,15 @@ from virtual_pad import VirtualPad
 
 from deltaq_controllers.interface import ControllerError
 from deltaq_controllers.modes.hands import Hands
-from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
+from deltaq_controllers.modes.motion import Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.dead_zone import DEAD_ZONE
 from deltaq_controllers.operator_input.gamepad import Gamepad
 from deltaq_controllers.operator_input.pad_device import SETTLE_S, PadButton, StickAxis, Trigger
+from deltaq_controllers.operator_input.view_distance import ViewDistance
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
+from deltaq_protocol.pad_layout import PAD_LAYOUT, PadFunction
 
 REST = OperatorCommand()
 AHEAD = (StickAxis.LEFT_Y, -1.0)
@@ -198,18 +201,66 @@ def test_the_stick_drives_the_joint_that_the_cross_chose(pad: VirtualPad) -> Non
         assert gamepad.status == "joint a6, output gripper, 0.100 m/s, held"
 
 
-def test_buttons_choose_mode_axes_hand_and_speed(pad: VirtualPad) -> None:
-    with Settled(teleoperator()) as gamepad:
-        pad.press(PadButton.Y)
-        assert gamepad.look() == OperatorCommand(mode=ModeName.JOINT)
-        pad.press(PadButton.X)
-        assert gamepad.look() == OperatorCommand(frame=Frame.TOOL)
-        (hand,) = gamepad._teleoperator.hand_names
-        pad.press(PadButton.A, PadButton.UP, MOVE)
+class Steps:
+    """In the place of the view distance of a camera."""
+
+    status = "view 1.00 m"
+
+    def __init__(self) -> None:
+        self.steps_m: list[float] = []
+
+    def change(self, step_m: float) -> None:
+        self.steps_m.append(step_m)
+
+
+@pytest.mark.parametrize(
+    ("function", "mode", "does"),
+    [
+        (PadFunction.MOVE, ModeName.COUPLED, {"x"}),
+        (PadFunction.TURN, ModeName.COUPLED, {"rx"}),
+        (PadFunction.STOP, ModeName.COUPLED, {"ends"}),
+        (PadFunction.MODE, ModeName.COUPLED, {"joint"}),
+        (PadFunction.FRAME, ModeName.COUPLED, {"tool"}),
+        (PadFunction.HAND, ModeName.COUPLED, {"the next hand"}),
+        (PadFunction.OUTPUT, ModeName.COUPLED, {"tool_changer"}),
+        (PadFunction.ON, ModeName.COUPLED, {"gripper True"}),
+        (PadFunction.OFF, ModeName.COUPLED, {"gripper False"}),
+        (PadFunction.NEARER, ModeName.COUPLED, {"-0.1 m"}),
+        (PadFunction.FARTHER, ModeName.COUPLED, {"+0.1 m"}),
+        (PadFunction.PREVIOUS, ModeName.COUPLED, {"0.067 m/s"}),
+        (PadFunction.NEXT, ModeName.COUPLED, {"0.150 m/s"}),
+        (PadFunction.NEXT, ModeName.JOINT, {"joint 1"}),
+        (PadFunction.ROBOT, ModeName.COUPLED, set()),
+        (PadFunction.PICTURE, ModeName.COUPLED, set()),
+    ],
+)
+def test_every_button_and_trigger_does_what_the_layout_says_that_the_console_has_too(
+    pad: VirtualPad, function: PadFunction, mode: ModeName, does: set[str]
+) -> None:
+    (name,) = (control.name for control in PAD_LAYOUT if control.function is function)
+    view = Steps()
+    with Settled(teleoperator(mode=mode), view=cast(ViewDistance, view)) as gamepad:
+        if name.endswith("_trigger"):
+            trigger = Trigger[name.removesuffix("_trigger").upper()]
+            pad.pull(trigger, 0.0)
+            gamepad.look()
+            pad.pull(trigger, 1.0)
+        else:
+            pad.press(PadButton[name.upper()])
         pad.push(*AHEAD)
-        assert gamepad.look().rates[f"{hand}.x"] == pytest.approx(0.15)
-        pad.press(PadButton.DOWN)
-        assert gamepad.look().rates[f"{hand}.x"] == pytest.approx(0.1)
+        command = gamepad.read(gamepad.time_s + CYCLE_S)
+        if command is None:
+            did = {"ends"}
+        else:
+            did = {axis for axis, rate in command.rates.items() if rate}
+            did |= {f"{output} {is_on}" for output, is_on in command.outputs.items()}
+            did |= {choice.value for choice in (command.mode, command.frame) if choice is not None}
+        did |= {"the next hand"} if gamepad.hand is not None else set()
+        did |= {gamepad.output.name} - {"gripper"}
+        did |= {f"joint {gamepad.joint}"} - {"joint 0"}
+        did |= {part for part in gamepad.status.split(", ") if part.endswith("m/s")} - {"0.100 m/s"}
+        did |= {f"{step_m:+.1f} m" for step_m in view.steps_m}
+    assert did == does
 
 
 def test_the_stick_goes_to_the_chosen_option_while_it_is_pushed(pad: VirtualPad) -> None:
@@ -314,11 +365,9 @@ def test_the_less_goes_through_the_stronger_the_pad_rumbles_and_it_ends_with_the
     assert pad.rumbles[2:] == [0.0]
 
 
-@pytest.mark.parametrize("button", [PadButton.B, PadButton.BACK])
-def test_b_and_back_end_the_drive(pad: VirtualPad, button: PadButton) -> None:
-    with Settled(teleoperator()) as gamepad:
-        pad.press(button)
-        assert gamepad.read(gamepad.time_s + CYCLE_S) is None
+def test_the_view_distance_is_told_beside_the_speed(pad: VirtualPad) -> None:
+    with Settled(teleoperator(), view=cast(ViewDistance, Steps())) as gamepad:
+        assert "0.100 m/s, view 1.00 m, hold a shoulder button" in gamepad.status
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""A gamepad as an operator's stick, laid out as in the console.
+"""A gamepad as an operator's stick, laid out as in the console, by `deltaq_protocol.pad_layout`.
 
 The sticks count only while a shoulder button is held. A pad that is unplugged is rest; plugged in again it goes on.
 """
@@ -13,7 +13,6 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.choices import (
     OutputChoice,
     changed_speed,
-    choices_help,
     grip_of,
     hand_axis,
     next_hand,
@@ -23,30 +22,25 @@ from deltaq_controllers.operator_input.choices import (
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
 from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis, Trigger
+from deltaq_controllers.operator_input.view_distance import ViewDistance
+from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_STEP_M, PadFunction
 
-_CHOICES = choices_help(
-    mode="Y",
-    frame="X",
-    hand="A",
-    speed="cross up/down",
-    end="B or back",
-    outputs="start",
-    on="right trigger",
-    off="left trigger",
-)
 HELP = (
-    f"{_CHOICES}\n"
     "hold the left shoulder button to move, the right one to turn: left stick x and y, right stick z\n"
-    "cross left/right: next joint, or option of the advisor"
+    "Y next mode, X world/tool, A next hand, B ends; start next output, right trigger on, left trigger off\n"
+    "cross up/down: view nearer, farther; left/right: slower, faster, in modes of joints or options the next of them"
 )
-ENDING = {PadButton.B, PadButton.BACK}
 
 _AXES = {
     PadButton.LEFT_SHOULDER: {StickAxis.LEFT_Y: "x", StickAxis.LEFT_X: "y", StickAxis.RIGHT_Y: "z"},
     PadButton.RIGHT_SHOULDER: {StickAxis.LEFT_Y: "rx", StickAxis.LEFT_X: "ry", StickAxis.RIGHT_Y: "rz"},
 }
 """Axes of the hand that the sticks move while a button is held; a stick pushed ahead or left is positive."""
-_SWITCHES = {Trigger.LEFT: False, Trigger.RIGHT: True}
+_NAMES = {control.name: control.function for control in PAD_LAYOUT}
+BUTTONS = {button: _NAMES[button.name.lower()] for button in PadButton}
+"""What each button does; `PadFunction.ROBOT` and `PadFunction.PICTURE` do nothing here."""
+TRIGGERS = {trigger: _NAMES[f"{trigger.name.lower()}_trigger"] for trigger in Trigger}
+"""What each trigger does."""
 _OPTIONS = 9
 _PUSHED = 0.5
 
@@ -60,6 +54,7 @@ class Gamepad(OperatorInput):
     Args:
         teleoperator: the robot that is driven.
         speed_m_s: hand speed at full deflection to begin with; other rates follow from it.
+        view: of the camera that watches the robot; None where none does.
 
     Attributes:
         joint: the joint that the stick drives.
@@ -68,8 +63,10 @@ class Gamepad(OperatorInput):
         output: the digital output that the triggers switch.
     """
 
-    def __init__(self, teleoperator: Teleoperator, speed_m_s: float = 0.1) -> None:
-        self._teleoperator = teleoperator
+    def __init__(
+        self, teleoperator: Teleoperator, speed_m_s: float = 0.1, view: ViewDistance | None = None
+    ) -> None:
+        self._teleoperator, self._view = teleoperator, view
         self._device = PadDevice()
         self._speed_m_s = speed_m_s
         self._held: frozenset[PadButton] = frozenset()
@@ -92,7 +89,8 @@ class Gamepad(OperatorInput):
         if self.output.name:
             chosen += f", output {self.output.name}"
         held = "held" if self._holding else "hold a shoulder button to move"
-        return f"{chosen}, {self._speed_m_s:.3f} m/s, {held}"
+        seen = f", {self._view.status}" if self._view is not None and self._view.status else ""
+        return f"{chosen}, {self._speed_m_s:.3f} m/s{seen}, {held}"
 
     @property
     def is_clutched(self) -> bool:
@@ -121,15 +119,16 @@ class Gamepad(OperatorInput):
         mode: ModeName | None = None
         frame: Frame | None = None
         for button in state.pressed:
-            if button in ENDING:
-                return None
-            if button is PadButton.Y:
-                mode = next_mode(self._teleoperator)
-            elif button is PadButton.X:
-                frame = other_frame(self._teleoperator)
-            else:
-                self._choose(button)
-        outputs = self.output.switched(_SWITCHES[state.pulled[-1]]) if state.pulled else {}
+            match BUTTONS[button]:
+                case PadFunction.STOP:
+                    return None
+                case PadFunction.MODE:
+                    mode = next_mode(self._teleoperator)
+                case PadFunction.FRAME:
+                    frame = other_frame(self._teleoperator)
+                case chosen:
+                    self._choose(chosen)
+        outputs = self.output.switched(TRIGGERS[state.pulled[-1]] is PadFunction.ON) if state.pulled else {}
         grip = grip_of(self._teleoperator, self.hand)
         if self._is_advised:
             goes = self._holding is not None and state.sticks[StickAxis.LEFT_Y] < -_PUSHED
@@ -140,20 +139,26 @@ class Gamepad(OperatorInput):
         """Let the hand feel which share of what it asks for goes through: the less, the stronger."""
         self._device.rumble(1.0 - share)
 
-    def _choose(self, button: PadButton) -> None:
-        match button:
-            case PadButton.A:
+    def _choose(self, function: PadFunction) -> None:
+        match function:
+            case PadFunction.HAND:
                 self.hand = next_hand(self._teleoperator, self.hand)
-            case PadButton.START:
+            case PadFunction.OUTPUT:
                 self.output.next()
-            case PadButton.UP | PadButton.DOWN:
-                self._speed_m_s = changed_speed(self._speed_m_s, is_faster=button is PadButton.UP)
-            case PadButton.LEFT | PadButton.RIGHT:
-                step = 1 if button is PadButton.RIGHT else -1
-                if self._is_advised:
-                    self.option = (self.option - 1 + step) % _OPTIONS + 1
-                else:
-                    self.joint = (self.joint + step) % self._teleoperator.robot.n
+            case PadFunction.NEARER | PadFunction.FARTHER:
+                if self._view is not None:
+                    self._view.change(-VIEW_STEP_M if function is PadFunction.NEARER else VIEW_STEP_M)
+            case PadFunction.PREVIOUS | PadFunction.NEXT:
+                self._step(1 if function is PadFunction.NEXT else -1)
+
+    def _step(self, step: int) -> None:
+        """The next of what one chooses among in this mode: options, joints, or the hand's speeds."""
+        if self._is_advised:
+            self.option = (self.option - 1 + step) % _OPTIONS + 1
+        elif self._is_by_hand:
+            self._speed_m_s = changed_speed(self._speed_m_s, is_faster=step > 0)
+        else:
+            self.joint = (self.joint + step) % self._teleoperator.robot.n
 
     def _rates(self, state: PadState) -> dict[str, float]:
         holding = self._holding

@@ -58,6 +58,7 @@ class PadButton(IntEnum):
     Y = 3
     BACK = 4
     START = 6
+    LEFT_STICK = 7
     LEFT_SHOULDER = 9
     RIGHT_SHOULDER = 10
     UP = 11

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import coal
@@ -21,6 +21,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_cell.told_kinematics import joint_axis
 from deltaq_protocol.arrays import Array
+from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_RANGE_M, VIEW_STEP_M
 from deltaq_services.console.frame import OUTCOMES, PHASES
 
 MESHES = "/meshes"
@@ -61,10 +62,20 @@ def scene_of(cell: CellModel, emulated: bool) -> BrowserScene:
         ],
         "bodies": names,
         "body_links": [_drawn_by(name, links) for name in names],
+        "pad": pad_document(),
         "phases": list(PHASES),
         "outcomes": list(OUTCOMES),
     }
     return BrowserScene(document, meshes, tuple(names))
+
+
+def pad_document() -> dict[str, Any]:
+    """What the parts of a gamepad do, and in which steps [m]."""
+    return {
+        "controls": [asdict(control) for control in PAD_LAYOUT],
+        "view_step_m": VIEW_STEP_M,
+        "view_range_m": list(VIEW_RANGE_M),
+    }
 
 
 def _drawn_by(body: str, links: Sequence[str]) -> str:

@@ -24,7 +24,6 @@ def lay_out() -> None:
                 CellView().classes("fills")
                 _part("div", "views", "views").props('role="toolbar" aria-label="Views"')
                 _part("div", "notices", "notices").props('role="status" aria-live="polite"')
-                _part("div", "nearest", "nearest")
                 _part("figure", "follower", "follower")
                 _part("section", "replay", "replay").props('aria-label="Recording" hidden')
             _part("section", "log", "log").props('aria-label="Events"')

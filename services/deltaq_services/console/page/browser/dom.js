@@ -9,7 +9,7 @@ export function part(name) {
 
 /** A new element: el("button", {class: "plain", onclick: f}, "text", child, ...). */
 export function el(tag, attributes = {}, ...children) {
-  const svg = ["svg", "path", "circle", "line", "rect", "g", "text", "polyline"].includes(tag);
+  const svg = ["svg", "path", "circle", "line", "rect", "g", "text", "title"].includes(tag);
   const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
@@ -23,6 +23,15 @@ export function el(tag, attributes = {}, ...children) {
 /** Set the text of an element, only if it differs. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
+}
+
+/** What the console serves at `url`; throws where it serves nothing. */
+export async function fetched(url) {
+  const answer = await fetch(url).catch(() => {
+    throw new Error(`${url} did not come: there is no connection to the console. Load the page again once it runs.`);
+  });
+  if (!answer.ok) throw new Error(`${url} did not come: the console answers ${answer.status}. Its log says why.`);
+  return answer;
 }
 
 /** Offer a file to be saved. */

@@ -24,7 +24,7 @@ export const MODES = [
 export class Driven extends EventTarget {
   constructor(live, scene) {
     super();
-    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3, _hands: new Map() });
+    Object.assign(this, { live, scene, name: scene.robots.at(-1).name, share: 0.3, _joint: 0, _hands: new Map() });
   }
 
   get scenery() {
@@ -62,13 +62,38 @@ export class Driven extends EventTarget {
     return ["joint", "self-motion", null].includes(this.mode);
   }
 
+  /** Whether it goes along ways that are shown first, while something is held. */
+  get goesAlongWays() {
+    return ["advisor", "pose"].includes(this.mode);
+  }
+
+  /** Share of full speed, 0.05 to 1, changed by so much. */
+  changeShare(change) {
+    this.share = Math.min(1, Math.max(0.05, Math.round(20 * (this.share + change)) / 20));
+    this._tell();
+  }
+
   /** Whether the robot is moved by hand in this mode, by buttons, keys and sticks. */
   get isJogged() {
-    return !["advisor", "pose", "follow"].includes(this.mode);
+    return !this.goesAlongWays && this.mode !== "follow";
   }
 
   choose(name) {
     this.name = name;
+    this._tell();
+  }
+
+  /** The joint that keys and sticks move, in modes of joints. */
+  get joint() {
+    return Math.min(this._joint, this.scenery.joints.length - 1);
+  }
+
+  chooseJoint(index) {
+    this._joint = index;
+    this._tell();
+  }
+
+  _tell() {
     this.dispatchEvent(new Event("change"));
   }
 
@@ -135,10 +160,7 @@ export function drivingPanel(context) {
   const doing = el("p", { class: "doing" });
   const share = el("input", { type: "range", min: 5, max: 100, step: 5, value: 30, "aria-label": "Speed" });
   const shareText = el("output", {}, "30 %");
-  share.addEventListener("input", () => {
-    driven.share = share.value / 100;
-    say(shareText, `${share.value} %`);
-  });
+  share.addEventListener("input", () => driven.changeShare(share.value / 100 - driven.share));
   const distance = el("input", { type: "range", min: 0.4, max: 2.5, step: 0.05, value: 1, "aria-label": "View distance" });
   const distanceText = el("output", {}, "");
   distance.addEventListener("input", () => say(distanceText, `${Number(distance.value).toFixed(2)} m`));
@@ -209,6 +231,8 @@ export function drivingPanel(context) {
       distance.value = shown_m;
       say(distanceText, robot.view_distance_m ? `${shown_m.toFixed(2)} m` : `${shown_m.toFixed(2)} m now`);
     }
+    share.value = Math.round(100 * driven.share);
+    say(shareText, `${share.value} %`);
     moveBox.hidden = !mine || !driven.isJogged;
     showSignals(robot, locked || !mine);
   }

@@ -4,10 +4,10 @@ import { HAND_M_S, HAND_RAD_S, speedOf } from "./jog.js";
 
 export const DEAD = 0.12; // of a stick's way, in which it is at rest
 const EXPO = 0.6; // share of the cube: fine near the middle, fast at the end
-const VIEW_M_S = 0.5; // change of the view distance by the triggers' pad
-
-// places of the standard mapping
-export const BUTTON = { a: 0, b: 1, x: 2, y: 3, lb: 4, rb: 5, lt: 6, rt: 7, back: 8, start: 9, up: 12, down: 13, left: 14, right: 15 };
+const PUSHED = 0.5; // of a stick's way, from which on it goes along a way
+const PULLED = 0.5; // of a trigger's way
+const OPTIONS = 9;
+const SPEED_STEP = 0.1; // of full speed
 
 /** What a stick's way means: at rest in the dead zone, fine near it, 1 at the end. */
 export function shaped(way) {
@@ -17,22 +17,37 @@ export function shaped(way) {
   return Math.sign(way) * ((1 - EXPO) * full + EXPO * full ** 3);
 }
 
-/** The wish of a pad: {element: speed}, or null for none; sticks count only while a shoulder button is held. */
-export function wishOf(pad, driven, joint) {
-  if (!pad.buttons[BUTTON.lb]?.pressed && !pad.buttons[BUTTON.rb]?.pressed) return null;
-  const [lx, ly, rx, ry] = [0, 1, 2, 3].map((axis) => shaped(pad.axes[axis] ?? 0));
-  if (driven.isByJoints) return { [joint]: -ly * speedOf(driven, joint) };
-  const turns = !pad.buttons[BUTTON.lb]?.pressed; // right shoulder: turn, left: move
-  const full = driven.share * (turns ? HAND_RAD_S : HAND_M_S);
-  const from = turns ? 3 : 0;
-  return { [from]: -ly * full, [from + 1]: -lx * full, [from + 2]: -(ry || rx) * full };
+const isDown = (button) => !!button?.pressed && !(button.value <= PULLED); // a trigger is pressed before it is pulled
+
+/** Whether what has that function in the layout is held. */
+function holds(pad, layout, wanted) {
+  return isDown(pad.buttons[layout.controls.find((control) => control.function === wanted).standard]);
+}
+
+/**
+ * The wish of a pad: {element: speed}, {option: rank} of a way to go along, or null for none; sticks count only while a
+ * shoulder button is held.
+ * @param layout of scene.json; option the advisor's that is chosen.
+ */
+export function wishOf(pad, layout, driven, option) {
+  const moves = holds(pad, layout, "move");
+  if (!moves && !holds(pad, layout, "turn")) return null;
+  const [lx, ly, , ry] = [0, 1, 2, 3].map((axis) => shaped(pad.axes[axis] ?? 0));
+  if (driven.goesAlongWays) return ly < -PUSHED ? { option: driven.mode === "advisor" ? option : 1 } : {};
+  if (driven.isByJoints) return { [driven.joint]: -ly * speedOf(driven, driven.joint) };
+  const full = driven.share * (moves ? HAND_M_S : HAND_RAD_S);
+  const from = moves ? 0 : 3;
+  return { [from]: -ly * full, [from + 1]: -lx * full, [from + 2]: -ry * full };
 }
 
 export class Gamepad {
-  /** @param actions what buttons do: {mode, robot, hand, gripper, picture, distance, stop}, each a function. */
-  constructor(driven, wish, actions, show) {
-    Object.assign(this, { driven, wish, actions, show, joint: 0, index: null });
-    this._before = [];
+  /**
+   * @param layout of scene.json: which button does what.
+   * @param actions what buttons do, each a function: mode, frame, robot, hand, picture, output(index, isOn), distance(change), stop.
+   */
+  constructor(layout, driven, wish, actions, show) {
+    Object.assign(this, { layout, driven, wish, actions, show, option: 1, output: 0, index: null });
+    this._before = null;
     window.addEventListener("gamepadconnected", ({ gamepad }) => this._plugged(gamepad));
     window.addEventListener("gamepaddisconnected", ({ gamepad }) => gamepad.index === this.index && this._unplugged());
     for (const pad of navigator.getGamepads?.() ?? []) if (pad) this._plugged(pad);
@@ -41,8 +56,14 @@ export class Gamepad {
   _plugged(pad) {
     if (this.index !== null) return;
     this.index = pad.index;
-    this._armed = false; // what is held as it is plugged in has to be pressed anew
+    this._forget();
     this._timer = setInterval(() => this._look(), 30);
+  }
+
+  /** What is held now was not meant for the robot: it has to be pressed anew. */
+  _forget() {
+    this._armed = false;
+    this._before = null;
   }
 
   _unplugged() {
@@ -60,32 +81,49 @@ export class Gamepad {
     }
     this.show(pad, this);
     if (!document.hasFocus()) {
-      this._armed = false;
+      this._forget();
       this.wish.release("gamepad");
       return;
     }
-    const wish = wishOf(pad, this.driven, this.joint);
+    const wish = wishOf(pad, this.layout, this.driven, this.option);
     if (!wish) this._armed = true;
-    if (wish && this._armed && Object.values(wish).some((speed) => speed)) this.wish.hold("gamepad", wish);
+    if (wish && this._armed && Object.values(wish).some((speed) => speed)) this._armed = this.wish.hold("gamepad", wish); // refused: to be pressed anew
     else this.wish.release("gamepad");
     this._press(pad);
   }
 
-  /** Buttons act once, as they go down. */
+  /** Buttons act once, as they go down; a stop also as the first that is heard of the pad. */
   _press(pad) {
-    const isDown = pad.buttons.map((button) => button.pressed);
-    const pressed = (name) => isDown[BUTTON[name]] && !this._before[BUTTON[name]];
-    if (pressed("y")) this.actions.mode();
-    if (pressed("a")) this.actions.gripper();
-    if (pressed("x")) this.actions.picture();
-    if (pressed("back")) this.actions.robot();
-    if (pressed("start")) this.actions.hand();
-    if (pressed("up")) this.actions.distance(-VIEW_M_S / 5);
-    if (pressed("down")) this.actions.distance(VIEW_M_S / 5);
-    const last = this.driven.scenery.joints.length - 1;
-    if (pressed("left")) this.joint = Math.max(0, this.joint - 1);
-    if (pressed("right")) this.joint = Math.min(last, this.joint + 1);
-    if (pressed("b")) this.actions.stop();
-    this._before = isDown;
+    const now = pad.buttons.map(isDown);
+    for (const { standard, function: what } of this.layout.controls) {
+      const isNew = this._before ? !this._before[standard] : what === "stop";
+      if (now[standard] && isNew) this._act(what);
+    }
+    this._before = now;
+  }
+
+  _act(what) {
+    const { actions, layout, driven } = this;
+    const outputs = driven.scenery.outputs.length;
+    const switches = (isOn) => outputs && actions.output(this.output % outputs, isOn);
+    const acts = {
+      mode: actions.mode, frame: actions.frame, hand: actions.hand, robot: actions.robot, picture: actions.picture, stop: actions.stop,
+      on: () => switches(true),
+      off: () => switches(false),
+      output: () => (this.output = outputs ? (this.output + 1) % outputs : 0),
+      nearer: () => actions.distance(-layout.view_step_m),
+      farther: () => actions.distance(layout.view_step_m),
+      previous: () => this._step(-1),
+      next: () => this._step(1),
+    };
+    acts[what]?.();
+  }
+
+  /** The next of what one chooses among in this mode: options, joints, or the hand's speeds. */
+  _step(step) {
+    const { driven } = this;
+    if (driven.mode === "advisor") this.option = ((this.option - 1 + step + OPTIONS) % OPTIONS) + 1;
+    else if (driven.isByJoints) driven.chooseJoint((driven.joint + step + driven.length()) % driven.length());
+    else driven.changeShare(step * SPEED_STEP);
   }
 }

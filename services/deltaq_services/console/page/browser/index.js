@@ -1,30 +1,13 @@
-// Brings the page to life: fetches the cell, opens the live WebSocket, and puts the parts together.
+// Starts the page. First what must work whatever becomes of the rest: STOP, the connection, the bar, and the events. The cell,
+// and all that is drawn of it, is loaded after that; what goes wrong there is told in words.
 
 import { Connection } from "./connection.js";
-import { part, remembered, say } from "./dom.js";
-import { Driven, drivingPanel, MODES } from "./driving.js";
+import { part, say } from "./dom.js";
 import { eventLog } from "./event_log.js";
-import { FollowerPicture } from "./follower.js";
-import { Gamepad } from "./gamepad.js";
-import { keepsGrip } from "./hands.js";
-import { jointBars } from "./joints.js";
-import { driveByKeys } from "./keyboard.js";
 import { Live } from "./live.js";
-import { MeshStore } from "./meshes.js";
-import { Motion } from "./motion.js";
-import { Overlays } from "./overlays.js";
-import { padDrawing } from "./pad_drawing.js";
-import { livePlots } from "./plots.js";
-import { recordings } from "./recordings.js";
-import { replayBar } from "./replay_bar.js";
-import { RobotView, StructureView } from "./robots.js";
-import { Stage } from "./scene.js";
-import { coverStale, showBar } from "./status_bar.js";
+import { coverStale, lightOrDark, showBar } from "./status_bar.js";
 import { bindStop, Stop } from "./stop.js";
-import { Thumbnails } from "./thumbnails.js";
-import { viewBar } from "./views.js";
-import { WayPicture, Ways } from "./ways.js";
-import { Wish } from "./wish.js";
+import { tellUndrawn } from "./undrawn.js";
 
 /** Address of the live WebSocket; a token in the page's address goes with it. */
 function liveUrl() {
@@ -33,19 +16,10 @@ function liveUrl() {
   return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live${query}`;
 }
 
-/** Height of the lowest large flat body: what everything stands on [m]. */
-function floorHeight(structure) {
-  const floor = structure.find(({ name }) => name === "structure/floor");
-  return floor ? floor.T_world[14] + floor.size[2] / 2 : 0;
-}
-
 /** Start; returns what stops it. */
 export async function start(holder) {
-  const scene = await (await fetch("/scene.json")).json();
   const connection = new Connection(liveUrl());
-  const live = new Live(connection, scene);
-
-  // STOP first: it works while the rest is still loading
+  const live = new Live(connection);
   const stop = new Stop(live, (state, title, text) => {
     part("stop").dataset.state = state;
     say(part("stop-title"), title);
@@ -55,67 +29,19 @@ export async function start(holder) {
   bindStop(stop, part("stop"));
   connection.open();
 
-  const quality = new URLSearchParams(location.search).get("quality") ?? remembered("quality", "auto");
-  const stage = new Stage(holder, { floorHeight: floorHeight(scene.structure), quality });
-  const store = new MeshStore(async (url) => (await fetch(url)).text(), stage.full);
-  const paint = stage.shading.material();
-  const views = await Promise.all(scene.robots.map((robot) => RobotView.make(robot, store, paint)));
-  views.forEach((view) => view.robot.home && view.place(view.robot.home));
-  const standing = scene.structure.filter(({ name }) => name !== "structure/floor");
-  const structure = await StructureView.make(standing, store, stage.shading.material({ roughness: 0.7 }));
-  stage.solid.add(structure.root, ...views.map(({ root }) => root));
-  stage.solid.updateMatrixWorld(true);
-
-  const follower = views.find((view) => view.robot.camera);
-  const picture = follower ? new FollowerPicture(stage, live, follower, views.filter((view) => view !== follower)) : null;
-  part("follower").hidden = !picture;
-  const motion = new Motion(live, views, stage);
-  const overlays = new Overlays(stage, live, scene, views, structure, picture);
-  viewBar(stage, scene, views);
-  showBar(live, scene, (isDark) => stage.enter(isDark));
-  coverStale(live);
-
-  const driven = new Driven(live, scene);
-  const wish = new Wish(live, driven);
-  const ways = new Ways(live);
-  const wayPicture = new WayPicture(stage, views);
-  const context = { live, scene, driven, wish, stage, views, ways, picture: wayPicture, thumbnails: new Thumbnails(stage), follower: picture };
-  const { ask, pose, hands } = drivingPanel(context);
-  eventLog(live);
-  const player = replayBar(live, scene);
-  recordings(live, scene, player.open);
-  const bars = jointBars(live, scene);
-  livePlots(live, scene, picture, bars);
-  const actions = {
-    mode() {
-      const shown = [...document.querySelectorAll("[data-mode]:not([hidden])")].map((button) => button.dataset.mode).filter((mode) => keepsGrip(mode, driven.grip));
-      const next = shown[(shown.indexOf(driven.mode) + 1) % shown.length] ?? MODES[0][0];
-      ask("mode", { mode: next, frame: driven.frame });
-    },
-    robot() {
-      const names = scene.robots.map(({ name }) => name);
-      driven.choose(names[(names.indexOf(driven.name) + 1) % names.length]);
-    },
-    hand: () => hands.next(),
-    picture: () => picture?.toggle(),
-    gripper() {
-      const outputs = Object.entries(live.robot(driven.name)?.outputs ?? {});
-      if (outputs.length) ask("output", { index: 0, value: !outputs[0][1] });
-    },
-    distance(change) {
-      const name = follower?.name;
-      const now = live.robot(name)?.view_distance_m ?? picture?.error()?.distance;
-      if (now) live.send("view_distance", { robot: name, value_m: Math.min(2.5, Math.max(0.4, now + change)) });
-    },
-    stop: () => stop.press(),
-  };
-  driveByKeys(driven, wish, actions);
-  const drawing = padDrawing(driven);
-  part("driving").append(drawing.box);
-  const gamepad = new Gamepad(driven, wish, actions, drawing.show);
-
   // for tests and the curious: what is behind the page
-  window.deltaq = { scene, live, stage, views, stop, wish, driven, picture, overlays, motion, gamepad, player, ways, wayPicture, gizmo: pose.gizmo };
-  part("console").dataset.ready = "true";
+  window.deltaq = { live, stop };
+  showBar(live);
+  coverStale(live);
+  eventLog(live);
+  const look = lightOrDark();
+  try {
+    const { showCell } = await import("./cell_page.js");
+    await showCell(holder, live, stop, look);
+    part("console").dataset.ready = "true";
+  } catch (error) {
+    tellUndrawn(holder, live, error);
+    part("console").dataset.ready = "undrawn";
+  }
   return () => connection.close();
 }

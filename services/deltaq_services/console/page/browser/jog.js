@@ -8,7 +8,7 @@ export const HAND_RAD_S = 0.6;
 export const JOINT_SHARE = 0.25; // of a joint's greatest speed
 
 const AXES = [
-  ["X", "x"], ["Y", "y"], ["Z", "z"], ["turn X", "x"], ["turn Y", "y"], ["turn Z", "z"],
+  ["X", "x"], ["Y", "y"], ["Z", "z"], ["turn X", "x"], ["turn Y", "y"], ["turn Z", "z"], // three beside three
 ];
 
 /** Speed of one element of the wish at the chosen share [rad/s or m/s]. */
@@ -43,6 +43,7 @@ export function jogPad(live, driven, wish) {
     shown = key;
     wish.releaseAll();
     rows.replaceChildren();
+    rows.dataset.axes = String(!isByJoints);
     values = [];
     if (isByJoints) {
       scenery.joints.forEach((joint, index) => {
@@ -56,10 +57,11 @@ export function jogPad(live, driven, wish) {
 
   function show() {
     build();
+    if (driven.isByJoints) [...rows.children].forEach((row, index) => row.toggleAttribute("data-chosen", index === driven.joint));
     const cannot = live.cannotDrive(driven.name);
     pad.dataset.locked = String(!!cannot);
     for (const button of rows.querySelectorAll("button")) button.disabled = !!cannot;
-    say(why, cannot ? `Locked: ${cannot}.` : wish.refused ? wish.refused : "Hold to move.");
+    say(why, cannot ? `Locked: ${cannot}.` : wish.refused ? wish.refused : driven.isByJoints ? "Hold to move. 1 to 9 choose the joint of the keys ↑ ↓." : "Hold to move.");
     const q = live.frame?.robots[live.indexOf(driven.name)]?.q;
     if (q) values.forEach((value, index) => say(value, jointText(q[index], driven.scenery.joints[index].unit)));
   }

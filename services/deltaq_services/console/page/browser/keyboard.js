@@ -13,7 +13,6 @@ function isTyping(target) {
 }
 
 export function driveByKeys(driven, wish, choose) {
-  let joint = 0;
   window.addEventListener("keydown", (event) => {
     if (event.repeat || event.ctrlKey || event.metaKey || event.altKey || isTyping(event.target)) return;
     const digit = /^Digit([1-9])$/.exec(event.code);
@@ -22,11 +21,11 @@ export function driveByKeys(driven, wish, choose) {
     else if (event.code === "KeyV") choose.picture();
     else if (event.code === "KeyH") choose.hand();
     else if (event.code === "KeyC" && !driven.isByJoints) wish.hold("key KeyC", { led: true });
-    else if (digit && driven.isByJoints) joint = Math.min(Number(digit[1]) - 1, driven.length() - 1);
+    else if (digit && driven.isByJoints) driven.chooseJoint(Number(digit[1]) - 1);
     else if (driven.isByJoints && ["ArrowUp", "ArrowDown"].includes(event.code)) {
       event.preventDefault();
       const sign = event.code === "ArrowUp" ? 1 : -1;
-      wish.hold(`key ${event.code}`, { [joint]: sign * speedOf(driven, joint) });
+      wish.hold(`key ${event.code}`, { [driven.joint]: sign * speedOf(driven, driven.joint) });
     } else if (!driven.isByJoints && event.code in HAND_KEYS) {
       const [index, sign] = HAND_KEYS[event.code];
       wish.hold(`key ${event.code}`, { [index]: sign * speedOf(driven, index) });

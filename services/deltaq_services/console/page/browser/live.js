@@ -10,16 +10,18 @@ export class Live extends EventTarget {
    * Events: "frame" of the cell, "shown" with the frame to be drawn, which may be a recording's, "replay" when that
    * changes, "status", "event", "line".
    * @param connection Connection.
+   * @param scene what scene.json says of the cell; without robots until that is known.
    */
-  constructor(connection, scene) {
+  constructor(connection, scene = { robots: [] }) {
     super();
-    Object.assign(this, { connection, scene, frame: null, shown: null, replay: null, status: null, hello: null, _arrived_s: -Infinity, _late_s: 0 });
+    Object.assign(this, { connection, scene, frame: null, shown: null, replay: null, status: null, hello: null, isUndrawn: false, _arrived_s: -Infinity, _late_s: 0 });
     this._offsets = [];
     connection.addEventListener("frame", ({ detail }) => this._takeFrame(detail));
     connection.addEventListener("status", ({ detail }) => this._take("status", detail));
     connection.addEventListener("event", ({ detail }) => this._tell("event", detail));
     connection.addEventListener("up", ({ detail }) => {
       this.hello = detail;
+      this.status = null; // what was known before is old: who has which lease, too
       this._offsets = [];
       if (this.replay) this.send("replay", { shown: true });
       this._tell("line");
@@ -50,6 +52,7 @@ export class Live extends EventTarget {
   /** Why nothing can be asked of the cell now, in words; empty if it can. */
   locked(name = null) {
     if (this.replay) return "a recording is shown";
+    if (this.isUndrawn) return "the cell cannot be shown";
     if (!this.connection.isUp) return "no connection to the console";
     if (this.isStale(name === null ? null : this.indexOf(name))) return "the picture is old";
     if (!this.hello?.operator) return "you are an observer";

@@ -1,13 +1,15 @@
 // What explains the picture: the nearest bodies, the coming brake, what bound the last verdict, and what the camera sees.
 
 import { THREE } from "nicegui-scene";
-import { el, part, say } from "./dom.js";
+import { part, say } from "./dom.js";
 import { bodyShell } from "./robots.js";
+import { Tag } from "./tags.js";
 
 // blue, yellow and red-violet are told apart by every kind of colour vision, and none is the robots' orange
 const MARGINS = [[0.1, "#ff3d6e"], [0.3, "#f0d53a"], [Infinity, "#4fb3ea"]];
 const WITHIN_ROBOT = 0.4; // of one robot's own bodies a smaller distance is kept, and is usual
 const BRAKE = "#39c6d6";
+const SIGHT = { dark: "#59d3e6", light: "#00667e" };
 const MOVES = 0.015; // rad or m to rest, from which on the brake is drawn
 const SEEN = 0.004; // m: a link whose brake is shorter hides its own ghost
 const MARKED_MS = 1500;
@@ -35,9 +37,8 @@ export class Overlays {
     this._pair = new THREE.Group().add(this._rod, ...this._ends);
     this._pair.visible = false;
     this.stage.marks.add(this._pair);
-    this._tag = part("nearest");
-    this._tagTexts = [el("b"), el("span")];
-    this._tag.append(...this._tagTexts);
+    this._tag = new Tag(this.stage, "nearest");
+    this._boundTags = this.views.map(() => new Tag(this.stage, "nearest bound"));
   }
 
   _brakes() {
@@ -56,19 +57,33 @@ export class Overlays {
   }
 
   _sight() {
-    const material = new THREE.LineBasicMaterial({ color: "#59d3e6", transparent: true, opacity: 0.75 });
-    this._frustum = new THREE.LineSegments(new THREE.BufferGeometry(), material);
     const far = 0.45;
     const high = far * Math.tan(this.picture.settings.fov_rad / 2);
     const wide = 1.5 * high;
     const corners = [[high, wide], [high, -wide], [-high, -wide], [-high, wide]].map(([x, y]) => [x, y, far]);
-    const lines = corners.flatMap((corner, k) => [[0, 0, 0], corner, corner, corners[(k + 1) % 4]]);
-    this._frustum.geometry.setAttribute("position", new THREE.Float32BufferAttribute(lines.flat(), 3));
+    const around = corners.map((corner, k) => [corner, corners[(k + 1) % 4]]);
+    this._sightPaint = {
+      lines: new THREE.LineBasicMaterial({ toneMapped: false }),
+      sides: new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.1, side: THREE.DoubleSide, depthWrite: false, toneMapped: false }),
+      dashes: new THREE.LineDashedMaterial({ dashSize: 0.04, gapSize: 0.03, toneMapped: false }),
+      mark: new THREE.SpriteMaterial({ map: ringTexture(), sizeAttenuation: false, depthTest: false, transparent: true, toneMapped: false }),
+    };
+    const { lines, sides, dashes, mark } = this._sightPaint;
+    const edges = new THREE.LineSegments(geometryOf(around.flatMap(([one, other]) => [[0, 0, 0], one, one, other])), lines);
+    const faces = new THREE.Mesh(geometryOf(around.flatMap(([one, other]) => [[0, 0, 0], one, other])), sides);
+    this._frustum = new THREE.Group().add(edges, faces);
     this._frustum.matrixAutoUpdate = false;
-    this._line = new THREE.Line(new THREE.BufferGeometry().setFromPoints([new THREE.Vector3(), new THREE.Vector3()]),
-      new THREE.LineDashedMaterial({ color: "#59d3e6", dashSize: 0.04, gapSize: 0.03 }));
+    this._line = new THREE.Line(geometryOf([[0, 0, 0], [0, 0, 0]]), dashes);
     this._line.frustumCulled = false;
-    this.stage.marks.add(this._frustum, this._line);
+    this._focusMark = new THREE.Sprite(mark);
+    this._focusMark.scale.setScalar(0.032);
+    this._focusMark.renderOrder = 3;
+    this.stage.marks.add(this._frustum, this._line, this._focusMark);
+  }
+
+  /** Light or dark room. */
+  enter(dark) {
+    for (const paint of Object.values(this._sightPaint ?? {})) paint.color.set(dark ? SIGHT.dark : SIGHT.light);
   }
 
   _take(frame) {
@@ -93,30 +108,32 @@ export class Overlays {
       const [, colour] = MARGINS.find(([bound]) => nearest.distance < share * bound);
       const thick = nearest.distance < share * MARGINS[0][0] ? 0.011 : 0.006;
       this._material.color.set(colour);
-      this._tag.style.setProperty("--margin", colour);
+      this._tag.box.style.setProperty("--margin", colour);
       this._rod.position.lerpVectors(a, b, 0.5);
       this._rod.scale.set(thick, thick, Math.max(1e-4, a.distanceTo(b)));
       this._rod.lookAt(b);
       this._ends[0].position.copy(a);
       this._ends[1].position.copy(b);
-      say(this._tagTexts[0], `${(100 * nearest.distance).toFixed(nearest.distance < 0.2 ? 1 : 0)} cm`);
-      say(this._tagTexts[1], `${from} – ${to}`);
+      this._tag.say(`${(100 * nearest.distance).toFixed(nearest.distance < 0.2 ? 1 : 0)} cm`, `${from} – ${to}`);
     }
     this._mark(frame);
   }
 
-  /** Mark the bodies, or the joint's link, that bound the newest verdicts, and say what bound them. */
+  /** Mark the bodies, or the joint's link, that bound the newest verdicts, and say beside them what bound them. */
   _mark(frame) {
     const now = performance.now();
     const words = [];
-    this.scene.robots.forEach((robot, index) => {
+    this._bounds = this.scene.robots.map((robot, index) => {
       const bound = this.live.bound(robot.name);
       if (["scaled", "held", "refused"].includes(frame.robots[index].outcome)) this._boundAt = { ...this._boundAt, [robot.name]: now };
-      if (!bound || !(now - (this._boundAt?.[robot.name] ?? -Infinity) < MARKED_MS)) return;
+      if (!bound || !(now - (this._boundAt?.[robot.name] ?? -Infinity) < MARKED_MS)) return null;
       words.push(`${robot.name} ${bound.text}`);
       const joint = robot.joints.findIndex(({ name }) => name === bound.joint);
       const names = joint < 0 ? bound.bodies : robot.links.filter((link) => link.joint === joint).map(({ name }) => name);
-      for (const name of names) this._shell(name).until = now + MARKED_MS;
+      const shells = names.map((name) => this._shell(name));
+      for (const shell of shells) shell.until = now + MARKED_MS;
+      this._boundTags[index].say(robot.name, bound.text);
+      return shells.find(({ mesh }) => mesh)?.mesh ?? null;
     });
     for (const shell of this._shells.values()) {
       const isOn = shell.until > now;
@@ -147,8 +164,9 @@ export class Overlays {
     const T = this.picture.view.cameraPose();
     this._frustum.matrix.fromArray(T);
     this._frustum.matrixWorldNeedsUpdate = true;
-    this._line.visible = !!focus;
+    this._line.visible = this._focusMark.visible = !!focus;
     if (!focus) return;
+    this._focusMark.position.set(...focus);
     const places = this._line.geometry.attributes.position;
     places.setXYZ(0, T[12], T[13], T[14]);
     places.setXYZ(1, ...focus);
@@ -156,15 +174,36 @@ export class Overlays {
     this._line.computeLineDistances();
   }
 
-  /** Put the distance beside the middle of the nearest pair. */
+  /** Put words beside what they are about, where they hide no hand, no camera and no other words. */
   _label() {
-    const isShown = this._pair.visible && !this.picture?.isLarge;
-    this._tag.hidden = !isShown;
-    if (!isShown) return;
-    const at = this._rod.position.clone().project(this.stage.camera);
-    const { clientWidth, clientHeight } = this.stage.holder;
-    const [x, y] = [(0.5 + at.x / 2) * clientWidth, (0.5 - at.y / 2) * clientHeight];
-    const isInside = at.z < 1 && x > 0 && x < clientWidth && y > 0 && y < clientHeight;
-    this._tag.style.transform = isInside ? `translate(${Math.min(x + 14, clientWidth - 210)}px, ${y - 12}px)` : "translate(-999px, 0)";
+    const isLarge = this.picture?.isLarge;
+    const hands = this.views.flatMap((view) => view.robot.tools.map((_, index) => view.toolPose(index)));
+    const kept = [...hands, this.picture?.view.cameraPose()].filter(Boolean).map((T) => new THREE.Vector3(T[12], T[13], T[14]));
+    this._tag.place(this._pair.visible && !isLarge ? this._rod.position : null, kept);
+    let isBeside = false;
+    this._boundTags.forEach((tag, index) => {
+      const mesh = isLarge ? null : this._bounds?.[index];
+      mesh?.geometry.boundingSphere ?? mesh?.geometry.computeBoundingSphere();
+      isBeside = tag.place(mesh ? mesh.localToWorld(mesh.geometry.boundingSphere.center.clone()) : null, kept) || isBeside;
+    });
+    part("notices").dataset.beside = String(isBeside); // then they are there for who hears the page
   }
+}
+
+function geometryOf(points) {
+  return new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(points.flat(), 3));
+}
+
+/** A ring with a dot in it, white, to be coloured. */
+function ringTexture() {
+  const canvas = Object.assign(document.createElement("canvas"), { width: 64, height: 64 });
+  const pen = canvas.getContext("2d");
+  Object.assign(pen, { strokeStyle: "#fff", fillStyle: "#fff", lineWidth: 6 });
+  pen.beginPath();
+  pen.arc(32, 32, 26, 0, 2 * Math.PI);
+  pen.stroke();
+  pen.beginPath();
+  pen.arc(32, 32, 6, 0, 2 * Math.PI);
+  pen.fill();
+  return new THREE.CanvasTexture(canvas);
 }

@@ -1,42 +1,63 @@
 // A drawing of the gamepad that says what does what, and lights up as it is pressed.
 
-import { BUTTON } from "./gamepad.js";
 import { el, say } from "./dom.js";
 
-const ROUND = { y: [196, 40], b: [212, 56], a: [196, 72], x: [180, 56] };
-const CROSS = { up: [64, 84, 12, 14], down: [64, 108, 12, 14], left: [50, 97, 14, 12], right: [76, 97, 14, 12] };
-const LETTERS = { y: "mode", b: "STOP", a: "gripper", x: "picture", up: "view nearer", down: "view farther", left: "joint −", right: "joint +", back: "robot", start: "hand", lb: "hold: move", rb: "hold: turn" };
+// part of the layout: [x, y, width, height, what is written on it]; a round one has a radius alone
+const PARTS = {
+  left_trigger: [44, 3, 42, 15, "LT"], right_trigger: [214, 3, 42, 15, "RT"],
+  left_shoulder: [40, 22, 46, 14, "LB"], right_shoulder: [214, 22, 46, 14, "RB"],
+  back: [124, 62, 20, 11, "⧉"], start: [156, 62, 20, 11, "≡"],
+  up: [91, 100, 16, 15, "▴"], down: [91, 130, 16, 15, "▾"], left: [75, 115, 16, 15, "◂"], right: [107, 115, 16, 15, "▸"],
+  y: [226, 54, 10, null, "Y"], x: [206, 74, 10, null, "X"], b: [246, 74, 10, null, "B"], a: [226, 94, 10, null, "A"],
+};
+const STICKS = [["left_stick", 74, 76], ["right_stick", 196, 122]];
+const NAMES = { left_stick: "L press", back: "⧉ back", start: "≡ start", up: "▴", down: "▾", left: "◂", right: "▸" };
 
-export function padDrawing(driven) {
-  const lights = {};
-  const light = (name, shape) => (lights[name] = shape);
-  const sticks = [[60, 56], [152, 100]].map(([x, y]) => ({ x, y, dot: el("circle", { cx: x, cy: y, r: 11, class: "stick" }) }));
-  const drawing = el("svg", { viewBox: "0 0 252 160", role: "img", "aria-label": "Gamepad: what its buttons do" },
-    el("path", { class: "pad-body", d: "M66 22h120c26 0 44 20 52 66 6 36 2 58-16 58-20 0-24-32-46-32H76c-22 0-26 32-46 32-18 0-22-22-16-58 8-46 26-66 52-66z" }),
-    light("lb", el("rect", { x: 40, y: 8, width: 52, height: 11, rx: 5 })),
-    light("rb", el("rect", { x: 160, y: 8, width: 52, height: 11, rx: 5 })),
-    light("back", el("rect", { x: 104, y: 52, width: 14, height: 8, rx: 4 })),
-    light("start", el("rect", { x: 134, y: 52, width: 14, height: 8, rx: 4 })),
-    ...Object.entries(CROSS).map(([name, [x, y, width, height]]) => light(name, el("rect", { x, y, width, height, rx: 3 }))),
-    ...Object.entries(ROUND).flatMap(([name, [x, y]]) => [light(name, el("circle", { cx: x, cy: y, r: 9 })), el("text", { x, y: y + 3.5 }, name.toUpperCase())]),
-    ...sticks.flatMap(({ x, y, dot }) => [el("circle", { cx: x, cy: y, r: 15, class: "well" }), dot]),
+/** @param layout of scene.json. */
+export function padDrawing(layout, driven) {
+  const words = Object.fromEntries(layout.controls.map((control) => [control.name, control.words]));
+  const shapes = {};
+  const shapeOf = ([name, [x, y, width, height, text]]) => {
+    const shape = height ? el("rect", { x, y, width, height, rx: 4 }) : el("circle", { cx: x, cy: y, r: width });
+    shapes[name] = shape;
+    const [cx, cy] = height ? [x + width / 2, y + height / 2] : [x, y];
+    return el("g", {}, el("title", {}, words[name]), shape, el("text", { x: cx, y: cy + 3.2 }, text));
+  };
+  const sticks = STICKS.map(([name, x, y]) => ({ x, y, name, dot: el("circle", { cx: x, cy: y, r: 13, class: "stick" }) }));
+  shapes.left_stick = sticks[0].dot;
+  const beside = (x, y, name, anchor) => el("text", { x, y, class: "told", style: `text-anchor: ${anchor}` }, words[name]);
+  const drawing = el("svg", { viewBox: "0 0 300 190", role: "img", "aria-label": `Gamepad: ${layout.controls.map(({ name, words: what }) => `${name.replaceAll("_", " ")} ${what}`).join(", ")}` },
+    el("path", { class: "pad-body", d: "M76 40h148c30 0 50 24 60 80 6 42 2 66-18 66-24 0-30-36-54-36H88c-24 0-30 36-54 36-20 0-24-24-18-66 10-56 30-80 60-80z" }),
+    ...Object.entries(PARTS).map(shapeOf),
+    ...sticks.flatMap(({ x, y, dot }) => [el("circle", { cx: x, cy: y, r: 18, class: "well" }), dot]),
+    beside(91, 14, "left_trigger", "start"), beside(209, 14, "right_trigger", "end"),
+    beside(91, 33, "left_shoulder", "start"), beside(209, 33, "right_shoulder", "end"),
   );
-  const words = el("p", { class: "pad-words" });
-  const list = el("dl", {}, ...Object.entries(LETTERS).flatMap(([name, what]) => [el("dt", {}, name.toUpperCase()), el("dd", {}, what)]));
-  const box = el("section", { class: "pad" }, el("h2", {}, "Gamepad"), drawing, words, list);
+  const doing = el("p", { class: "pad-words" });
+  const listed = layout.controls.filter(({ name }) => !/shoulder|trigger/.test(name)); // those are told in the drawing
+  const list = el("dl", {}, ...listed.flatMap(({ name, words: what }) => [el("dt", {}, NAMES[name] ?? name.toUpperCase()), el("dd", {}, what)]));
+  const box = el("section", { class: "pad" }, el("h2", {}, "Gamepad"), drawing, doing, list);
+
+  function sticksWords(gamepad) {
+    if (driven.mode === "advisor") return `Left stick ahead: to option ${gamepad.option}`;
+    if (driven.mode === "pose") return "Left stick ahead: to the pose";
+    if (driven.isByJoints) return `Left stick: ${driven.scenery.joints[driven.joint].name.toUpperCase()}`;
+    return "Left stick x, y; right stick z";
+  }
 
   function show(pad, gamepad) {
     box.dataset.plugged = String(!!pad);
     if (!pad) {
-      say(words, "No gamepad. Press one of its buttons.");
+      say(doing, "No gamepad. Press one of its buttons.");
       return;
     }
-    for (const [name, shape] of Object.entries(lights)) shape.toggleAttribute("data-lit", !!pad.buttons[BUTTON[name]]?.pressed);
+    for (const { name, standard } of layout.controls) shapes[name].toggleAttribute("data-lit", !!pad.buttons[standard]?.pressed);
     sticks.forEach(({ x, y, dot }, index) => {
-      dot.setAttribute("cx", x + 7 * (pad.axes[2 * index] ?? 0));
-      dot.setAttribute("cy", y + 7 * (pad.axes[2 * index + 1] ?? 0));
+      dot.setAttribute("cx", x + 6 * (pad.axes[2 * index] ?? 0));
+      dot.setAttribute("cy", y + 6 * (pad.axes[2 * index + 1] ?? 0));
     });
-    say(words, driven.isByJoints ? `Left stick: ${driven.scenery.joints[gamepad.joint]?.name.toUpperCase()}` : "Sticks: the hand, while a shoulder button is held");
+    const output = driven.scenery.outputs[gamepad.output % driven.scenery.outputs.length];
+    say(doing, `${sticksWords(gamepad)}, while a shoulder button is held.${output ? ` Triggers: ${output.replaceAll("_", " ")}.` : ""}`);
   }
   show(null);
   return { box, show };

@@ -5,7 +5,10 @@ import { csvCell } from "./event_log.js";
 import { Series, SPAN_S } from "./series.js";
 
 const DRAW_MS = 250;
-const COLOURS = ["var(--line-1)", "var(--line-2)"];
+const COLOURS = ["--line-1", "--line-2"];
+const DASH = [5, 3];
+const [GUTTER, TIMES, EDGE] = [30, 13, 6]; // px for numbers at the axis, for times below it, and half a number's height
+const SHEET = { width: 720, height: 110, title: 24, scale: 2 }; // of a saved picture, a plot each
 
 /** The plots: title, unit, decimals, least span of the axis, lines {name, value()}. */
 function plotsOf(live, scene, picture) {
@@ -23,34 +26,54 @@ function plotsOf(live, scene, picture) {
   ];
 }
 
-/** Draw one plot onto a canvas, as wide and high as its element. */
-function draw(canvas, plot, now_s, styles) {
-  const ratio = window.devicePixelRatio;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-  if (!width) return;
-  if (canvas.width !== Math.round(width * ratio)) Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
-  const pen = canvas.getContext("2d");
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  const ranges = plot.lines.map((line) => line.series.range(now_s - SPAN_S)).filter(Boolean);
+/** The range of a plot's axis [least, most]: of its values since `from_s`, and no narrower than is worth looking at. */
+export function axisOf(plot, from_s) {
+  const ranges = plot.lines.map((line) => line.series.range(from_s)).filter(Boolean);
   let least = plot.from ?? Math.min(...ranges.map(([low]) => low));
   let most = plot.to ?? Math.max(...ranges.map(([, high]) => high));
-  if (!Number.isFinite(least) || !Number.isFinite(most)) [least, most] = [0, plot.least];
+  if (!Number.isFinite(least) || !Number.isFinite(most)) [least, most] = [plot.from ?? 0, (plot.from ?? 0) + plot.least];
   if (most - least < plot.least) most = plot.from === undefined ? (least = (least + most - plot.least) / 2) + plot.least : least + plot.least;
-  const pad = (most - least) * (plot.to === undefined ? 0.08 : 0.02);
-  const [bottom, top] = [least - (plot.from === undefined ? pad : 0), most + pad];
-  const x = (time) => width - ((now_s - time) / SPAN_S) * width;
-  const y = (value) => height - 3 - ((value - bottom) / (top - bottom)) * (height - 6);
+  return [least, most];
+}
+
+/** A number at an axis from `least` to `most`, with as many decimals as tell them apart. */
+export function axisText(value, [least, most]) {
+  return value.toFixed(Math.min(2, Math.max(0, Math.ceil(-Math.log10((most - least) / 5)))));
+}
+
+/** Draw one plot into a box of the pen, with numbers at its axis, and times below it if there is room for them. */
+function draw(pen, [left, top, width, height], plot, now_s, styles, hasTimes) {
+  const axis = axisOf(plot, now_s - SPAN_S);
+  const [least, most] = axis;
+  const [x0, bottom] = [left + GUTTER, top + height - (hasTimes ? TIMES : 0)];
+  const x = (time) => left + width - ((now_s - time) / SPAN_S) * (width - GUTTER);
+  const y = (value) => bottom - EDGE - ((value - least) / (most - least)) * (bottom - top - 2 * EDGE);
+  pen.font = "10px Roboto, system-ui, sans-serif";
   pen.strokeStyle = styles.getPropertyValue("--rule");
+  pen.fillStyle = styles.getPropertyValue("--soft");
   pen.lineWidth = 1;
+  pen.textBaseline = "middle";
+  pen.textAlign = "right";
   pen.beginPath();
-  for (const at of [least, (least + most) / 2, most]) pen.moveTo(0, Math.round(y(at)) + 0.5), pen.lineTo(width, Math.round(y(at)) + 0.5);
-  for (let back = 30; back < SPAN_S; back += 30) pen.moveTo(x(now_s - back), 0), pen.lineTo(x(now_s - back), height);
+  for (const at of [least, (least + most) / 2, most]) pen.moveTo(x0, Math.round(y(at)) + 0.5), pen.lineTo(left + width, Math.round(y(at)) + 0.5);
+  for (let back = 0; back <= SPAN_S; back += 30) pen.moveTo(x(now_s - back), top + EDGE), pen.lineTo(x(now_s - back), bottom - EDGE);
   pen.stroke();
+  for (const at of [least, most]) pen.fillText(axisText(at, axis), x0 - 4, y(at));
+  if (hasTimes) {
+    pen.textBaseline = "alphabetic";
+    for (let back = 0; back <= SPAN_S; back += 30) {
+      pen.textAlign = back === 0 ? "right" : back === SPAN_S ? "left" : "center";
+      pen.fillText(back ? `−${back} s` : "now", x(now_s - back), top + height - 1);
+    }
+  }
+  pen.save();
+  pen.beginPath();
+  pen.rect(x0, top, width - GUTTER, bottom - top);
+  pen.clip();
   plot.lines.forEach((line, index) => {
-    pen.strokeStyle = styles.getPropertyValue(COLOURS[index % 2].slice(4, -1));
+    pen.strokeStyle = styles.getPropertyValue(COLOURS[index % 2]);
     pen.lineWidth = 1.6;
-    pen.setLineDash(index ? [5, 3] : []); // told apart without colour too
+    pen.setLineDash(index ? DASH : []); // told apart without colour too
     pen.beginPath();
     let isDown = false;
     for (const [time, value] of line.series) {
@@ -60,10 +83,26 @@ function draw(canvas, plot, now_s, styles) {
     }
     pen.stroke();
   });
-  pen.setLineDash([]);
-  pen.fillStyle = styles.getPropertyValue("--faint");
-  pen.font = "10px Roboto, system-ui, sans-serif";
-  pen.fillText(most.toFixed(plot.digits && most < 100 ? 1 : 0), 3, Math.max(10, y(most) + 11));
+  pen.restore();
+}
+
+/** The pen of a canvas as wide and high as its element, cleared; null where that is not shown. */
+function penOf(canvas) {
+  const ratio = window.devicePixelRatio;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (!width) return null;
+  if (canvas.width !== Math.round(width * ratio)) Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  return pen;
+}
+
+const lastOf = (plot, { series }) => (Number.isFinite(series.last) ? series.last.toFixed(plot.digits) : "–");
+
+/** A piece of a line, as the legend shows it. */
+function sample(index) {
+  return el("svg", { viewBox: "0 0 18 6", class: "sample", "aria-hidden": "true" }, el("line", { x1: 0, y1: 3, x2: 18, y2: 3, "stroke-dasharray": index ? DASH.join(" ") : "none" }));
 }
 
 export function livePlots(live, scene, picture, joints) {
@@ -75,9 +114,11 @@ export function livePlots(live, scene, picture, joints) {
   const box = el("section", { class: "plots" }, head);
   for (const plot of plots) {
     plot.canvas = el("canvas", { role: "img", "aria-label": plot.title });
-    plot.text = el("output");
-    for (const line of plot.lines) line.series = new Series();
-    box.append(el("figure", { class: "plot" }, el("figcaption", {}, plot.title, plot.text), plot.canvas));
+    plot.hasTimes = plot === plots.at(-1);
+    for (const line of plot.lines) Object.assign(line, { series: new Series(), text: el("output") });
+    const legend = plot.lines.map(({ name, text }, index) => el("span", { class: "told", "data-line": index },
+      ...(plot.lines.length > 1 ? [sample(index), name] : []), text, index === plot.lines.length - 1 ? plot.unit : ""));
+    box.append(el("figure", { class: "plot", "data-times": String(plot.hasTimes) }, el("figcaption", {}, el("b", {}, plot.title), ...legend), plot.canvas));
   }
   part("figures").append(box, joints);
 
@@ -95,21 +136,37 @@ export function livePlots(live, scene, picture, joints) {
     return [["time", ...lines.map(({ name }) => name)], ...rows].map((row) => row.map(csvCell).join(",")).join("\n");
   }
 
+  /** All plots below one another, with titles, numbers, legends and times, for paper: in the look of the page. */
   function png() {
-    const height = plots.reduce((sum, { canvas }) => sum + canvas.height + 26, 0);
-    const sheet = el("canvas", { width: plots[0].canvas.width + 24, height: height + 12 });
+    const { width, height, title: high, scale } = SHEET;
+    const sheet = el("canvas", { width: scale * width, height: scale * plots.length * height });
     const pen = sheet.getContext("2d");
     const styles = getComputedStyle(document.documentElement);
+    pen.scale(scale, scale);
     pen.fillStyle = styles.getPropertyValue("--panel");
-    pen.fillRect(0, 0, sheet.width, sheet.height);
-    let y = 6;
-    for (const { title, unit, canvas } of plots) {
-      pen.fillStyle = styles.getPropertyValue("--text");
-      pen.font = "13px Roboto, system-ui, sans-serif";
-      pen.fillText(`${title} [${unit}]`, 12, y + 16);
-      pen.drawImage(canvas, 12, y + 22);
-      y += canvas.height + 26;
-    }
+    pen.fillRect(0, 0, width, plots.length * height);
+    plots.forEach((plot, row) => {
+      const top = row * height;
+      draw(pen, [12, top + high, width - 24, height - high - 4], plot, pausedAt_s ?? live.frame.server_s, styles, true);
+      Object.assign(pen, { textBaseline: "alphabetic", textAlign: "left", font: "13px Roboto, system-ui, sans-serif", fillStyle: styles.getPropertyValue("--text") });
+      pen.fillText(`${plot.title} [${plot.unit}]`, 12, top + 17);
+      pen.textAlign = "right";
+      let right = width - 12;
+      [...plot.lines.keys()].reverse().forEach((index) => {
+        const line = plot.lines[index];
+        const text = `${line.name} ${lastOf(plot, line)}`;
+        pen.fillText(text, right, top + 17);
+        right -= pen.measureText(text).width + 26;
+        pen.strokeStyle = styles.getPropertyValue(COLOURS[index % 2]);
+        pen.setLineDash(index ? DASH : []);
+        pen.lineWidth = 2;
+        pen.beginPath();
+        pen.moveTo(right, top + 13), pen.lineTo(right + 20, top + 13);
+        pen.stroke();
+        pen.setLineDash([]);
+        right -= 14;
+      });
+    });
     sheet.toBlob((blob) => save("deltaq-plots.png", blob, "image/png"));
   }
 
@@ -121,9 +178,9 @@ export function livePlots(live, scene, picture, joints) {
     if (document.hidden || !live.frame) return;
     const styles = getComputedStyle(document.documentElement);
     for (const plot of plots) {
-      draw(plot.canvas, plot, pausedAt_s ?? live.frame.server_s, styles);
-      const texts = plot.lines.map(({ name, series }) => `${plot.lines.length > 1 ? `${name} ` : ""}${Number.isFinite(series.last) ? series.last.toFixed(plot.digits) : "–"}`);
-      say(plot.text, `${texts.join("  ")} ${plot.unit}`);
+      const pen = penOf(plot.canvas);
+      if (pen) draw(pen, [0, 0, plot.canvas.clientWidth, plot.canvas.clientHeight], plot, pausedAt_s ?? live.frame.server_s, styles, plot.hasTimes);
+      for (const line of plot.lines) say(line.text, lastOf(plot, line));
     }
   }, DRAW_MS);
 }

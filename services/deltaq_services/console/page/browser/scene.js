@@ -10,10 +10,10 @@ const SHADOW_EVERY_MS = { full: 0, lean: 500 };
 const LOOK_MS = 4; // after which it is looked whether a picture is finished, where the processor draws
 const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jagged edges
 
-/** Whether WebGL is computed by the processor. */
+/** Whether WebGL is computed by the processor; throws where the browser has none. */
 export function softwareRendered() {
   const gl = document.createElement("canvas").getContext("webgl2");
-  if (!gl) return true;
+  if (!gl) throw new Error("This browser has no WebGL 2, by which the cell is drawn. Switch on its graphics acceleration, or take another browser.");
   const told = gl.getExtension("WEBGL_debug_renderer_info");
   return /swiftshader|llvmpipe|software/i.test(told ? gl.getParameter(told.UNMASKED_RENDERER_WEBGL) : "");
 }
@@ -26,7 +26,8 @@ export class Stage {
    */
   constructor(holder, { floorHeight = 0, dark = true, quality = "auto" } = {}) {
     this.holder = holder;
-    this.full = quality === "full" || (quality === "auto" && !softwareRendered());
+    const byProcessor = softwareRendered();
+    this.full = quality === "full" || (quality === "auto" && !byProcessor);
     this.renderer = new THREE.WebGLRenderer({ antialias: this.full, preserveDrawingBuffer: !this.full, powerPreference: "high-performance" });
     const finest = this.full ? Math.min(window.devicePixelRatio, 2) : 1;
     this.pace = new Pace(this.renderer.getContext(), finest, !this.full);

@@ -4,30 +4,39 @@ import { el, part, remember, remembered, say } from "./dom.js";
 
 const SIGNS = { offline: "○", ready: "●", engaged: "▶", braking: "▼", held: "■" };
 
-export function showBar(live, scene, enterRoom) {
+/** Say which cell it is, and whether its robots are real. */
+export function nameCell(scene) {
   say(part("cell"), scene.cell);
   const reality = part("reality");
   say(reality, scene.emulated ? "EMULATED" : "REAL ROBOTS");
   reality.dataset.real = String(!scene.emulated);
   reality.title = scene.emulated ? "No robot of this cell is real." : "What you do here moves real robots.";
+}
 
-  const chips = scene.robots.map((robot) => {
-    const sign = el("i", { "aria-hidden": "true" });
-    const phase = el("span");
-    const chip = el("span", { class: "chip" }, sign, el("b", {}, robot.name), phase);
-    part("chips").append(chip);
-    return { chip, sign, phase };
-  });
+export function showBar(live) {
+  let chips = [];
   const age = part("age");
   const who = part("who");
 
+  /** One a robot, in the order of the status, which is that of the frames too. */
+  function build(names) {
+    chips = names.map((name) => {
+      const sign = el("i", { "aria-hidden": "true" });
+      const phase = el("span");
+      return { name, sign, phase, chip: el("span", { class: "chip" }, sign, el("b", {}, name), phase) };
+    });
+    part("chips").replaceChildren(...chips.map(({ chip }) => chip));
+  }
+
   function show() {
-    scene.robots.forEach((robot, index) => {
+    const names = Object.keys(live.status?.robots ?? {});
+    if (names.length !== chips.length) build(names);
+    chips.forEach(({ chip, sign, phase: words }, index) => {
       const phase = live.isStale(index) ? "offline" : live.frame.robots[index].phase;
       const text = live.frame && live.isStale(index) ? "no data" : phase;
-      chips[index].chip.dataset.phase = phase;
-      say(chips[index].sign, SIGNS[phase]);
-      say(chips[index].phase, text);
+      chip.dataset.phase = phase;
+      say(sign, SIGNS[phase]);
+      say(words, text);
     });
     const seconds = live.age_s();
     const isStale = live.isStale();
@@ -42,13 +51,17 @@ export function showBar(live, scene, enterRoom) {
   live.addEventListener("status", show);
   live.addEventListener("line", show);
   show();
+}
 
+/** The light or the dark look, as the system has it until the button chooses; `follow(enter)` calls enter(isDark) with each. */
+export function lightOrDark() {
   const look = part("look");
   const system = window.matchMedia("(prefers-color-scheme: dark)");
+  const followers = [];
   function enter(isDark) {
     document.documentElement.dataset.look = isDark ? "dark" : "light";
     say(look, isDark ? "☀" : "☾");
-    enterRoom(isDark);
+    for (const follower of followers) follower(isDark);
   }
   look.addEventListener("click", () => {
     const isDark = document.documentElement.dataset.look !== "dark";
@@ -57,6 +70,12 @@ export function showBar(live, scene, enterRoom) {
   });
   system.addEventListener("change", () => remembered("dark", null) ?? enter(system.matches));
   enter(remembered("dark", system.matches));
+  return {
+    follow(follower) {
+      followers.push(follower);
+      follower(document.documentElement.dataset.look === "dark");
+    },
+  };
 }
 
 /** Grey out a picture that is old, and say so over it. */
