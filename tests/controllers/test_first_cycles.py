@@ -19,7 +19,10 @@ import deltaq_controllers
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
 COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker"))]
-EACH_KIND = ("modes-gr", "modes-dawm", "criteria-panda", "qp", "attacker", "counsel-gr")
+EACH_KIND = (
+    *("modes-gr", "modes-dawm", "criteria-panda", "qp", "attacker", "counsel-gr"),
+    *("operated-gr", "master-gr"),
+)
 """Cases that stand for their kind in every run; the others take their turn at night."""
 
 SUPPORT = Path(published_arms.__file__).parent
