@@ -50,17 +50,29 @@ def check(
 
 
 def _with_identity(report: CheckReport) -> CheckReport:
-    """The same with what is wrong with the identity that the environment names, if it names one."""
+    """The same with what is wrong with the identity, or the one key, that the environment names."""
     import os
     from dataclasses import replace
 
     from deltaq_cell.load import load_cell
     from deltaq_cell.problems import Problem
     from deltaq_protocol.certified.names import IDENTITY
+    from deltaq_services.guarded_key import KEY_FILE, off_loopback
 
     named = os.environ.get(IDENTITY)
-    if not named or not report.ok:
+    if not report.ok:
         return report
+    if not named:
+        leaves = off_loopback(load_cell(report.cell))
+        if leaves is None or not os.environ.get(KEY_FILE):
+            return report
+        text = (
+            f"one key for all services, and {leaves} leaves this machine: who breaks into one of its machines can "
+            f"speak as every service; `deltaq keys {report.cell} --to FOLDER` makes an identity each ({IDENTITY})"
+        )
+        return replace(
+            report, problems=(*report.problems, Problem(KEY_FILE, 0, "", text, severity="warning"))
+        )
     from deltaq_services.service_identity import identity_faults
 
     faults = identity_faults(load_cell(report.cell), Path(named))

@@ -11,10 +11,12 @@ from small_cell import tool_pose
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_launch.private_cell import write_private_cell
+from deltaq_protocol.audit import AuditKind
 from deltaq_protocol.codec import pack
 from deltaq_protocol.messages import Challenge
 from deltaq_protocol.session import open_session
 from deltaq_services.console.settings import NoTokenError, Settings
+from deltaq_services.hli.audit import Audit
 from deltaq_services.hli.client_roles import ClientRoles
 from deltaq_services.hli.shell import Hli
 
@@ -53,6 +55,18 @@ async def test_a_console_with_the_operators_token_frees_robots_and_asks_for_view
         assert (await browser.ask("reset", robot="fr"))["outcome"] == "done"
         assert (await browser.ask("view_distance", robot="fr", value_m=1.5))["outcome"] == "done"
         assert hli.core.counters["views_asked"] == 1
+
+
+async def test_the_audit_log_names_the_browser_and_its_address_for_what_was_asked_through_the_console(
+    tmp_path, monkeypatch
+):
+    told = []
+    monkeypatch.setattr(Audit, "tell", lambda _, deed, *more: told.append(deed))
+    async with operated(tmp_path, OPERATOR) as (browser, _):
+        await browser.ask("reset", robot="fr")
+        await browser.ask("stop")
+    names = {deed.what: deed.origin.client for deed in told if deed.what in (AuditKind.RESET, AuditKind.STOP)}
+    assert names == dict.fromkeys((AuditKind.RESET, AuditKind.STOP), "console: operator 1 at 127.0.0.1")
 
 
 async def test_another_user_of_the_machine_gets_nothing_moved_or_freed_by_a_console_with_the_operators_token(

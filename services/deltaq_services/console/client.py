@@ -10,6 +10,8 @@ from deltaq_services.console.commands import MOST_MESSAGES_S
 from deltaq_services.console.messages import Ack
 from deltaq_services.rate_limit import RateLimit
 
+_LONGEST_NAME = 64
+"""Of a client, in a message to the HLI."""
 _ANSWERS_KEPT = 256
 """Newest answers that are given again to a command that comes twice."""
 
@@ -22,6 +24,7 @@ class Client:
         number: of its connection, different from every other.
         name: by which others see it.
         is_operator: it may command; one that may not looks, and stops.
+        address: it connects from.
         clocks: its clock against this one.
         rate: bounds what it sends.
         shows_replay: it shows a recording, and commands nothing but a stop.
@@ -30,10 +33,16 @@ class Client:
     number: int
     name: str
     is_operator: bool
+    address: str = ""
     clocks: ClockOffset = field(default_factory=ClockOffset)
     rate: RateLimit = field(default_factory=lambda: RateLimit(MOST_MESSAGES_S))
     shows_replay: bool = False
     _answers: OrderedDict[str, Ack] = field(default_factory=OrderedDict)
+
+    @property
+    def in_the_audit_log(self) -> str:
+        """What the HLI is told who asks: the console's word for it, and the name that the browser gave itself."""
+        return f"console: {self.name} at {self.address or 'no address'}"[:_LONGEST_NAME]
 
     def answered(self, command_id: str) -> Ack | None:
         """The newest answer to a command that came before; None if it did not."""

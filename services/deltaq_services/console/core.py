@@ -77,7 +77,7 @@ class ConsoleCore:
         self.drivers = DriverDesk(self.robots, self.clients, self._pending, self._log, self.counters)
 
     def connect(
-        self, name: str, is_operator: bool, now_s: float
+        self, name: str, is_operator: bool, now_s: float, address: str = ""
     ) -> tuple[Client | None, list[ConsoleOutput]]:
         """A browser has connected; no client if there are too many."""
         if len(self.clients) >= MOST_CLIENTS:
@@ -87,7 +87,7 @@ class ConsoleCore:
         kind = "operator" if is_operator else "observer"
         taken = {client.name for client in self.clients.values()}
         client = Client(
-            number, name if name and name not in taken else f"{name or kind} {number}", is_operator
+            number, name if name and name not in taken else f"{name or kind} {number}", is_operator, address
         )
         self.clients[number] = client
         self.counters["clients"] += 1

@@ -19,13 +19,14 @@ class ToClient:
 
 @dataclass(frozen=True, slots=True)
 class AskHli:
-    """Ask the HLI, and tell the core its answer to `request`."""
+    """Ask the HLI, and tell the core its answer to `request`; `client` is who asks, as the audit log names it."""
 
     request: str
     kind: Literal["stop", "reset", "dry_run", "view"]
     robot: str = ""
     dq: tuple[float, ...] = ()
     distance_m: float | None = None
+    client: str = "console"
 
 
 @dataclass(frozen=True, slots=True)

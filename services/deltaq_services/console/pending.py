@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
+from dataclasses import replace
 
 from deltaq_protocol import driving
 from deltaq_services.console.client import Client
@@ -27,6 +28,7 @@ class PendingRequests:
 
     def ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
         """Ask the HLI; the client is told that it was asked."""
+        asked = replace(asked, client=client.in_the_audit_log)
         self._asked[asked.request] = (client, command, asked)
         return [asked, acknowledged(client, command, AckOutcome.ASKED, "asked")]
 

@@ -61,9 +61,7 @@ _TOLD_EVERY = 5
 _POLL_S = 0.5
 _NO_ANSWER_S = 5.0
 """Longer than a query takes to fail by itself."""
-_STOP_AGAIN_S = 0.1
-_MOST_STOPS = 50
-_NAME = "console"
+_STOP_AGAIN_S, _MOST_STOPS = 0.1, 50
 
 
 class Console:
@@ -140,9 +138,9 @@ class Console:
         """Time of day as it was at the start, and counted on without steps [s]."""
         return self._epoch_s + time.monotonic()
 
-    async def serve(self, connection: BrowserConnection, name: str, is_operator: bool) -> None:
+    async def serve(self, connection: BrowserConnection, name: str, is_operator: bool, address: str) -> None:
         """Serve one browser until it has gone."""
-        client, outputs = self.core.connect(name, is_operator, self.now_s())
+        client, outputs = self.core.connect(name, is_operator, self.now_s(), address)
         if client is None:
             return
         self._connections[client.number] = connection
@@ -200,23 +198,23 @@ class Console:
         """Ask the HLI; a dry run has a verdict."""
         match asked.kind:
             case "stop":
-                await self._ask_to_stop(asking)
+                await self._ask_to_stop(asking, asked.client)
             case "reset":
-                reset = ResetRequest(robot=asked.robot, client=_NAME)
+                reset = ResetRequest(robot=asked.robot, client=asked.client)
                 await asking.ask_with_role(Done, topics.RESET, reset)
             case "view":
-                view = ViewRequest(robot=asked.robot, distance_m=asked.distance_m, client=_NAME)
+                view = ViewRequest(robot=asked.robot, distance_m=asked.distance_m, client=asked.client)
                 await asking.ask_with_role(ViewReply, topics.VIEW, view, asked.robot)
             case "dry_run":
                 run = DryRunRequest(robot=asked.robot, dq=asked.dq)
                 return (await asking.ask(DryRunReply, topics.DRY_RUN, run, asked.robot)).verdict
         return None
 
-    async def _ask_to_stop(self, asking: Asking) -> None:
+    async def _ask_to_stop(self, asking: Asking, client: str) -> None:
         """Ask until the HLI has heard it: what it answers then stands."""
         for attempt in range(1, _MOST_STOPS + 1):
             try:
-                await asking.ask(Done, topics.STOP, StopRequest(client=_NAME))
+                await asking.ask(Done, topics.STOP, StopRequest(client=client))
                 return
             except ServiceUnreachableError:
                 if attempt == _MOST_STOPS or self.core.stop.phase is not StopPhase.ASKED:

@@ -139,8 +139,10 @@ def application(console: Console, settings: Settings) -> FastAPI:
             return
         await websocket.accept()
         name = websocket.query_params.get("name", "")[:_LONGEST_NAME]
+        address = websocket.client.host if websocket.client else ""
+        is_operator = entrance is Entrance.OPERATOR
         await console.serve(
-            BrowserConnection(websocket), name if name.isprintable() else "", entrance is Entrance.OPERATOR
+            BrowserConnection(websocket), name if name.isprintable() else "", is_operator, address
         )
 
     return app
