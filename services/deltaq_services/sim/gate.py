@@ -67,9 +67,9 @@ class Gate:
         self._proximity = proximity
         self._least_apart_m = margins.stop_distance_m + NUMERICAL_TOLERANCE_M
         self._apart_at_zero = {
-            frozenset(names)
-            for names in combinations(limits, 2)
-            if apart_m(*(proximity.reach[name] for name in names)) > self._least_apart_m
+            frozenset((one, other))
+            for one, other in combinations(limits, 2)
+            if apart_m(proximity.reach[one], proximity.reach[other]) > self._least_apart_m
         }
         self._limits = limits
         self._contacts = contacts
@@ -95,7 +95,6 @@ class Gate:
         reasons = tighter or reasons
         near = [other for other in others if self._in_reach(robot, other)]
         tubes = [(other.name, tube) for other in near for tube in other.tubes()]
-
         blend = Blend(robot, limits, brake, request, scale)
         certificate = CompiledCertifier(self._proximity).certify(robot.name, blend.tube(scale), tubes)
         if certificate.holds:
