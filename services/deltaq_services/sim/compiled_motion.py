@@ -1,7 +1,7 @@
-"""What the gate computes of a few joints' numbers in every decision, as machine code.
+"""What the gate computes of a few joints' numbers in every decision.
 
-Each says what a readable twin does, to the bit, in a tenth of the time: `deltaq_services.sim.limits` and
-`deltaq_services.sim.tube`. Tests hold them together.
+`deltaq_services.sim.limits` and `deltaq_services.sim.tube` say the same in plain words, in ten times the time; tests
+hold them together to the bit.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import numpy as np
+
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
 from deltaq_cell.reach import apart_m
@@ -25,7 +27,7 @@ from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Windows
+from deltaq_services.sim.tube import Branch, Windows, tube
 from deltaq_services.sim.violations import Violations
 
 _LEAST_SCALE = 1e-3
@@ -67,15 +69,19 @@ class Gate:
         self._proximity = proximity
         self._least_apart_m = margins.stop_distance_m + NUMERICAL_TOLERANCE_M
         self._apart_at_zero = {
-            frozenset(names)
-            for names in combinations(limits, 2)
-            if apart_m(*(proximity.reach[name] for name in names)) > self._least_apart_m
+            frozenset((one, other))
+            for one, other in combinations(limits, 2)
+            if apart_m(proximity.reach[one], proximity.reach[other]) > self._least_apart_m
         }
         self._limits = limits
         self._contacts = contacts
         self._violations = violations
         self._retreat = Retreat(proximity, margins, violations)
         self._slow_down = SlowDown(proximity, margins, next(iter(limits.values())).cycle_s)
+        for one in limits.values():  # so that no decision waits for machine code
+            still = np.zeros_like(one.lower)
+            one.keeps(still, still, still, still)
+            tube(still[None], Branch(still, 1, 0), 1)
 
     def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
         """Decide one request.
@@ -95,7 +101,6 @@ class Gate:
         reasons = tighter or reasons
         near = [other for other in others if self._in_reach(robot, other)]
         tubes = [(other.name, tube) for other in near for tube in other.tubes()]
-
         blend = Blend(robot, limits, brake, request, scale)
         certificate = CompiledCertifier(self._proximity).certify(robot.name, blend.tube(scale), tubes)
         if certificate.holds:

@@ -57,8 +57,8 @@ class Limits:
         """Limits of a robot with sample time `cycle_s`."""
         return cls(
             description.joint_names,
-            description.lower,
-            description.upper,
+            np.array(description.lower),
+            np.array(description.upper),
             description.max_velocity * cycle_s,
             description.max_acceleration * cycle_s**2,
             cycle_s,

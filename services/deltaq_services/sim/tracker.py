@@ -196,7 +196,7 @@ class Tracker:
         A joint that stands outside its limits goes no further out.
         """
         assert self.state is not None  # asked only of robots that have been heard
-        known = np.abs([*self._history, self.state.q])
+        known = np.abs(np.array([*self._history, self.state.q]))
         farthest: Array = np.maximum(known.max(axis=0), self._limits)
         return farthest
 
