@@ -133,7 +133,9 @@ def _taken_in_motion(page: Page, file: Path) -> bool:
     if page.evaluate("deltaq.live.robot('fr').mode !== 'follow' || !deltaq.live.robot('fr').lease.mine"):
         raise SystemExit("fr follows no more: is the computer busy with something else?")
     begun = page.evaluate(_FINE)
-    page.wait_for_function("begun => deltaq.stage.frames > begun + 3", arg=begun)
+    page.wait_for_function(
+        "begun => deltaq.stage.frames > begun + 3 || deltaq.live.robot('gr').phase !== 'engaged'", arg=begun
+    )
     page.evaluate(_WATCH)
     _write(page, file)
     page.evaluate(_AS_BEFORE)
