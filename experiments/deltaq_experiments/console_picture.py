@@ -51,6 +51,11 @@ _WATCH = """() => {
 }"""
 
 
+# what moves is drawn coarsely without graphics hardware
+_FINE = "Object.assign(deltaq.stage.pace, {mayVary: false, finest: 2}), deltaq.stage.frames"
+_AS_BEFORE = "Object.assign(deltaq.stage.pace, {mayVary: !deltaq.stage.full, finest: 1})"
+
+
 def take_pictures(url: str, folder: Path, chromium: str) -> None:
     """Play an operator at the console, and write `console.png` and others named after what they show.
 
@@ -116,12 +121,25 @@ def _drive(page: Page, file: Path) -> None:
         page.keyboard.down(key)
         page.wait_for_timeout(held_ms / 2)
         is_over = time.monotonic() > until_s
-        if is_over:
-            _write(page, file)
+        is_taken = is_over and _taken_in_motion(page, file)
         page.wait_for_timeout(held_ms / 2)
         page.keyboard.up(key)
-        if is_over:
+        if is_taken:
             return
+
+
+def _taken_in_motion(page: Page, file: Path) -> bool:
+    """Take a picture, drawn finely; returns whether `gr` moved and `fr` followed all the while."""
+    if page.evaluate("deltaq.live.robot('fr').mode !== 'follow' || !deltaq.live.robot('fr').lease.mine"):
+        raise SystemExit("fr follows no more: is the computer busy with something else?")
+    begun = page.evaluate(_FINE)
+    page.wait_for_function(
+        "begun => deltaq.stage.frames > begun + 3 || deltaq.live.robot('gr').phase !== 'engaged'", arg=begun
+    )
+    page.evaluate(_WATCH)
+    _write(page, file)
+    page.evaluate(_AS_BEFORE)
+    return bool(page.evaluate("deltaq.live.robot('gr').phase === 'engaged' && !window.wentGrey"))
 
 
 def _in_mode(page: Page, mode: str) -> None:

@@ -15,7 +15,7 @@ function plotsOf(live, scene, picture) {
   const robots = (read) => scene.robots.map((robot, index) => ({ name: robot.name, value: () => read(live.frame.robots[index]) }));
   const plots = [
     { title: "Clearance", unit: "cm", digits: 1, least: 10, from: 0, lines: [{ name: "nearest pair", value: () => 100 * (live.frame.nearest?.distance ?? NaN) }] },
-    { title: "Admitted whole", unit: "%", digits: 0, least: 10, from: 0, to: 100, lines: robots((robot) => 100 * robot.admission) },
+    { title: "Admitted", unit: "%", digits: 0, least: 10, from: 0, to: 100, lines: robots((robot) => 100 * robot.admission) },
     { title: "Longest cycle", unit: "ms", digits: 0, least: 20, from: 0, lines: robots((robot) => 1000 * robot.longest_s) },
   ];
   if (!picture) return plots;
@@ -109,7 +109,7 @@ export function livePlots(live, scene, picture, joints) {
   const plots = plotsOf(live, scene, picture);
   let pausedAt_s = null;
   const pause = el("button", { "aria-pressed": "false", onclick: () => toggle() }, "Pause");
-  const head = el("header", {}, el("h2", {}, "Last two minutes"), pause,
+  const head = el("header", {}, el("h2", {}, "Last 2 min"), pause,
     el("button", { onclick: () => save("deltaq-plots.csv", csv(), "text/csv") }, "CSV"), el("button", { onclick: () => png() }, "PNG"));
   const box = el("section", { class: "plots" }, head);
   for (const plot of plots) {

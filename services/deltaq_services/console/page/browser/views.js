@@ -5,9 +5,22 @@ import { el, part } from "./dom.js";
 import { framed } from "./framing.js";
 
 const FROM = [0.74, 0.62, 0.27]; // where an operator stands, as seen from the work
-const MARGIN = 0.92; // of half the picture
-const ARM_M = 0.22; // about half as thick as an arm
+const MARGIN = 0.96; // of half the picture
+const PART_M = 1.2; // longer ones carry an arm
 const THING_M = 2.5;
+
+/** Corners of the boxes around the parts of an arm and its tools, in the world [m]; beams and columns that carry it are left out. */
+function cornersOf(view) {
+  const carriage = view.robot.joints.findIndex(({ kind }) => kind === "revolute") - 1; // -1 is the base
+  return [...view.bodies.values()].filter(({ group }) => group.userData.joint >= carriage).flatMap(({ group, parts }) =>
+    parts.flatMap(({ geometry, matrix }) => {
+      geometry.boundingBox ?? geometry.computeBoundingBox();
+      const { min, max } = geometry.boundingBox;
+      if (min.distanceTo(max) > PART_M) return [];
+      const place = group.matrix.clone().multiply(new THREE.Matrix4().fromArray(matrix));
+      return [...Array(8).keys()].map((k) => new THREE.Vector3(k & 1 ? max.x : min.x, k & 2 ? max.y : min.y, k & 4 ? max.z : min.z).applyMatrix4(place).toArray());
+    }));
+}
 
 export function viewBar(stage, scene, views) {
   const box = new THREE.Box3().setFromObject(stage.solid);
@@ -21,17 +34,11 @@ export function viewBar(stage, scene, views) {
   }
   /** What an operator watches: arms and tools, and what stands near them, without the posts and beams that carry them. */
   function watched() {
-    const arms = views.flatMap((view) => {
-      const { joints, tools } = view.robot;
-      const carriage = Math.max(-1, joints.findIndex(({ kind }) => kind === "revolute") - 1); // -1 is the base
-      const moved = [...joints.keys()].slice(carriage + 1).map((index) => view.group(index).matrix.elements);
-      return [view.group(carriage).matrix.elements, ...moved, ...tools.map((_, index) => view.toolPose(index))];
-    }).flatMap((T) => [-1, 1].flatMap((side) => [0, 1, 2].map((k) => [0, 1, 2].map((axis) => T[12 + axis] + (axis === k ? side * ARM_M : 0)))));
     const at = work();
     const things = scene.structure
       .filter(({ name, size, T_world: T }) => name !== "structure/floor" && Math.max(...size) < THING_M && Math.hypot(T[12] - at.x, T[13] - at.y) < THING_M)
       .map(({ T_world: T }) => [T[12], T[13], T[14]]);
-    return [...arms, ...things];
+    return [...views.flatMap(cornersOf), ...things];
   }
 
   const presets = {
