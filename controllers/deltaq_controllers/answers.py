@@ -11,10 +11,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
+from deltaq_controllers.clock_reading import ClockReading
 from deltaq_controllers.interface import RobotView, View
+from deltaq_controllers.robot_clocks import RobotClocks
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import ServiceUnreachableError
@@ -43,10 +46,12 @@ class Answers:
     Args:
         cell: connection to the cell.
         leased: the robot.
+        reading: of the robots' clocks, which goes on with each state; None for one of its own.
     """
 
-    def __init__(self, cell: Cell, leased: LeasedRobot) -> None:
+    def __init__(self, cell: Cell, leased: LeasedRobot, reading: ClockReading | None = None) -> None:
         self._cell, self._leased = cell, leased
+        self._reading = reading or ClockReading(cell)
         self._in_flight = InFlight()
         self._awaited: Verdict | None = None
         self._before: Verdict | None = None
@@ -64,6 +69,7 @@ class Answers:
             RefusedError: the lease was lost.
             ServiceUnreachableError: the HLI is gone.
         """
+        self._reading.go_on()
         if is_awaited(state):
             self._before, self._awaited = self._awaited, None
             return (state.cycle,)
@@ -77,8 +83,8 @@ class Answers:
         return view_ahead(state, self._in_flight.ahead(state))
 
     def view(self, state: RobotState) -> View:
-        """The same, and the newest states of all others."""
-        return view_of(self._cell, state.robot, self.own(state))
+        """The same, and the newest states of all others whose clocks are known."""
+        return view_of(self._cell, state.robot, self.own(state), self._reading.clocks)
 
     async def send(self, state: RobotState, cycle: int, dq: Array) -> None:
         """Send an increment (n,) for a cycle that is due [rad or m]; without a lookahead wait for its verdict.
@@ -120,9 +126,17 @@ def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
     return own
 
 
-def view_of(cell: Cell, robot: str, own: RobotView) -> View:
-    """The view of the robot that is moved, and the newest states of all others."""
-    others = {name: cell.state(name) for name in cell.robots if name != robot}
-    return View(
-        own, {name: RobotView.from_state(other) for name, other in others.items() if other is not None}
-    )
+def view_of(cell: Cell, robot: str, own: RobotView, clocks: RobotClocks) -> View:
+    """The view of the robot that is moved, and the newest states of all others, stamped on its clock.
+
+    One that was not heard, or whose clock is not known yet, is left out: nobody could say how old its state is.
+    """
+    others = {}
+    for name in cell.robots:
+        state = cell.state(name)
+        if name == robot or state is None:
+            continue
+        time_s = clocks.on_clock_of(robot, name, state.time_s)
+        if time_s is not None:
+            others[name] = replace(RobotView.from_state(state), time_s=time_s)
+    return View(own, others)

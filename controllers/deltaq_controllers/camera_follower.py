@@ -22,11 +22,11 @@ from deltaq_controllers.camera.in_use import CameraInUse
 from deltaq_controllers.camera.move_to_start import MoveToStart
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.sightings import Sightings
+from deltaq_controllers.clock_reading import ClockReading
 from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import View
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_controllers.live import cell_model, drive, read_clock, run
-from deltaq_controllers.path_clock import PathClock
+from deltaq_controllers.live import cell_model, drive, run
 from deltaq_controllers.statistics import ControlStatistics, ErrorStatistics
 from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol import connect
@@ -49,7 +49,7 @@ class FollowerProcess:
         self._angle, self._distance, self._age = ErrorStatistics(), ErrorStatistics(), ErrorStatistics()
         self._began_s: float | None = None
         self._sightings = Sightings()
-        self._clock = PathClock()
+        self._reading: ClockReading | None = None
 
     async def follow(self) -> None:
         """Follow for as long as asked."""
@@ -72,13 +72,23 @@ class FollowerProcess:
             start = None if options.start is None else np.array(options.start)
             move_to_start = MoveToStart(camera, limits, start, options.distances_m or (), options.hold_s)
             controller = HeldBack(move_to_start, round(options.view_delay_s / scene.cycle_s))
-            await read_clock(self._clock, cell, options.leader)
+            self._reading = ClockReading(cell)
+            await self._reading.read_first()
             _log.info("ready: %s follows %s", options.robot, options.leader)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(None) as timeout:
                     watch = partial(self._watch, camera, move_to_start, timeout)
                     sight = partial(_sight_of, camera, move_to_start)
-                    await drive(cell, options.robot, controller, self._statistics, watch, sight, camera.take)
+                    await drive(
+                        cell,
+                        options.robot,
+                        controller,
+                        self._statistics,
+                        watch,
+                        sight,
+                        camera.take,
+                        self._reading,
+                    )
 
     def _watch(
         self, camera: CameraInUse, move_to_start: MoveToStart, timeout: asyncio.Timeout, view: View
@@ -93,8 +103,10 @@ class FollowerProcess:
                 timeout.reschedule(asyncio.get_running_loop().time() + options.duration_s)
         if camera.leader_seen is not None:
             self._look(camera.leader, camera.leader_seen, view.own.time_s)
-        if math.isfinite(self._clock.error_s):
-            self._age.add(self._clock.age_s(other.time_s, time.monotonic()), settled=True)
+        if self._reading is not None:
+            age_s = self._reading.clocks.age_s(options.robot, other.time_s, time.monotonic())
+            if age_s is not None:
+                self._age.add(age_s, settled=True)
         angle, distance = camera.errors(view.own.q, other.q)
         settled = view.own.time_s - self._began_s >= options.settle_s
         self._angle.add(angle, settled)
@@ -122,7 +134,7 @@ class FollowerProcess:
             "view": {
                 **self._sightings.summary(),
                 "age_s": self._age.figures(),
-                "clock": self._clock.summary(),
+                "clocks": self._reading.clocks.summary(time.monotonic()) if self._reading else {},
             },
             "angle_deg": self._angle.figures(math.pi / 180.0),
             "distance_m": self._distance.figures(),

@@ -28,7 +28,7 @@ class RobotView:
 
     Attributes:
         cycle: whose setpoint `q_cmd` is, the robot's newest or with a lookahead a later one.
-        time_s: stamp of the state on the clock of that robot's server [s].
+        time_s: stamp of the state on the clock of the server of the robot that is moved [s].
         q: (n,) measured configuration [rad or m].
         q_cmd: (n,) setpoint that an increment is added to: the one just sent, or with a lookahead the last of
             those that are admitted already [rad or m].

@@ -8,7 +8,6 @@ import gc
 import logging
 import signal
 import sys
-import time
 from collections.abc import Callable, Coroutine, Iterator, Mapping
 from typing import Any
 
@@ -18,8 +17,8 @@ from deltaq_cell.cell_model import CellModel, robots_told
 from deltaq_cell.load import parse_cell
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.answers import Answers, lease
+from deltaq_controllers.clock_reading import ClockReading
 from deltaq_controllers.interface import Controller, ControllerError, View
-from deltaq_controllers.path_clock import PathClock, robot_clock_s
 from deltaq_controllers.real_time import ahead_of_ordinary_programs
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import log
@@ -29,9 +28,6 @@ from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachable
 from deltaq_protocol.messages import Description, Sight, ViewWish
 
 _log = logging.getLogger(__name__)
-
-_EXCHANGES = 5
-"""Requests by which a clock is read; the quickest is believed."""
 
 REFUSED, USAGE, UNREACHABLE = 1, 2, 3
 """Exit statuses: refused, wrong usage, unreachable."""
@@ -78,6 +74,7 @@ async def drive(
     watch: Callable[[View], None] | None = None,
     sight: Callable[[], Sight | None] | None = None,
     wished: Callable[[ViewWish | None], None] | None = None,
+    reading: ClockReading | None = None,
 ) -> None:
     """Answer every state of a robot with the controller's increment, until cancelled.
 
@@ -92,6 +89,7 @@ async def drive(
         watch: called with each view.
         sight: says how well the controller sees what it follows, for others to read.
         wished: called with the view that the robot's states ask for.
+        reading: of the robots' clocks; None for one of its own.
 
     Raises:
         RefusedError: the lease was not granted, or lost.
@@ -99,7 +97,7 @@ async def drive(
     """
     with control_loop():
         async with await lease(cell, robot) as leased:
-            answers = Answers(cell, leased)
+            answers = Answers(cell, leased, reading)
             async for state in leased.states():
                 if wished is not None:
                     wished(state.view)
@@ -112,30 +110,6 @@ async def drive(
                     await answers.send(state, cycle, dq)
                 for verdict in answers.verdicts():
                     statistics.add(verdict)
-
-
-async def read_clock(clock: PathClock, cell: Cell, robot: str) -> None:
-    """Compare the clock of a robot's server with this machine's, if the robot is heard.
-
-    Of a busy machine some answers come too late, and tell nothing of the clock.
-
-    Raises:
-        ServiceUnreachableError: none has come in time.
-    """
-    unanswered = 0
-    for _ in range(_EXCHANGES):
-        asked_s = time.monotonic()
-        try:
-            status = await cell.status()
-        except ServiceUnreachableError:
-            unanswered += 1
-            if unanswered == _EXCHANGES:
-                raise
-            continue
-        answered_s, newest = time.monotonic(), cell.state(robot)
-        stamp_s = None if newest is None else robot_clock_s(status, newest, cell.description.cycle_s)
-        if stamp_s is not None:
-            clock.take(asked_s, stamp_s, answered_s)
 
 
 @contextlib.contextmanager

@@ -1,16 +1,32 @@
 """How another host's clock stands to this one's, and with that how old a state is where it is read.
 
-As NTP does (RFC 5905, 8): a request and its answer enclose the moment at which the other clock was read. If both took
-equally long, that moment is the middle. If not, the estimate is wrong by half of the difference, and never by more than
-half of the round trip. The quickest round trip of all is believed: what makes one slow seldom makes both ways equally
-slow.
+As NTP does (RFC 5905, 8 and 10): a request and its answer enclose the moment at which the other clock was read. If both
+took equally long, that moment is the middle. If not, the estimate is wrong by half of the difference, and never by more
+than half of the round trip. The quickest round trip is believed: what makes one slow seldom makes both ways equally
+slow. Clocks drift, so what is known of one gets worse with time, and a slower round trip may know better later.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from deltaq_protocol.messages import RobotState, Status
+
+MAX_DRIFT = 1e-4
+"""By how much two clocks go apart at most [s/s]: crystals are within 50 ppm, of either sign."""
+
+
+class _Reading(NamedTuple):
+    asked_s: float
+    offset_s: float
+    error_s: float
+
+    def error_at_s(self, now_s: float) -> float:
+        return self.error_s + MAX_DRIFT * max(now_s - self.asked_s, 0.0)
+
+    def agrees(self, other: _Reading) -> bool:
+        return abs(self.offset_s - other.offset_s) <= self.error_s + other.error_at_s(self.asked_s)
 
 
 class PathClock:
@@ -18,14 +34,31 @@ class PathClock:
 
     Attributes:
         offset_s: what that clock shows less what this one shows [s]; 0 before the first exchange.
-        error_s: by how much the offset may be wrong at most [s]; infinite before the first exchange.
     """
 
     def __init__(self) -> None:
-        self.offset_s, self.error_s = 0.0, math.inf
+        self._believed = _Reading(0.0, 0.0, math.inf)
+        self._doubted: _Reading | None = None
+
+    @property
+    def offset_s(self) -> float:
+        """What that clock shows less what this one shows [s]; 0 before the first exchange."""
+        return self._believed.offset_s
+
+    @property
+    def known(self) -> bool:
+        """Whether there was an exchange."""
+        return math.isfinite(self._believed.error_s)
+
+    def error_s(self, now_s: float) -> float:
+        """By how much the offset may be wrong now at most [s]; infinite before the first exchange."""
+        return self._believed.error_at_s(now_s)
 
     def take(self, asked_s: float, stamp_s: float, answered_s: float) -> None:
         """Add an exchange.
+
+        One that cannot be true if what is known is tells of a clock that was set, or of a stamp that was late itself:
+        it is believed when another bears it out.
 
         Args:
             asked_s: when the request went out, on this clock [s].
@@ -38,13 +71,22 @@ class PathClock:
         if answered_s < asked_s:
             raise ValueError(f"answered_s: {answered_s} is before the request, {asked_s}")
         error_s = (answered_s - asked_s) / 2.0
-        if error_s < self.error_s:
-            self.offset_s, self.error_s = stamp_s - (asked_s + answered_s) / 2.0, error_s
+        reading = _Reading(asked_s, stamp_s - (asked_s + answered_s) / 2.0, error_s)
+        doubted, self._doubted = self._doubted, None
+        if not reading.agrees(self._believed):
+            if doubted is None or not reading.agrees(doubted):
+                self._doubted = reading
+                return
+            self._believed = reading
+        elif error_s < self._believed.error_at_s(answered_s):
+            self._believed = reading
 
-    def summary(self) -> dict[str, float | None]:
-        """Offset and bound of its error as a JSON object; None before the first exchange."""
-        known = math.isfinite(self.error_s)
-        return {"offset_s": self.offset_s if known else None, "error_s": self.error_s if known else None}
+    def summary(self, now_s: float) -> dict[str, float | None]:
+        """Offset and bound of its error now [s] as a JSON object; None before the first exchange."""
+        return {
+            "offset_s": self.offset_s if self.known else None,
+            "error_s": self.error_s(now_s) if self.known else None,
+        }
 
     def age_s(self, stamp_s: float, now_s: float) -> float:
         """How old is what was stamped on the other clock [s], on this one now [s]."""
@@ -54,18 +96,19 @@ class PathClock:
 def robot_clock_s(status: Status, newest: RobotState, cycle_s: float) -> float | None:
     """What the clock of a robot's server showed when the HLI answered with a status [s].
 
-    The answer names the newest cycle and its age. Its stamp follows from that of a state that has come, by whole
+    The answer names the newest cycle and its age. Its stamp follows from that of a state that had come before, by whole
     cycles: the KRC counts them evenly.
 
     Args:
         status: the answer.
-        newest: any state of the robot.
+        newest: a state of the robot that had come when it was asked for.
         cycle_s: cycle of the robot [s].
 
     Returns:
-        The time, later by what a state takes from the Robot Server to the HLI; None if the HLI knows no state.
+        The time, earlier by what a state takes from the Robot Server to the HLI; None if the HLI knows no state, or
+        only those of a Robot Server that has begun to count again.
     """
     robot = status.robots.get(newest.robot)
-    if robot is None or robot.state_age_s is None:
+    if robot is None or robot.state_age_s is None or robot.cycle < newest.cycle:
         return None
     return newest.time_s + (robot.cycle - newest.cycle) * cycle_s + robot.state_age_s

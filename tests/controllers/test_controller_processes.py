@@ -11,11 +11,13 @@ import sys
 import numpy as np
 import pytest
 from shared_cell import SharedStack
+from told import told_status
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.answers import own_view, view_of
 from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.interface import RobotView
+from deltaq_controllers.robot_clocks import RobotClocks
 from deltaq_experiments.scene import VIEW_DISTANCE_M
 from deltaq_launch.private_cell import free_ports
 from deltaq_protocol.blocking import connect
@@ -137,9 +139,11 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
     view = followed["view"]
     assert view["fresh"] > 20
     # clocks of one machine: what is left of their offset is the way to the HLI, and no more than is said
-    assert abs(view["clock"]["offset_s"]) <= view["clock"]["error_s"] + 0.1
+    assert set(view["clocks"]) == {"fr", "gr"}
+    for clock in view["clocks"].values():
+        assert abs(clock["offset_s"]) <= clock["error_s"] + 0.1
     assert view["age_s"]["max"] >= view["age_s"]["rms"] >= 0.0
-    assert set(view) == {"fresh", "view_stale", "view_lost", "changes", "age_s", "clock"}
+    assert set(view) == {"fresh", "view_stale", "view_lost", "changes", "age_s", "clocks"}
     assert followed["distance_m"]["max"] < 1.0
 
 
@@ -196,7 +200,15 @@ def test_an_increment_that_the_state_does_not_show_yet_is_taken_as_commanded() -
         assert plain.cycle == 7
 
 
-def test_robots_that_have_not_been_heard_of_are_left_out() -> None:
+def test_robots_whose_state_or_clock_is_not_known_are_left_out_and_others_are_stamped_on_the_own_clock() -> (
+    None
+):
     fr, gr = state("fr", 7, (1.0,)), state("gr", 3, (2.0,))
-    assert view_of(Told(fr), "fr", RobotView.from_state(fr)).others == {}
-    assert view_of(Told(fr, gr), "fr", RobotView.from_state(fr)).others["gr"].cycle == 3
+    own, clocks = RobotView.from_state(fr), RobotClocks(("fr", "gr"), 0.012)
+    assert view_of(Told(fr), "fr", own, clocks).others == {}
+    clocks.take(0.0, told_status(fr=(7, 0.0)), 0.0, {"fr": fr})
+    assert view_of(Told(fr, gr), "fr", own, clocks).others == {}, "nobody knows how old it is"
+    behind = gr.model_copy(update={"time_s": -5.0})
+    clocks.take(0.0, told_status(gr=(3, 0.0)), 0.0, {"gr": behind})
+    seen = view_of(Told(fr, behind), "fr", own, clocks).others["gr"]
+    assert (seen.cycle, seen.time_s) == (3, 0.0)

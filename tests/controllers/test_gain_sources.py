@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from deltaq_controllers.camera.gain_sources import FOLLOWER, QP, GainSource
+from deltaq_controllers.camera.escape.gains import EscapeGains
+from deltaq_controllers.camera.gain_sources import ESCAPE, FOLLOWER, QP, GainSource
 from deltaq_controllers.camera.gains import FollowerGains
 from deltaq_controllers.camera.qp_gains import QpGains
 from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2
 
-TABLES = pytest.mark.parametrize(("gains", "sources"), [(FollowerGains, FOLLOWER), (QpGains, QP)])
-UNITS = {"_m": "m", "_s": "s", "_m2": "m²/rad²", "_m_s2": "m/s²", "_rad_s2": "rad/s²"}
+TABLES = pytest.mark.parametrize(
+    ("gains", "sources"), [(FollowerGains, FOLLOWER), (QpGains, QP), (EscapeGains, ESCAPE)]
+)
+UNITS = {"_m": "m", "_s": "s", "_m2": "m²/rad²", "_m_s2": "m/s²", "_rad": "rad", "_rad_s2": "rad/s²"}
 
 
 @TABLES
@@ -41,3 +45,12 @@ def test_values_that_are_said_to_follow_from_others_do() -> None:
     assert [getattr(qp, name) for name in shared] == [getattr(gains, name) for name in shared]
     assert qp.others_brake_m_s2 == STICK_ACCELERATION_M_S2
     assert (qp.evasion_range_m, qp.evasion_min_m) == (gains.repulsion_range_m, gains.repulsion_min_m)
+
+
+def test_what_is_said_of_the_costs_of_an_escape_holds() -> None:
+    gains = EscapeGains()
+    assert gains.steps * gains.step_s == pytest.approx(2.0)
+    assert gains.near < gains.close < gains.contact
+    assert gains.contact > max(gains.near + gains.close, 0.5 * gains.askew, gains.own)
+    assert gains.view_rad < np.deg2rad(1.0)
+    assert gains.led_weight < 0.01 * gains.led_evasion_weight

@@ -7,46 +7,54 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from told import told_state, told_status
 
 from deltaq_controllers.camera.sightings import MOST_CHANGES, Sightings
-from deltaq_controllers.path_clock import PathClock, robot_clock_s
-from deltaq_protocol.messages import LeaseStatus, Phase, RobotState, RobotStatus, Sight, Status, ToolPose
-
-
-def told_state(cycle: int, time_s: float) -> RobotState:
-    pose = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
-    joints = {"q": (0.0,), "q_cmd": (0.0,)}
-    return RobotState(robot="fr", cycle=cycle, ipoc=0, time_s=time_s, tool=pose, phase=Phase.READY, **joints)
-
-
-def told_status(cycle: int, state_age_s: float | None) -> Status:
-    lease = LeaseStatus(holder=None, expires_s=None, epoch=0)
-    robot = RobotStatus(
-        phase=Phase.READY, reason=None, cycle=cycle, state_age_s=state_age_s, q=(), lease=lease, counters={}
-    )
-    return Status(cell="lab", robots={"fr": robot}, gate={}, gate_age_s=None, hli={})
-
+from deltaq_controllers.path_clock import MAX_DRIFT, PathClock, robot_clock_s
+from deltaq_protocol.messages import Sight
 
 WAY_S = st.floats(0.0, 0.5)
+Ways = list[tuple[float, float]]
 
 
-@given(st.floats(-1e5, 1e5), st.lists(st.tuples(st.floats(0.0, 1e4), WAY_S, WAY_S), min_size=1, max_size=20))
-def test_the_offset_is_wrong_by_half_the_asymmetry_of_the_quickest_exchange(
-    offset_s: float, exchanges: list[tuple[float, float, float]]
+@given(
+    st.floats(-1e5, 1e5),
+    st.floats(-MAX_DRIFT, MAX_DRIFT),
+    st.lists(st.tuples(WAY_S, WAY_S), min_size=1, max_size=20),
+    st.floats(2.0, 200.0),
+)
+def test_a_clock_that_drifts_is_known_within_what_is_said_at_any_time(
+    offset_s: float, drift: float, ways: Ways, pause_s: float
 ) -> None:
     clock = PathClock()
-    for asked_s, there_s, back_s in exchanges:
-        clock.take(asked_s, asked_s + there_s + offset_s, asked_s + there_s + back_s)
-    quickest_s = min(there_s + back_s for _, there_s, back_s in exchanges)
-    asymmetries = [
-        abs(there_s - back_s) / 2.0
-        for _, there_s, back_s in exchanges
-        if there_s + back_s <= quickest_s + 1e-9
-    ]
-    error_s = abs(clock.offset_s - offset_s)
-    assert error_s <= max(asymmetries) + 1e-9
-    assert error_s <= clock.error_s + 1e-9
-    assert clock.error_s == pytest.approx(quickest_s / 2.0, abs=1e-9)
+    for k, (there_s, back_s) in enumerate(ways):
+        asked_s = k * pause_s
+        read_s = asked_s + there_s
+        clock.take(asked_s, read_s + offset_s + drift * read_s, read_s + back_s)
+        now_s = asked_s + pause_s
+        assert abs(clock.offset_s - (offset_s + drift * now_s)) <= clock.error_s(now_s) + 1e-9
+
+
+def test_the_quickest_exchange_is_believed_until_drift_has_made_it_worse_than_a_slower_one() -> None:
+    clock = PathClock()
+    clock.take(0.0, 5.0, 0.002)
+    assert clock.error_s(0.002) == pytest.approx(0.001, abs=1e-6)
+    clock.take(10.0, 15.008, 10.006)
+    assert (clock.offset_s, clock.error_s(10.002)) == pytest.approx((4.999, 0.002), abs=1e-5)
+    clock.take(30.0, 35.008, 30.006)
+    assert (clock.offset_s, clock.error_s(30.006)) == pytest.approx((5.005, 0.003), abs=1e-5)
+
+
+def test_a_clock_that_was_set_is_believed_the_second_time_and_a_late_stamp_never() -> None:
+    clock = PathClock()
+    clock.take(0.0, 5.0, 0.002)
+    clock.take(2.0, 6.5, 2.002)
+    clock.take(4.0, 9.0, 4.002)
+    assert clock.offset_s == pytest.approx(4.999)
+    clock.take(6.0, 106.0, 6.002)
+    assert clock.offset_s == pytest.approx(4.999)
+    clock.take(8.0, 108.0, 8.002)
+    assert clock.offset_s == pytest.approx(99.999)
 
 
 @given(st.floats(-1e5, 1e5), WAY_S, WAY_S, st.floats(0.0, 2.0))
@@ -55,11 +63,13 @@ def test_the_age_of_a_view_is_known_as_well_as_the_clock(
 ) -> None:
     clock, now_s = PathClock(), 7.0
     clock.take(1.0, 1.0 + there_s + offset_s, 1.0 + there_s + back_s)
-    assert abs(clock.age_s(now_s - age_s + offset_s, now_s) - age_s) <= clock.error_s + 1e-9
+    assert abs(clock.age_s(now_s - age_s + offset_s, now_s) - age_s) <= clock.error_s(now_s) + 1e-9
 
 
 def test_before_the_first_exchange_nothing_is_known() -> None:
-    assert (PathClock().offset_s, PathClock().error_s) == (0.0, math.inf)
+    clock = PathClock()
+    assert (clock.known, clock.offset_s, clock.error_s(0.0)) == (False, 0.0, math.inf)
+    assert clock.summary(0.0) == {"offset_s": None, "error_s": None}
 
 
 def test_a_clock_that_was_set_in_between_is_refused_with_both_times() -> None:
@@ -68,19 +78,22 @@ def test_a_clock_that_was_set_in_between_is_refused_with_both_times() -> None:
 
 
 def test_the_clock_of_a_robots_server_is_read_off_a_status_by_whole_cycles() -> None:
-    status = told_status(cycle=110, state_age_s=0.004)
+    status = told_status(fr=(110, 0.004))
     assert robot_clock_s(status, told_state(cycle=100, time_s=50.0), 0.012) == pytest.approx(
         50.0 + 10 * 0.012 + 0.004
     )
-    assert robot_clock_s(status, told_state(cycle=111, time_s=50.012), 0.012) == pytest.approx(50.0 + 0.004)
 
 
 def test_of_a_robot_that_the_hli_does_not_know_no_clock_is_read() -> None:
-    assert (
-        robot_clock_s(told_status(cycle=0, state_age_s=None), told_state(cycle=1, time_s=5.0), 0.012) is None
-    )
-    other = told_state(cycle=1, time_s=5.0).model_copy(update={"robot": "gr"})
-    assert robot_clock_s(told_status(cycle=1, state_age_s=0.0), other, 0.012) is None
+    assert robot_clock_s(told_status(fr=(0, None)), told_state(cycle=1, time_s=5.0), 0.012) is None
+    other = told_state(cycle=1, time_s=5.0, robot="gr")
+    assert robot_clock_s(told_status(fr=(1, 0.0)), other, 0.012) is None
+
+
+def test_of_a_robot_server_that_has_begun_to_count_again_no_clock_is_read_by_the_cycles_of_the_one_before() -> (
+    None
+):
+    assert robot_clock_s(told_status(fr=(3, 0.0)), told_state(cycle=100, time_s=50.0), 0.012) is None
 
 
 def test_sightings_tell_when_a_view_was_stale_lost_and_seen_again_and_forget_the_oldest() -> None:

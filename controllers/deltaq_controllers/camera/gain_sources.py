@@ -85,3 +85,28 @@ QP: dict[str, GainSource] = {
     "zoom_m_s2": GainSource("m/s²", "step of a task", TRIAL),
     "spin_rad_s2": GainSource("rad/s²", "step of a task", "that of the paper's law here"),
 }
+
+_PLAN, _COST, _END = "horizon of courses", "cost of a step", "cost of a course's end"
+_LED = "rows of the programme while a course leads"
+
+ESCAPE: dict[str, GainSource] = {
+    "step_s": GainSource("s", _PLAN, TRIAL),
+    "steps": GainSource("1", _PLAN, "two seconds ahead, in steps of `step_s`"),
+    "rivals": GainSource("1", _PLAN, "what a cycle of 12 ms has time for"),
+    "range_m": GainSource("m", _COST, TRIAL),
+    "near": GainSource("1", _COST, TRIAL),
+    "close_m": GainSource("m", _COST, TRIAL),
+    "close": GainSource("1", _COST, "between `near` and `contact`"),
+    "contact": GainSource("1", _COST, "above all other costs of a step"),
+    "view_rad": GainSource("rad", _COST, "below the degree that the figures ask for"),
+    "askew": GainSource("1 per rad", _COST, TRIAL),
+    "own_m": GainSource("m", _COST, TRIAL),
+    "own": GainSource("1", _COST, TRIAL),
+    "margin": GainSource("1", _END, TRIAL),
+    "limit": GainSource("1", _END, TRIAL),
+    "distance": GainSource("1 per m²", _END, TRIAL),
+    "better": GainSource("1", "which course is held", TRIAL),
+    "acts_above": GainSource("1", "when a course leads", TRIAL),
+    "led_evasion_weight": GainSource("1 per mrad²", _LED, TRIAL),
+    "led_weight": GainSource("1 per mm² or mrad²", _LED, "far below `led_evasion_weight`: the course leads"),
+}

@@ -90,8 +90,7 @@ class SetpointTracker:
 class Foreseen:
     """Where another robot's setpoints will be when the next increment of the own one takes effect.
 
-    Stamps of Robot Servers on different machines may be of different clocks. If the first two are farther apart than
-    `LOST_S`, age is what is added to their difference from then on.
+    Both views are stamped on one clock, wherever their Robot Servers are (`deltaq_controllers.robot_clocks`).
 
     Args:
         other: the robot that is watched.
@@ -108,7 +107,6 @@ class Foreseen:
         self._cycle_s = cycle_s
         self._later_s = lag_s(own.description.servo_lag) - lag_s(other.description.servo_lag)
         self._ahead_s = self.age_s = 0.0
-        self._between_clocks_s: float | None = None
 
     @property
     def sight(self) -> Sight:
@@ -125,10 +123,7 @@ class Foreseen:
     def update(self, own: RobotView, other: RobotView) -> None:
         """Add what was seen."""
         self.setpoints.update(other)
-        apart_s = own.time_s - other.time_s
-        if self._between_clocks_s is None:
-            self._between_clocks_s = apart_s if abs(apart_s) > LOST_S else 0.0
-        self.age_s = apart_s - self._between_clocks_s
+        self.age_s = own.time_s - other.time_s
         self._ahead_s = self.age_s + (own.ahead_cycles + 1) * self._cycle_s + self._later_s
 
     def ahead(self, time_s: float = 0.0) -> Array:
