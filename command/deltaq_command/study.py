@@ -83,9 +83,7 @@ def experiment(
     if no_gate and name is not Experiment.COLLISION:
         raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
     if record is not None and record.exists():
-        raise RecordingError(
-            f"{record} is there already; a recording is never written over, name another file"
-        )
+        raise RecordingError(f"{record} exists already; a recording is never overwritten, name another file")
     options = Options(
         cell=cell,
         controller=controller,

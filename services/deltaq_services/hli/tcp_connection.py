@@ -246,7 +246,7 @@ class TcpConnection(asyncio.Protocol, Sender):
     def _greet(self, hello: Hello) -> list[Output]:
         if hello.token is not None and not self._front.token_may_be_used(hello, self._address):
             text = "wrong token, or too many wrong ones came from this address; the connection ends"
-            hint = "give the right one a second later, or none: then you may look on, and stop"
+            hint = "give the right one a second later, or none: then you may watch, and stop"
             self.origin = replace(self.origin, client=hello.client)
             self._tell(AuditKind.CONNECTED, ReasonCode.NOT_PERMITTED, text)
             self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=hello.type))
