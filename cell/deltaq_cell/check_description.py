@@ -1,4 +1,4 @@
-"""What is wrong with a cell description by itself and beside the files that it names; no robot is modelled for it."""
+"""Problems of a cell description that show without a model of its robots, also in the files that it names."""
 
 from __future__ import annotations
 

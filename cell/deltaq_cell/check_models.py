@@ -1,4 +1,4 @@
-"""What is wrong with a cell description beside the models of its robots, and with the bodies of them all together."""
+"""Problems of a cell description that show with the models of its robots, and with all bodies together."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ModelCheck:
         yield from self._tolerances(robot)
 
     def of_cell(self, cell: CellModel) -> Iterator[Problem]:
-        """What is wrong with the robots among one another and with what is around them."""
+        """Problems of the robots with one another and with the structure around them."""
         yield from self._contacts(cell)
         yield from self._homes(cell)
         yield from self._told(cell)
@@ -73,7 +73,7 @@ class ModelCheck:
                 yield self._at(place, message, value, bound, severity="warning")
 
     def _contacts(self, cell: CellModel) -> Iterator[Problem]:
-        """Bodies that contacts name exist, and those that touch are a robot's."""
+        """The bodies of a contact exist, and those that may touch belong to a robot."""
         own = [body.name for robot in cell.robots.values() for body in robot.geometry.geometryObjects]
         known = [*own, *(body.name for body in cell.structure)]
         for name, contact in self._cell.contacts.items():

@@ -63,7 +63,7 @@ class Group:
 
     @cached_property
     def _coal(self) -> tuple[Any, Any]:
-        """Geometry model and data for coal, made when first asked: where the kernel measures, nobody asks."""
+        """Geometry model and data for coal, made at first use: if the kernel measures, they are never made."""
         geometry = pin.GeometryModel()
         index: dict[str, int] = {}
         for pair in self.pairs:
@@ -136,7 +136,7 @@ class Group:
 
 
 def make_reproducible(data: Any) -> None:
-    """Make distances depend on nothing but the bodies and where they are.
+    """Make distances depend only on the bodies and their poses.
 
     GJK's cached guess is switched off, with which a distance depends on the queries before it. And coal's support of a
     box keeps for the life of the process whether the first direction that it was asked for had a zero in it; if so,

@@ -25,22 +25,25 @@ NUMBERS_OF_A_POSE = 6
 
 def advise(
     cell: CellOption = "dawm",
-    robot: Annotated[str, typer.Option(help="The robot; by default the first redundant one.")] = "",
+    robot: Annotated[str, typer.Option(help="Robot to advise; by default the first redundant one.")] = "",
     hand: Annotated[
         list[str] | None,
         typer.Option(
             help="Pose of a hand, NAME=X,Y,Z,ROLL,PITCH,YAW in m and deg; by default its present pose."
         ),
     ] = None,
-    options: Annotated[int, typer.Option(min=1, max=50, help="Greatest number of options.")] = 5,
+    options: Annotated[int, typer.Option(min=1, max=50, help="Largest number of options.")] = 5,
     method: Annotated[
-        str, typer.Option(help="annealing, shotgun, genetic, monte-carlo or brute-force.")
+        str, typer.Option(help="Search method: annealing, shotgun, genetic, monte-carlo or brute-force.")
     ] = "annealing",
     criterion: CriterionOption = None,
     trade_off: TradeOffOption = "",
     hands_may_leave: HandsMayLeaveOption = False,
     effort: Annotated[
-        float, typer.Option(min=0.1, max=100, help="Length of the search; 1 suits an operator who waits.")
+        float,
+        typer.Option(
+            min=0.1, max=100, help="Length of the search, as a factor; 1 suits an operator who waits."
+        ),
     ] = 1.0,
     seed: Annotated[
         int, typer.Option(min=0, help="Seed of the search; the same seed gives the same options.")
@@ -54,7 +57,7 @@ def advise(
     bench: Annotated[
         bool,
         typer.Option(
-            "--bench", help="Time every method on twelve seeded tasks of the dual-arm cell instead."
+            "--bench", help="Instead, time every method on twelve seeded tasks of the dual-arm cell."
         ),
     ] = False,
     json: JsonOption = False,

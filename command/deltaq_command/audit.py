@@ -34,10 +34,10 @@ def audit(
         Path | None, typer.Argument(help="File of the audit log; by default that of `deltaq up`.")
     ] = None,
     cell: CellOption = "lab",
-    lines: Annotated[int, typer.Option(min=1, help="So many of the newest entries.")] = 40,
+    lines: Annotated[int, typer.Option(min=1, help="Number of entries to show, the newest ones.")] = 40,
     robot: Annotated[str | None, typer.Option(help="Only entries of this robot.")] = None,
     client: Annotated[
-        str | None, typer.Option(help="Only entries of clients of this name, said or proved.")
+        str | None, typer.Option(help="Only entries of clients with this name, claimed or proved.")
     ] = None,
     json: JsonOption = False,
 ) -> None:

@@ -19,12 +19,12 @@ def bench(
     cell: CellOption = "lab",
     cycles: Annotated[int, typer.Option(min=10, help="Cycles of tracking that are timed.")] = 400,
     live: Annotated[
-        bool, typer.Option("--live", help="Run the cell, and measure the way of each increment through it.")
+        bool, typer.Option("--live", help="Run the cell, and time each increment on its way through it.")
     ] = False,
     follower: Annotated[str, typer.Option(help="Live: the follower's camera controller.")] = "qp",
-    duration_s: Annotated[float, typer.Option(min=0.5, help="Live: length of what is measured.")] = 60.0,
-    warm_up_s: Annotated[float, typer.Option(min=0.0, help="Live: time before that.")] = 10.0,
-    runs: Annotated[int, typer.Option(min=1, help="Live: how often; each run is told.")] = 1,
+    duration_s: Annotated[float, typer.Option(min=0.5, help="Live: duration of the measurement.")] = 60.0,
+    warm_up_s: Annotated[float, typer.Option(min=0.0, help="Live: time before the measurement.")] = 10.0,
+    runs: Annotated[int, typer.Option(min=1, help="Live: number of runs; each is reported.")] = 1,
     json: JsonOption = False,
 ) -> None:
     """Measure against references in the same run; exit status 1 if a bound is not kept."""

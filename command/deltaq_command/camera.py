@@ -9,10 +9,10 @@ import typer
 from deltaq_command.options import CellOption, JsonOption, TokenOption, UrlOption
 
 _CAMERA = typer.Option(help="Robot with the camera (default: the cell's first).", metavar="ROBOT")
-_LEADER = typer.Option(help="Robot whose tool is looked at.", metavar="ROBOT")
-_DISTANCE = typer.Option(min=0.2, max=4.0, help="From the lens to the target.")
+_LEADER = typer.Option(help="Robot whose tool the camera looks at.", metavar="ROBOT")
+_DISTANCE = typer.Option(min=0.2, max=4.0, help="Distance from the lens to the target.")
 _OFFSET = typer.Option(help="Target in the frame of the leader's tool.")
-_FOCUS = typer.Option(help="Target in the world that stands still.")
+_FOCUS = typer.Option(help="Target that stands still, in the world frame.")
 _Point = tuple[float, float, float]
 
 
@@ -23,15 +23,15 @@ def follow(
     aim_offset_m: Annotated[_Point | None, _OFFSET] = None,
     focus_m: Annotated[_Point | None, _FOCUS] = None,
     controller: Annotated[
-        str, typer.Option(help="paper, predictive, qp, escape, or package.module:function of your own.")
+        str, typer.Option(help="paper, predictive, qp, escape, or your own as package.module:function.")
     ] = "paper",
     duration_s: Annotated[
-        float | None, typer.Option(min=0.1, help="How long; until Ctrl-C if not given.")
+        float | None, typer.Option(min=0.1, help="Duration; until Ctrl-C if not given.")
     ] = None,
     cell: CellOption = "lab",
     url: UrlOption = None,
 ) -> None:
-    """Follow a robot of a running cell with another one's camera; `deltaq view` changes the view meanwhile."""
+    """Follow a robot of a running cell with another robot's camera; `deltaq view` changes the view meanwhile."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import camera_roles
     from deltaq_command.progress import shown_compiled_ahead
@@ -62,7 +62,7 @@ def view(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show what a robot's camera is to look at, or change it while somebody follows with it."""
+    """Show what a robot's camera looks at, or change it while a controller follows."""
     from deltaq_cell.load import parse_cell
     from deltaq_cell.roles import first_camera
     from deltaq_command.console import print_json

@@ -53,18 +53,18 @@ def drive(
     ] = None,
     device: Annotated[
         str,
-        typer.Option(
-            "--input", help=f"What the operator holds: {', '.join(INPUTS)}; the first one that is plugged in."
-        ),
+        typer.Option("--input", help=f"Input device: {', '.join(INPUTS)}; the first one that is plugged in."),
     ] = "keyboard",
     master: Annotated[
         str | None,
         typer.Option(
-            metavar="ROBOT", help="Another robot of the cell, whose tool leads the hand; --input couples it."
+            metavar="ROBOT",
+            help="Another robot of the cell whose tool leads the hand; the device of --input couples it.",
         ),
     ] = None,
     master_scale: Annotated[
-        float, typer.Option(min=0.01, max=5.0, help="Way of the hand for each metre of the master's.")
+        float,
+        typer.Option(min=0.01, max=5.0, help="Displacement of the hand for each metre of the master's."),
     ] = 1.0,
     speed_m_s: Annotated[
         float, typer.Option(min=0.001, max=0.5, help="Hand speed to begin with, at full deflection.")
@@ -74,7 +74,7 @@ def drive(
         typer.Option(
             min=0.0,
             max=1.0,
-            help="Time in which a joint's acceleration builds up to its limit in modes of the hands; "
+            help="Time in which a joint's acceleration rises to its limit, in modes that move hands; "
             "0 sets no limit to the jerk.",
         ),
     ] = 0.0,

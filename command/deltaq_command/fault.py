@@ -50,9 +50,11 @@ def list_faults(json: JsonOption = False) -> None:
 
 @fault.command()
 def table(
-    names: Annotated[list[str] | None, typer.Argument(help="Faults to inject; all if none is named.")] = None,
+    names: Annotated[list[str] | None, typer.Argument(help="Faults to inject; all if none is given.")] = None,
     cell: CellOption = "lab",
-    robot: Annotated[str | None, typer.Option(help="The robot that moves; the cell's first.")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="The robot that moves; by default the cell's first.")
+    ] = None,
     live: Annotated[
         bool,
         typer.Option(
@@ -68,7 +70,7 @@ def table(
     json: JsonOption = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a table for a document.")] = False,
 ) -> None:
-    """Inject fault after fault into a moving robot; exit status 1 if a limit was passed or it never moved again."""
+    """Inject faults into a moving robot, one by one; exit status 1 if a limit was passed or it never moved again."""
     from deltaq_command.console import print_json, print_table
     from deltaq_command.progress import progress_bar
     from deltaq_verification.faults import table as fault_table

@@ -56,9 +56,9 @@ def run(
 
 
 def search(
-    file: Annotated[Path, typer.Argument(help="A scenario file; its `search` says what is drawn.")],
+    file: Annotated[Path, typer.Argument(help="A scenario file; its `search` says which faults are drawn.")],
     examples: Annotated[int, typer.Option(min=1, help="Schedules of faults to draw before giving up.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of what is drawn.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the schedules.")] = 0,
     to: Annotated[
         Path | None, typer.Option(help="Scenario file to write with the shortest schedule that fails.")
     ] = None,

@@ -22,30 +22,28 @@ def impair(
             "bytes or datagrams if not given."
         ),
     ] = "",
-    delay_s: Annotated[float, typer.Option(min=0.0, max=10.0, help="Delay of each.")] = 0.0,
+    delay_s: Annotated[float, typer.Option(min=0.0, max=10.0, help="Delay of each unit.")] = 0.0,
     jitter_s: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Largest additional delay of each.")
+        float, typer.Option(min=0.0, max=10.0, help="Largest additional delay of each unit.")
     ] = 0.0,
     keep_order: Annotated[
         bool,
-        typer.Option(
-            "--keep-order", help="Let none overtake another for its jitter; a byte stream never does."
-        ),
+        typer.Option("--keep-order", help="Keep the order in spite of jitter; a byte stream always does."),
     ] = False,
     loss_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is lost.")] = 0.0,
     duplicate_share: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Fraction that is duplicated.")
     ] = 0.0,
-    reorder_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is overtaken.")] = 0.0,
+    reorder_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is reordered.")] = 0.0,
     corrupt_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Fraction that is garbled.")] = 0.0,
     rate_bytes_s: Annotated[
-        float | None, typer.Option(min=1.0, help="Bytes per second; of a byte stream only.")
+        float | None, typer.Option(min=1.0, help="Bytes per second; for a byte stream only.")
     ] = None,
     stall: Annotated[
-        bool, typer.Option("--stall", help="Let nothing pass, and lose nothing; of a byte stream only.")
+        bool, typer.Option("--stall", help="Let nothing pass, and lose nothing; for a byte stream only.")
     ] = False,
     cut: Annotated[
-        bool, typer.Option("--cut", help="Break connections and refuse new ones; of a byte stream only.")
+        bool, typer.Option("--cut", help="Break connections and refuse new ones; for a byte stream only.")
     ] = False,
     after_s: Annotated[float, typer.Option(min=0.0, help="Time until the faults begin.")] = 0.0,
     for_s: Annotated[

@@ -120,7 +120,7 @@ def _lines() -> dict[str, Any]:
 
 def key(
     file: Annotated[Path, typer.Argument(help="File to write.")],
-    keep: Annotated[bool, typer.Option("--keep", help="Leave a key that is there already as it is.")] = False,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep a key that exists already.")] = False,
 ) -> None:
     """Make one key for services that are started one by one, in a file that only its owner may read.
 

@@ -20,21 +20,25 @@ def keys(
     to: Annotated[Path, typer.Option("--to", metavar="FOLDER", help="Folder for the identities.")],
     operator: Annotated[
         list[str] | None,
-        typer.Option("--operator", metavar="NAME", help="Make one for an operator; repeatable."),
+        typer.Option("--operator", metavar="NAME", help="Make an identity for this operator; repeatable."),
     ] = None,
     controller: Annotated[
         list[str] | None,
-        typer.Option("--controller", metavar="NAME", help="Make one for a controller; repeatable."),
+        typer.Option(
+            "--controller", metavar="NAME", help="Make an identity for this controller; repeatable."
+        ),
     ] = None,
     authority: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Where the authority's key is.",
+            help="Folder of the authority's key.",
             show_default="authority in the folder of --to",
         ),
     ] = None,
-    days: Annotated[int, typer.Option(min=1, max=3650, help="How long they are valid.")] = 730,
+    days: Annotated[
+        int, typer.Option(min=1, max=3650, help="Days for which the identities are valid.")
+    ] = 730,
     json: JsonOption = False,
 ) -> None:
     """Make an authority for a cell, and an identity for each of its services, operators and controllers.

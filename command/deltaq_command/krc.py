@@ -22,7 +22,8 @@ def krc(
     ] = "home",
     rsi: Annotated[int | None, typer.Option(help="Generation of RSI: 2, 3, or 4 for all later ones.")] = None,
     address: Annotated[
-        str | None, typer.Option(help="The PC's address as the KRC sees it; the cell's driver.address.")
+        str | None,
+        typer.Option(help="The PC's address as the KRC sees it; by default the cell's driver.address."),
     ] = None,
     limit_deg: Annotated[
         float | None,

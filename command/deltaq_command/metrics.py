@@ -13,9 +13,7 @@ def metrics(
     cell: CellOption = "lab",
     url: UrlOption = None,
     address: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any that is free.")
-    ] = 9464,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free port.")] = 9464,
 ) -> None:
     """Serve the metrics of a running cell for Prometheus, until Ctrl-C; the cell may come and go meanwhile."""
     import asyncio

@@ -117,7 +117,7 @@ def io(
     token: TokenOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Show digital outputs and inputs of a robot, or set outputs; refused while somebody else has its lease."""
+    """Show digital outputs and inputs of a robot, or set outputs; refused while another client has its lease."""
     from deltaq_command.console import print_json
     from deltaq_launch.cell_connection import Where, connect, known_robot
 
@@ -186,7 +186,7 @@ def dry_run(
     cell: CellOption = "lab",
     json: JsonOption = False,
 ) -> None:
-    """Ask for the gate's verdict on an increment; nothing moves. Exit status 1 unless it would be admitted whole."""
+    """Ask for the gate's verdict on an increment; nothing moves. Exit status 1 unless all of it would be admitted."""
     import math
 
     from deltaq_cell.load import load_cell

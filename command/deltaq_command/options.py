@@ -14,7 +14,7 @@ UrlOption = Annotated[
     typer.Option(
         "--url",
         metavar="tcp/HOST:PORT",
-        help="Address of the cell's HLI, in place of --cell: then no cell file is needed.",
+        help="Address of the cell's HLI; it replaces --cell, and no cell file is needed.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
@@ -32,13 +32,14 @@ TradeOffOption = Annotated[
     str,
     typer.Option(
         "--trade-off",
-        help="Two criteria, A,B: options of which none is better in one without being worse in the other.",
+        help="Two criteria, A,B: show options on the Pareto front of both.",
     ),
 ]
 HandsMayLeaveOption = Annotated[
     bool,
     typer.Option(
-        "--hands-may-leave", help="Offer options too to which the hands leave their place and come back."
+        "--hands-may-leave",
+        help="Also offer options on whose path the hands leave their poses and come back.",
     ),
 ]
 ConsoleOption = Annotated[

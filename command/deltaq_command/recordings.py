@@ -127,7 +127,7 @@ def plot(
         Path | None, typer.Option(help="Picture to write; beside the recording if not given.")
     ] = None,
 ) -> None:
-    """Draw a recording: where the tools went; of a camera on fr that follows gr, the paper's figure."""
+    """Draw a recording: the paths of the tools, or the paper's figure if the camera on fr follows gr."""
     from deltaq_command.progress import progress_bar
     from deltaq_experiments.replay_plot import plot as draw
 

@@ -21,7 +21,7 @@ def ros2(
         ),
     ] = "tcp/127.0.0.1:7448",
     domain_id: Annotated[
-        int, typer.Option(min=0, max=232, envvar="ROS_DOMAIN_ID", help="Domain of ROS, 0 to 232.")
+        int, typer.Option(min=0, max=232, envvar="ROS_DOMAIN_ID", help="ROS domain, 0 to 232.")
     ] = 0,
     namespace: Annotated[
         str | None,

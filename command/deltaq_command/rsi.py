@@ -15,15 +15,16 @@ if TYPE_CHECKING:
     from deltaq_protocol.rsi import EthernetConfig
 
 AddressOption = Annotated[
-    str | None, typer.Option(help="Listen on this address; the cell's driver.address, or 0.0.0.0.")
+    str | None, typer.Option(help="Listen on this address; by default the cell's driver.address, or 0.0.0.0.")
 ]
 PortOption = Annotated[
-    int | None, typer.Option(min=1, max=65535, help="Listen on this UDP port; the cell's driver.port.")
+    int | None,
+    typer.Option(min=1, max=65535, help="Listen on this UDP port; by default the cell's driver.port."),
 ]
 DurationOption = Annotated[float, typer.Option(min=0.0, help="Duration; 0: until Ctrl-C.")]
 
 rsi = typer.Typer(
-    help="First contact with a KRC, before a Robot Server meets it.",
+    help="Test the connection to a KRC before a Robot Server uses it.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -58,14 +59,14 @@ def sniff(
 
 @rsi.command()
 def echo(
-    cell: Annotated[str, typer.Option(help="The cell; its file gives the form of an answer.")],
+    cell: Annotated[str, typer.Option(help="The cell; its file gives the format of the answer.")],
     robot: RobotOption,
     address: AddressOption = None,
     port: PortOption = None,
     duration_s: DurationOption = 10.0,
     json: JsonOption = False,
 ) -> None:
-    """Answer a KRC with corrections of zero only; a robot away from its start gets no answer."""
+    """Answer a KRC with corrections of zero only; a robot that has left its start gets no answer."""
     from deltaq_cell.krc_files import station_of
     from deltaq_deploy.rsi.echo import ZeroEcho
     from deltaq_deploy.rsi.listen import listen

@@ -12,14 +12,16 @@ from deltaq_command.options import CellOption, JsonOption
 
 
 def soak(
-    hours: Annotated[float, typer.Option(min=0.001, max=80.0, help="How long.")],
-    to: Annotated[Path, typer.Option(help="Folder for soak.json and soak.png; made if it is not there.")],
+    hours: Annotated[float, typer.Option(min=0.001, max=80.0, help="Duration of the soak.")],
+    to: Annotated[Path, typer.Option(help="Folder for soak.json and soak.png; made if it does not exist.")],
     cell: CellOption = "lab",
-    robot: Annotated[str | None, typer.Option(help="The robot that moves; the cell's first.")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="The robot that moves; by default the cell's first.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults and their times.")] = 0,
     json: JsonOption = False,
 ) -> None:
-    """Let a cell of real processes suffer fault after fault; Ctrl-C ends it, and the report goes as far as it got."""
+    """Inject fault after fault into a cell of real processes; Ctrl-C ends the soak and writes the report so far."""
     import tempfile
 
     from deltaq_command.console import print_json

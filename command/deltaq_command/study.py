@@ -29,14 +29,16 @@ CONTROLLERS = (
 
 
 def experiment(
-    name: Annotated[Experiment, typer.Argument(help="Which experiment.")],
+    name: Annotated[Experiment, typer.Argument(help="Experiment to run.")],
     cell: CellOption = "lab",
     controller: Annotated[str, typer.Option(help=f"Who moves the camera: {CONTROLLERS}")] = "paper",
     leader_speed_m_s: Annotated[float, typer.Option(min=0.0, help="Speed of the leader's tool.")] = 0.25,
     latency_s: Annotated[float, typer.Option(min=0.0, help="Time from command to motion.")] = 0.06,
     duration_s: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Length of the run, in the cell's time; 40, and 5 for each approach."),
+        typer.Option(
+            min=1.0, help="Length of the run, in the cell's time; by default 40, and 5 for each approach."
+        ),
     ] = None,
     settle_s: Annotated[
         float, typer.Option(min=0.0, help="Duration of the start-up, which the figures leave out.")
@@ -50,7 +52,10 @@ def experiment(
         typer.Option(help="Point of the leader's tool to look at, in the tool's frame."),
     ] = (0.0, 0.0, 0.0),
     no_gate: Annotated[
-        bool, typer.Option("--no-gate", help="A collision without a gate: what the follower alone is worth.")
+        bool,
+        typer.Option(
+            "--no-gate", help="Run a collision without the gate, to show what the follower alone prevents."
+        ),
     ] = False,
     live: Annotated[bool, typer.Option("--live", help="Run over real processes, zenoh and UDP.")] = False,
     json: JsonOption = False,
@@ -78,9 +83,7 @@ def experiment(
     if no_gate and name is not Experiment.COLLISION:
         raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
     if record is not None and record.exists():
-        raise RecordingError(
-            f"{record} is there already; a recording is never written over, name another file"
-        )
+        raise RecordingError(f"{record} exists already; a recording is never overwritten, name another file")
     options = Options(
         cell=cell,
         controller=controller,
@@ -140,13 +143,13 @@ def _show(report: dict[str, Any]) -> None:
 def peg_and_valve(
     cell: CellOption = "lab",
     robot: Annotated[str, typer.Option(help="A redundant robot with one hand.")] = "gr",
-    mode: Annotated[
-        list[str] | None, typer.Option(help="Only this mode; may be given several times.")
-    ] = None,
+    mode: Annotated[list[str] | None, typer.Option(help="Only this mode; repeatable.")] = None,
     seeds: Annotated[
         int,
         typer.Option(
-            min=1, max=1000, help="Runs of each mode; each places hole and valve, and is an operator."
+            min=1,
+            max=1000,
+            help="Runs of each mode; the seed of a run places hole and valve and draws the operator.",
         ),
     ] = 10,
     json: JsonOption = False,

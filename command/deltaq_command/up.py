@@ -29,7 +29,7 @@ def up(
         typer.Option(
             metavar="FILE",
             envvar="DELTAQ_AUDIT_FILE",
-            help="Append who did what to this file; by default one in the user's state folder.",
+            help="Append the audit log to this file; by default one in the user's state folder.",
         ),
     ] = "",
     no_audit: Annotated[bool, typer.Option("--no-audit", help="Write no audit log.")] = False,

@@ -64,7 +64,7 @@ def top(
     cell: CellOption = "lab",
     url: UrlOption = None,
     interval_s: Annotated[float, typer.Option(min=0.05, help="Time between two updates.")] = 0.5,
-    count: Annotated[int, typer.Option(min=0, help="End after this many updates; 0: at Ctrl-C.")] = 0,
+    count: Annotated[int, typer.Option(min=0, help="End after this many updates; 0: never.")] = 0,
     json: JsonOption = False,
 ) -> None:
     """Watch a running cell: repeat `status` until Ctrl-C; with --json one object a line."""

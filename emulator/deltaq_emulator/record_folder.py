@@ -66,7 +66,7 @@ class RecordFolder:
             descriptor = os.open(name, flags, 0o644, dir_fd=self._descriptor)
         except FileExistsError:
             raise RecordError(
-                f"path: {self.path / name} is there already; nothing is written over, give another name"
+                f"path: {self.path / name} exists already; no file is overwritten, give another name"
             ) from None
         except OSError as error:
             raise RecordError(f"path: {self.path / name} cannot be written: {error.strerror}") from error

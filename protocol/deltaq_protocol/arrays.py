@@ -8,6 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-"""Of real numbers; shapes and units are told where it is used."""
+"""An array of real numbers; each use gives shape and unit."""
 Flags: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.intp]

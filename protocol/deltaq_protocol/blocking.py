@@ -195,7 +195,7 @@ class BlockingCell:
         aim_offset_m: ArrayLike | None = None,
         focus_m: ArrayLike | None = None,
     ) -> ViewReply:
-        """Ask whoever follows with a robot's camera for another view; see `Cell.view`."""
+        """Ask the controller that follows with a robot's camera for another view; see `Cell.view`."""
         return self._background.run(self._cell.view(robot, distance_m, leader, aim_offset_m, focus_m))
 
     def allow_contact(self, contact: str, allowed: bool = True) -> Done:

@@ -97,7 +97,7 @@ class Cell:
         return self._heard.states(robot)
 
     def verdicts(self, robot: str) -> AsyncIterator[Verdict]:
-        """Every verdict on the increments of a robot, whoever sent them; a slow reader loses the oldest.
+        """Every verdict on the increments of a robot, from any client; a slow reader loses the oldest.
 
         Raises:
             RefusedError: the cell has no such robot.
@@ -160,7 +160,7 @@ class Cell:
         aim_offset_m: ArrayLike | None = None,
         focus_m: ArrayLike | None = None,
     ) -> ViewReply:
-        """Ask whoever follows with a robot's camera for another view; what is not given stays as it is.
+        """Ask the controller that follows with a robot's camera for another view; values that are not given stay.
 
         Args:
             robot: that carries the camera.

@@ -1,4 +1,4 @@
-"""Lines between whoever watches over an operator and the process that drives a robot for that operator.
+"""Lines between the console's server and the process that drives a robot for an operator.
 
 One JSON object a line: requests on the driver's standard input, reports and answers on its standard output. A request
 with an `id` gets one `Answer`. The end of the input is a request too: come to rest, release the robot, end.
@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat, TypeAdapter
 from deltaq_protocol.messages import Joints, JointValue, Message
 
 WISH_S = 0.25
-"""A wish ends by itself after this, unless the next one renews it [s]."""
+"""A wish ends after this time unless the next one renews it [s]."""
 
 MOST_WAY_POINTS = 32
 """Configurations by which a way is told."""
@@ -48,7 +48,7 @@ MasterScale = Annotated[float, Field(ge=0.01, le=5.0, allow_inf_nan=False)]
 
 
 class Take(Message):
-    """Take the robot's lease for a client of that name; `by_force` takes it from whoever holds it."""
+    """Take the robot's lease for a client of that name; `by_force` takes it from its holder."""
 
     type: Literal["take"] = "take"
     id: RequestId

@@ -1,4 +1,4 @@
-"""A token that a service or client is given: in a variable of the environment, or in a file that one names."""
+"""A token of a service or client: in an environment variable, or in a file that such a variable names."""
 
 from __future__ import annotations
 

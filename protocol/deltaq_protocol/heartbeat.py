@@ -1,4 +1,4 @@
-"""A sign of life for whoever supervises this process: a file for a container's health check, and systemd's socket.
+"""A heartbeat to the supervisor of this process: a file for a container's health check, and systemd's socket.
 
 The loop that does a service's work gives it, so a loop that hangs is found; and whoever looks needs no session, no key
 and no interpreter. `deltaq health` asks a service over the network instead, as its clients do.
@@ -20,7 +20,7 @@ HEALTH_FILE = "DELTAQ_HEALTH_FILE"
 """Environment variable: file in memory (tmpfs) whose one line is `healthy` or `unhealthy`, the second since the machine
 started, and what there is to say."""
 NOTIFY_SOCKET = "NOTIFY_SOCKET"
-"""Environment variable of systemd's: it is told when the service serves, and that it lives."""
+"""Environment variable of systemd with the socket that gets the service's readiness and its heartbeats."""
 PERIOD_S = 1.0
 _LINE_BYTES = 256
 """Every line is as long, so that one is written over another in one step."""

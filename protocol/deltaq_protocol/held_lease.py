@@ -73,7 +73,7 @@ class HeldLease:
             raise self._lost
 
     def end(self) -> None:
-        """The holder uses it no more; the server has not been told yet."""
+        """The holder does not use the lease any more; the server does not know yet."""
         self._lost = RefusedError(ReasonCode.LEASE_NOT_HELD, f"the lease of {self._robot} was given back")
 
     async def release(self) -> None:

@@ -25,7 +25,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import Outcome, Phase, Playout, RobotState, Verdict
 
 MOST_MISSED = 4
-"""States that a controller answers belatedly where there is a playout buffer; what is older comes too late."""
+"""States that a controller still answers if it has a playout buffer; answers to older ones come too late."""
 
 PATIENCE_CYCLES = 4
 """An increment without a verdict so many cycles after its setpoint could have been sent is given up."""
@@ -62,7 +62,7 @@ class _Sent:
 
 @dataclass(slots=True)
 class _Account:
-    """Increments beyond the setpoint that a state tells: decided ones up to a cycle, and others behind them."""
+    """Increments beyond the setpoint of a state: those decided up to a cycle, followed by those in flight."""
 
     decided_cycle: int
     decided: list[Array]
@@ -229,7 +229,7 @@ def _answered(playout: Playout) -> int:
 
 
 def _told(state: RobotState) -> tuple[int, tuple[float, ...]]:
-    """The cycle that an increment goes into, and the setpoint that it is added to, as a state tells them."""
+    """The cycle that an increment goes into, and the setpoint that it is added to, from a state."""
     if state.setpoint_cycle is None or state.q_ahead is None:
         return state.cycle + 1, state.q_cmd
     return state.setpoint_cycle, state.q_ahead

@@ -62,7 +62,7 @@ class ClientInbox(Generic[T]):
                 self._loop.call_soon_threadsafe(self._turn)
 
     def close(self) -> None:
-        """Take no more items, not even those that wait."""
+        """Take no more items, not even waiting ones."""
         self._is_open = False
         self._items.clear()
 

@@ -1,4 +1,4 @@
-"""The newest value of a stream: a slow reader skips values, nothing queues, and what nobody reads is not decoded."""
+"""The newest value of a stream: a slow reader skips values, nothing queues, and unread values are not decoded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an error quotes what somebody sent: a value that may be a secret is told by its kind alone.
+"""How an error quotes a value from a client: of a value that may be a secret it names only the type.
 
 Whoever misspells a field, gives it another type, or forgets the one beside it must not find their token in a log.
 """

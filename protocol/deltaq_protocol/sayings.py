@@ -17,7 +17,7 @@ SIM, HLI = "sim", "hli"
 
 @dataclass(frozen=True)
 class Saying:
-    """One row: a zenoh key has one speaker, whoever else could publish under it.
+    """One row: a zenoh key has one sender, even if others could publish under it.
 
     Attributes:
         topic: row of the table of topics.
@@ -64,7 +64,7 @@ def speakers_to(service: str, cell: str, robots: Sequence[str]) -> dict[str, lis
 
 
 def is_sealed(topic: Topic) -> bool:
-    """Whether a topic is of the guarded realm and acted upon: what is for watchers alone has no seal."""
+    """Whether a topic is of the guarded realm and services act upon it; a topic for observers only has no seal."""
     return topic.realm is Realm.GUARDED and any(reader is not Party.WATCHER for reader in topic.readers)
 
 

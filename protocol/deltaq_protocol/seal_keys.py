@@ -13,7 +13,7 @@ _LENGTH_BYTES = 8
 
 
 class KnownBy(NamedTuple):
-    """How a listener tells who said what comes under a zenoh key.
+    """How a receiver finds out who sent a message under a zenoh key.
 
     Attributes:
         key: of the MAC that is for it.
@@ -39,7 +39,7 @@ class SealKeys(Protocol):
 
 
 class RealmKey:
-    """One key: whoever has it can say everything.
+    """One key: a process that has it can send every message.
 
     Args:
         key: the realm's, `KEY_BYTES` long.

@@ -9,7 +9,7 @@ from collections import deque
 from deltaq_protocol.messages import Verdict
 
 _MOST = 1024
-"""Bound of sent increments, and of received verdicts, that nobody has read."""
+"""Largest number of sent increments, and of received verdicts, that are kept unread."""
 
 
 class SentVerdicts:
@@ -37,7 +37,7 @@ class SentVerdicts:
         self.queue.put_nowait(verdict)
 
     def read(self) -> list[Verdict]:
-        """All that nobody has read."""
+        """All unread items."""
         verdicts = []
         with contextlib.suppress(asyncio.QueueEmpty):
             while True:

@@ -1,4 +1,4 @@
-"""What zenoh's threads receive, served in an event loop: they do nothing but put it where the loop finds it."""
+"""Samples of zenoh's threads, served in an event loop: the threads only put them where the loop finds them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""zenoh sessions with explicit endpoints: nobody joins by accident, nothing queues up.
+"""zenoh sessions with explicit endpoints: no process joins by accident, nothing queues up.
 
 Multicast scouting and gossip are off, a lost peer is found again within a fraction of a second, and a
 message is small. What is urgent travels express, at real-time priority, and what is published is dropped rather
@@ -21,7 +21,7 @@ from deltaq_protocol.seal import Seal
 from deltaq_protocol.topic import Priority
 
 MAX_SESSIONS = 64
-"""Peers that one session serves; one more is kept out until another leaves."""
+"""Peers that one session serves; a further peer has to wait until another leaves."""
 _WAITING_TO_BE_SENT = 16
 """Urgent messages that may wait for a link to be served, the most that zenoh allows. With its own two, every
 millisecond in which a busy machine kept the link's thread waiting cost verdicts and states."""

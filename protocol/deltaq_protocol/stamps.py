@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from deltaq_protocol.errors import DeltaqError
 
 FOLDER = "DELTAQ_STAMPS"
-"""Environment variable: where stamps are written; without it nobody stamps."""
+"""Environment variable: where stamps are written; without it no process writes any."""
 
 CAPACITY = 1 << 18
 """Stamps that a process keeps: four minutes of two robots at 12 ms, or one at 4 ms."""

@@ -104,7 +104,7 @@ class Subscriptions:
             listeners.discard(listen)
 
     def listeners(self, robot: str) -> set[Callable[[Verdict], None]]:
-        """Those that listen to the verdicts on a robot, which are subscribed to from the first one on."""
+        """Readers of the verdicts on a robot; the first reader causes the subscription."""
         if self.known(robot) not in self._listeners:
             self._listeners[robot] = set()
             key = topics.VERDICT.key(self._cell, robot=robot)
@@ -112,7 +112,7 @@ class Subscriptions:
         return self._listeners[robot]
 
     def _subscribed(self, robot: str) -> StateHolder:
-        """The newest state of a robot; no other is decoded, and none that nobody reads."""
+        """The newest state of a robot; older and unread states are not decoded."""
 
         def state(sample: zenoh.Sample) -> RobotState | None:
             state = self._decoded(RobotState, sample)

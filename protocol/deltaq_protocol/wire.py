@@ -108,7 +108,7 @@ class Wire:
         self._served.subscribe(key, self._served.inbox(take, capacity).put)
 
     def subscribe_newest(self, key: str, newest: Newest[zenoh.Sample, Any]) -> None:
-        """Put the samples of a key where the newest is kept, without waking the loop for those that nobody awaits."""
+        """Keep the newest sample of a key, without waking the loop if no reader waits."""
         self.subscribe_unqueued(key, in_order(newest.put))
 
     def subscribe_unqueued(self, key: str, put: Callable[[zenoh.Sample], None]) -> None:

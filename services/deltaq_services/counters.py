@@ -30,7 +30,7 @@ class Counted:
 
 
 COUNTERS: tuple[Counted, ...] = (
-    Counted(HLI, "states", "cycles of robots that were heard"),
+    Counted(HLI, "states", "states of robots, one for each cycle that was heard"),
     Counted(HLI, "states_ignored", "states of a robot, or with joints, that the cell does not have"),
     Counted(HLI, "increments", "increments received, valid or not"),
     Counted(HLI, "increments_unproven", "increments over zenoh that show no lease; they were not read"),
@@ -42,23 +42,25 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI,
         "increments_repeated",
-        "increments that were lost or overtaken, and came to a playout buffer with one behind them",
+        "lost or overtaken increments that a later increment brought to a playout buffer",
     ),
-    Counted(HLI, "increments_overtaken", "increments that came after one that had brought them"),
-    Counted(HLI, "requests", "increments handed on to the gate: at most one a robot and cycle"),
+    Counted(HLI, "increments_overtaken", "increments that came after a later increment had brought them"),
+    Counted(HLI, "requests", "increments passed on to the gate: at most one for each robot and cycle"),
     Counted(HLI, "refused", "increments that never reached the gate"),
-    Counted(HLI, "refused_{code}", "those refused for this reason"),
+    Counted(HLI, "refused_{code}", "increments that never reached the gate, for this reason"),
     Counted(
-        HLI, "signs_of_life", "cycles without an increment to hand on, in which the gate got a heartbeat"
+        HLI, "signs_of_life", "cycles without an increment to pass on, in which the gate got a heartbeat"
     ),
     Counted(
-        HLI, "carried", "increments that came after their turn, whose motion went out with those behind them"
+        HLI, "carried", "increments that came after their turn, and whose motion went out with later ones"
     ),
     Counted(HLI, "verdicts_{outcome}", "verdicts of the gate with this outcome"),
     Counted(HLI, "verdicts_ignored", "verdicts on a robot that the cell does not have"),
     Counted(HLI, "malformed", "malformed messages of clients; each got an error if its sender is known"),
     Counted(HLI, "malformed_guarded", "malformed messages from the guarded realm"),
-    Counted(HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong, or that came again"),
+    Counted(
+        HLI, "forged_guarded", "messages from the guarded realm whose seal is wrong, or that were replayed"
+    ),
     Counted(
         HLI,
         "unbound_guarded",
@@ -80,10 +82,10 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "stops", "stops that were requested"),
     Counted(HLI, "resets", "resets that were requested"),
     Counted(HLI, "dry_runs", "dry runs that were requested"),
-    Counted(HLI, "views_asked", "wishes for another view of a robot's camera"),
+    Counted(HLI, "views_asked", "requests for another view of a robot's camera"),
     Counted(HLI, "contacts_switched", "requests to allow or forbid a contact"),
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
-    Counted(HLI, "commands_too_many", "commands refused because clients asked for too many in a second"),
+    Counted(HLI, "commands_too_many", "commands refused because clients sent too many in a second"),
     Counted(HLI, "stops_sent_again", "stops sent once more because the gate had not answered them"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
@@ -91,21 +93,21 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI,
         "tcp_connections_refused",
-        "TCP connections for which there was no place; a stop was heard on them",
+        "TCP connections refused because all places were taken; a stop is still obeyed on them",
     ),
     Counted(
         HLI, "tokens_wrong", "wrong tokens in the hello of TCP clients; the log has each with its address"
     ),
     Counted(
-        HLI, "tokens_not_compared", "tokens refused unseen because wrong ones came from the same address"
+        HLI,
+        "tokens_not_compared",
+        "tokens refused without a comparison because wrong ones came from the same address",
     ),
-    Counted(
-        HLI, "tcp_unencrypted", "TCP connections that ended because no encryption was agreed on with them"
-    ),
+    Counted(HLI, "tcp_unencrypted", "TCP connections that ended because the TLS handshake failed"),
     Counted(
         HLI,
         "tcp_lines_slowed",
-        "times that lines of TCP clients had to wait because more came than are served",
+        "times that lines of TCP clients had to wait because too many came",
     ),
     Counted(HLI, "tcp_given_up", "TCP connections ended for a missing hello, long lines or malformed ones"),
     Counted(HLI, "tcp_not_reading", "TCP connections ended because their client did not read its answers"),
@@ -115,16 +117,22 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(
         HLI,
         "{topic}_dropped",
-        "messages of this topic dropped because they came faster than they could be served",
+        "messages of this topic dropped because they came too fast to be served",
     ),
     Counted(
         HLI, "failed", "messages that could not be served because of a fault of the HLI; its log has each"
     ),
     Counted(HLI, "audit_lines", "entries of the audit log that were handed to its file"),
     Counted(
-        HLI, "audit_lines_lost", "entries of the audit log that its file did not take: a full or failing disk"
+        HLI,
+        "audit_lines_lost",
+        "entries of the audit log that could not be written to its file, e.g. because the disk is full",
     ),
-    Counted(HLI, "audit_entries_unpublished", "entries of the audit log that were too many for recorders"),
+    Counted(
+        HLI,
+        "audit_entries_unpublished",
+        "entries of the audit log that were not published for recorders because there were too many",
+    ),
     Counted(SIM, "{outcome}", "increments with this outcome"),
     Counted(SIM, "reason_{code}", "verdicts whose first reason is this one"),
     Counted(SIM, "command_{kind}", "commands of this kind that were obeyed"),
@@ -145,7 +153,7 @@ COUNTERS: tuple[Counted, ...] = (
         "states of this robot that the gate cannot have caused; each stops all robots",
     ),
     Counted(SIM, "unknown_request", "requests for a robot that the cell does not have"),
-    Counted(SIM, "forged_messages", "messages whose seal is wrong, or that came again"),
+    Counted(SIM, "forged_messages", "messages whose seal is wrong, or that were replayed"),
     Counted(
         SIM,
         "unbound_messages",
@@ -173,14 +181,18 @@ COUNTERS: tuple[Counted, ...] = (
         "motion_stops",
         "times that the KRC was ordered to end a motion that went on although its setpoint rested",
     ),
-    Counted(ROBOT_SERVER, "prepared_replies", "replies that were ready before their telegram came"),
+    Counted(
+        ROBOT_SERVER,
+        "prepared_replies",
+        "prepared replies that were sent, and agree with what was decided afterwards",
+    ),
     Counted(
         ROBOT_SERVER,
         "prepared_replies_wrong",
-        "of those, replies that another decision was made on; the robot is held where it was sent",
+        "prepared replies that differ from what was decided afterwards; the robot is held where it was sent",
     ),
     Counted(ROBOT_SERVER, "replies_refused", "replies that the last check refused"),
-    Counted(ROBOT_SERVER, "replies_unsent", "replies that the socket did not take"),
+    Counted(ROBOT_SERVER, "replies_unsent", "replies that the socket could not send"),
     Counted(ROBOT_SERVER, "socket_errors", "errors while reading the socket"),
     Counted(
         ROBOT_SERVER,
@@ -193,7 +205,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(ROBOT_SERVER, "telegrams_garbled", "datagrams that are no telegram of this robot"),
     Counted(ROBOT_SERVER, "telegrams_skipped", "telegrams skipped because a newer one had come"),
     Counted(
-        ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong, or that came again"
+        ROBOT_SERVER, "forged_{message}", "messages of this type whose seal is wrong, or that were replayed"
     ),
     Counted(
         ROBOT_SERVER,
@@ -203,13 +215,13 @@ COUNTERS: tuple[Counted, ...] = (
     ),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
     Counted(CONSOLE, "clients", "browsers that were let in"),
-    Counted(CONSOLE, "clients_refused", "browsers that came when as many as can be served were there"),
+    Counted(CONSOLE, "clients_refused", "browsers refused because all places were taken"),
     Counted(CONSOLE, "turned_away", "WebSockets of a foreign page, or with a wrong token"),
     Counted(CONSOLE, "messages", "messages of browsers, valid or not"),
-    Counted(CONSOLE, "malformed", "messages of browsers that are no command"),
+    Counted(CONSOLE, "malformed", "messages of browsers that are not valid commands"),
     Counted(CONSOLE, "malformed_heard", "messages of the HLI that could not be understood"),
     Counted(CONSOLE, "too_many", "commands beyond the number that a browser may send in a second"),
-    Counted(CONSOLE, "repeated", "commands whose id had come before"),
+    Counted(CONSOLE, "repeated", "commands with an id that was used before"),
     Counted(CONSOLE, "expired", "commands that came too late to be carried out"),
     Counted(CONSOLE, "refused", "commands refused for another reason"),
     Counted(CONSOLE, "refused_by_driver", "requests that a robot's driver did not carry out"),

@@ -106,7 +106,7 @@ def write_new_key(file: Path, *, keep: bool = False) -> None:
     except FileExistsError:
         if not keep:
             raise GuardedKeyError(
-                f"{file} is there already; a key is never written over, name another file"
+                f"{file} exists already; a key is never overwritten, name another file"
             ) from None
         _key_in(file)
         return

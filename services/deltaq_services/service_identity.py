@@ -50,8 +50,8 @@ def service_identity(cell: CellDescription, folder: Path, service: str = "", wat
     identity = _of_cell(cell, own if own.is_dir() else folder)
     if identity.kind is not IdentityKind.SERVICE:
         raise IdentityError(
-            f"{identity.folder} is the identity of {identity.name}, who is no service: {identity.kind}s connect to the "
-            "HLI"
+            f"{identity.folder} is the identity of {identity.name}, which is no service: {identity.kind}s connect to "
+            "the HLI"
         )
     if service and identity.name != service:
         raise IdentityError(

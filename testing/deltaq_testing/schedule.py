@@ -101,14 +101,14 @@ def fault(name: str, *, at_s: float, for_s: float = FOR_S) -> TimedFault:
 
     Raises:
         UnknownFaultError: there is no such fault; the message names those that there are.
-        ScheduleError: it cannot be had in virtual time, or a time is out of its bounds.
+        ScheduleError: it does not exist in virtual time, or a time is out of its bounds.
     """
     spelled = name.replace("_", "-")
     if spelled.startswith(_LINK):
         spelled = _CONTROLLERS_LINK + spelled.removeprefix(_LINK)
     row = _row(spelled)
     if not row.virtual:
-        raise ScheduleError(f"{row.name} cannot be had in virtual time; `deltaq fault list` shows which can")
+        raise ScheduleError(f"{row.name} does not exist in virtual time; `deltaq fault list` shows which do")
     if not (0 <= at_s < math.inf):
         raise ScheduleError(f"{row.name}: at_s must be 0 or later, got {at_s!r}")
     if not (0 < for_s < math.inf):

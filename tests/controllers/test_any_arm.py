@@ -283,7 +283,7 @@ def test_a_chain_that_is_too_short_or_slides_is_refused_by_name() -> None:
     }
     sliding = RobotDescription.model_validate(whole | {"joints": whole["joints"] | {"j5": slide}})
     changed = urdf.replace('<joint name="j5" type="revolute">', '<joint name="j5" type="prismatic">')
-    with pytest.raises(TrackingError, match="j5 slides; the six joints before tool must turn"):
+    with pytest.raises(TrackingError, match="j5 is prismatic; the six joints before tool must be revolute"):
         ConstraintTracker(RobotModel(sliding, "fr", changed))
     locked = RobotDescription.model_validate(
         whole

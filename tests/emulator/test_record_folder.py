@@ -97,7 +97,7 @@ def test_a_link_is_not_followed(folder: Path, target: str) -> None:
     victim = folder.parent / "victim.txt"
     victim.write_text("precious")
     (folder / "run.csv").symlink_to(folder.parent / target)
-    assert "is there already" in Asked(folder).record("run.csv")["error"]
+    assert "exists already" in Asked(folder).record("run.csv")["error"]
     assert victim.read_text() == "precious"
     assert not (folder.parent / "not-there.txt").exists()
 

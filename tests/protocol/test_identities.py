@@ -251,7 +251,7 @@ def test_a_folder_that_somebody_else_made_is_not_taken(folder):
     (folder / "operator-night").mkdir()
     (folder / "operator-night" / "mine.txt").write_text("mine", encoding="utf-8")
     before = contents(folder)
-    with pytest.raises(IdentityError, match="operator-night is there already"):
+    with pytest.raises(IdentityError, match="operator-night exists already"):
         make(folder, people=("operator-night",))
     assert contents(folder) == before
     assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []

@@ -136,7 +136,7 @@ def test_a_new_key_is_its_owners_alone_differs_from_every_other_and_is_never_wri
         assert file.stat().st_mode & 0o777 == 0o600
     text = files[0].read_text()
     assert text != files[1].read_text()
-    with pytest.raises(GuardedKeyError, match="never written over"):
+    with pytest.raises(GuardedKeyError, match="never overwritten"):
         write_new_key(files[0])
     write_new_key(files[0], keep=True)
     assert files[0].read_text() == text

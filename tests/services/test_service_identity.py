@@ -62,7 +62,9 @@ async def test_no_service_starts_under_the_identity_of_another(model, folder, mo
         ):
             start()
     monkeypatch.setenv(IDENTITY, str(folder / "operator-desk"))
-    with pytest.raises(IdentityError, match="operator-desk, who is no service: operators connect to the HLI"):
+    with pytest.raises(
+        IdentityError, match="operator-desk, which is no service: operators connect to the HLI"
+    ):
         start()
 
 

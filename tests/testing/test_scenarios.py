@@ -78,7 +78,7 @@ def invoke(*words):
         ("for_s: 0.1", "for_s: 0", "5: faults.0.for_s: should be greater than 0, got 0"),
         ("for_s: 0.1", "fors: 1", "5: faults.0.fors: not a field here; did you mean 'for_s'?"),
         ("link_cut", "link_cutt", "5: faults.0.fault: no fault 'controller-hli-cutt'; did you mean 'contr"),
-        ("link_cut", "recorder_dead", "recorder-dead cannot be had in virtual time"),
+        ("link_cut", "recorder_dead", "recorder-dead does not exist in virtual time"),
         ("duration_s: 1.0", "duration_s: 1e9", "3: duration_s: should be less than or equal to 3600, got 1000000000.0"),
         ("duration_s: 1.0", "duration_s: .nan", "3: duration_s:"),
         ("controller: turn.py:Turn", "", "give one of controller and command, and not both"),

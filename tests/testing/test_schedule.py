@@ -20,7 +20,7 @@ def test_a_fault_that_is_not_there_is_answered_with_those_that_are():
         ("hli_dead", {"at_s": float("nan")}, r"hli-dead: at_s must be 0 or later, got nan"),
         ("hli_dead", {"at_s": 1, "for_s": 0}, r"hli-dead: for_s must be more than 0, got 0"),
         ("hli_dead", {"at_s": 1, "for_s": float("inf")}, r"hli-dead: for_s must be more than 0, got inf"),
-        ("recorder_dead", {"at_s": 1}, r"recorder-dead cannot be had in virtual time"),
+        ("recorder_dead", {"at_s": 1}, r"recorder-dead does not exist in virtual time"),
     ],
 )
 def test_what_cannot_befall_is_refused_with_the_value_and_its_bound(name, times, told):

@@ -55,7 +55,7 @@ def test_two_faults_that_are_needed_together_are_both_kept():
             r"within_s and longest_s must be 0.012 s or more, got 1 and 0.001",
         ),
         ({"within_s": 1.0, "names": []}, "names must have at least one fault, got none"),
-        ({"within_s": 1.0, "names": ["recorder_dead"]}, "recorder-dead cannot be had in virtual time"),
+        ({"within_s": 1.0, "names": ["recorder_dead"]}, "recorder-dead does not exist in virtual time"),
     ],
 )
 def test_bounds_that_leave_nothing_to_draw_are_refused(bounds, told):

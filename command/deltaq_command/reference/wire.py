@@ -72,18 +72,18 @@ def sayings() -> str:
         for right in RIGHTS
     )
     return (
-        "# Who says what\n\n## Open realm\n\nClients speak with the HLI alone. Whoever may do something proves its"
-        " role by a token or an [identity](../explanation/security.md#clients); an operator may do what a controller"
-        " may, and that one what an observer may, who proves nothing. Where no tokens are set everybody is an"
-        " operator.\n\n"
+        "# Who says what\n\n## Open realm\n\nClients communicate with the HLI only. A client proves its role by a"
+        " token or an [identity](../explanation/security.md#clients). An operator may do everything that a controller"
+        " may, and a controller everything that an observer may; an observer needs no proof. If no tokens are set,"
+        " every client is an operator.\n\n"
         + table(("topic", "what", "who may"), rights)
-        + "\n\n## Guarded realm\n\nIn the guarded realm each key has one speaker. Under"
-        " [identities](../explanation/security.md#identities) a message there has a MAC for each of those that it is"
-        " said to, which only the speaker and that listener can make; what anybody else says there is refused and"
-        " counted. A service that stands among its own listeners is read by who watches it with its identity. A line of"
-        " a robot stands for"
-        f" each robot of the cell.\n\n{table(('who', 'says', 'under', 'to'), rows)}\n\nFor watchers alone, believed by"
-        f" nobody and without a seal: {unsealed}."
+        + "\n\n## Guarded realm\n\nIn the guarded realm each key has one sender. With"
+        " [identities](../explanation/security.md#identities) a message there has a MAC for each of its receivers,"
+        " which only the sender and that receiver can make; messages of anybody else are refused and counted. If a"
+        " service is among its own receivers, observers that use its identity read the message. A line with `{robot}`"
+        " stands for each robot of the cell.\n\n"
+        f"{table(('who', 'says', 'under', 'to'), rows)}\n\nOnly observers read these topics;"
+        f" no service acts upon them, and they have no seal: {unsealed}."
     )
 
 
@@ -114,6 +114,6 @@ def counters() -> str:
     rows = ((row.service.replace("_", " "), f"`{row.name}`", row.meaning) for row in COUNTERS)
     return (
         "# Counters\n\nWhat `deltaq status --json` and the states of the guarded realm count, each from the start of"
-        " its process; what never happened is left out. A part in braces is filled in: a [reason code](reasons.md), a"
-        " [topic](topics.md), a robot.\n\n" + table(("service", "counter", "what was counted"), rows)
+        " its process; a counter of zero is left out. A part in braces stands for a name: a [reason code](reasons.md),"
+        " a [topic](topics.md), a robot.\n\n" + table(("service", "counter", "what was counted"), rows)
     )

@@ -55,7 +55,7 @@ class Aiming(Protocol):
 
 @runtime_checkable
 class Seeing(Protocol):
-    """A controller that tells how it sees the leader; all that come with the project do.
+    """A controller that reports how it sees the leader; all that come with the project do.
 
     Attributes:
         leader_seen: how the leader is seen, and how old its state is.

@@ -1,4 +1,4 @@
-"""How fast the focus moves, which a view that is to be kept has to make up for."""
+"""The velocity of the focus, which the view has to compensate."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class CameraFollower:
         self._warm_up(leader)
 
     def _warm_up(self, leader: RobotModel | None) -> None:
-        """Compile what the law does not compile itself: the first cycle has no time for it."""
+        """Compile what the law does not compile itself, because the first cycle leaves no time for it."""
         gains, q = self.gains, np.array(self.robot.home)
         integrate(self._law.rates, q, gains.horizon_s, gains.max_step_s, self.limits.max_dq)
         self._obstacles(leader.home if leader is not None else None)

@@ -1,4 +1,4 @@
-"""A camera whose view changes as its robot's states ask: distance, target, and which robot it watches.
+"""A camera whose view follows the requests in its robot's states: distance, target, and the robot that it watches.
 
 For each robot that can be watched there is a controller, made before anything moves: another leader costs no cycle.
 """
@@ -16,7 +16,7 @@ from deltaq_protocol.arrays import Array
 from deltaq_protocol.messages import ViewWish
 
 LEARNING_CYCLES = 3
-"""Cycles that a controller looks on before it takes over: it has to know how fast the robots move."""
+"""Cycles that a controller observes before it takes over, to learn how fast the robots move."""
 
 
 class CameraInUse:
@@ -38,7 +38,7 @@ class CameraInUse:
         self.evades_below_m = self._camera.evades_below_m
 
     def take(self, wish: ViewWish | None) -> None:
-        """Look at what is wished for from now on; a wish that was taken before changes nothing."""
+        """Use a requested view from now on; a request that was taken before changes nothing."""
         if wish is None or wish == self._wish:
             return
         self._wish = wish
@@ -70,7 +70,7 @@ class CameraInUse:
 
     @property
     def leader_seen(self) -> Foreseen | None:
-        """How the leader is seen; None from a controller that does not say."""
+        """How the leader is seen; None if the controller does not report it."""
         return self._camera.leader_seen if isinstance(self._camera, Seeing) else None
 
     def errors(self, q: Array, q_leader: Array) -> tuple[float, float]:

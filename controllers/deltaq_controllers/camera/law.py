@@ -81,7 +81,7 @@ class CameraLaw:
         self._warm_up(np.array(robot.home), max_dq)
 
     def _warm_up(self, q: Array, max_dq: Array) -> None:
-        """Compile everything: the first cycle, and the first obstacle, have no time for it."""
+        """Compile everything now, because the first cycle, and the first obstacle, leave no time for it."""
         lens = self._kinematics.position
         self.aim(q, lens + 1.0, 0.0, 1.0, lens[None], np.ones(1))
         self.rates(q)
@@ -97,7 +97,7 @@ class CameraLaw:
         obstacles: Array,
         radii: Array,
     ) -> float:
-        """Set what the field is for, before the integration from `q`.
+        """Set the goal of the field, before the integration from `q`.
 
         Args:
             q: (n,) start of the increment [rad or m].

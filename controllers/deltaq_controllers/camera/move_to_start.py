@@ -18,7 +18,7 @@ SPEED_SHARE, BRAKE_SHARE = 0.2, 0.3
 """Fractions of the joints' speeds and accelerations that the motion to the start uses."""
 
 ARRIVED = 1e-4
-"""A start is reached when no joint is farther from it [rad or m]."""
+"""Largest distance of a joint from the start at which the start counts as reached [rad or m]."""
 
 
 class MoveToStart:

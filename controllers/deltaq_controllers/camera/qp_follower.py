@@ -45,7 +45,7 @@ MOST_PAIRS = 16
 
 
 class Evasion(NamedTuple):
-    """How to get out of the way: rates (n,) of `evasion`, and of `room` to limits [rad/s or m/s], and the weights."""
+    """Rates (n,) of `evasion`, and of `room`, away from limits [rad/s or m/s], and their weights."""
 
     evasion: Array
     room: Array
@@ -120,7 +120,7 @@ class QpFollower:
         self._warm_up()
 
     def _warm_up(self) -> None:
-        """Compile everything: the first cycle, and the first attack, have no time for it."""
+        """Compile everything now, because the first cycle, and the first attack, leave no time for it."""
         robots, own = self._scene.cell.robots, self._scene.robot_name
         at_home = {name: RobotView(0, 0.0, robot.home, robot.home) for name, robot in robots.items()}
         self._others.update(View(at_home[own], at_home))
@@ -189,7 +189,7 @@ class QpFollower:
         return focus, self._leader.at_point(focus) @ leader.velocity
 
     def _tasks(self, q: Array, dq_last: Array, focus: Array, velocity: Array, evade: bool) -> Tasks:
-        """What the increment is for, at configuration `q` (n,)."""
+        """The goal of the increment, at configuration `q` (n,)."""
         camera = self._camera
         camera.update(q)
         retreat = self._retreat(q, dq_last, focus, evade)

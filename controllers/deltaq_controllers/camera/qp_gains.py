@@ -8,7 +8,7 @@ from deltaq_controllers.redundancy import DEGREES
 
 
 class QpGains(NamedTuple):
-    """Gains of the programme, most urgent first.
+    """Gains of the programme, in order of priority.
 
     Limits of speed, acceleration and position are constraints without slack: nothing outweighs them. Then come
     the barriers, whose slack costs in proportion (`barrier_price`), so that the camera cannot buy any of it

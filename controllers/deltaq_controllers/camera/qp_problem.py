@@ -26,7 +26,7 @@ _MILLI = 1e3
 """Costs count in mm and mrad, so that the solver's numbers are near one."""
 
 _UNBOUNDED = 1e30
-"""What the solver takes for no bound."""
+"""The solver's value for no bound."""
 
 _SLACK_SCALE = 1e-2
 """The slack's unit [m]: its numbers are then of the size of the others'."""

@@ -127,7 +127,7 @@ def view_tasks(
 
 @compiled
 def step(error: float, share: float, deceleration: float, brake_share: float) -> float:
-    """A fraction of an error, but no more than can be braked within the rest of it."""
+    """A fraction of an error, but not more than can be braked within the remaining error."""
     return min(share * error, math.sqrt(2.0 * brake_share * deceleration * error))
 
 

@@ -12,7 +12,7 @@ MOST_CHANGES = 100
 
 
 class Sightings:
-    """What a follower tells of its view."""
+    """Counts of a follower's sight of its leader."""
 
     def __init__(self) -> None:
         self._cycles: Counter[Sight] = Counter()
@@ -20,7 +20,7 @@ class Sightings:
         self._changes: deque[dict[str, Any]] = deque(maxlen=MOST_CHANGES)
 
     def add(self, sight: Sight, age_s: float, time_s: float) -> bool:
-        """Count a cycle; whether the leader is seen otherwise than before. A first view that is fresh is no change.
+        """Count a cycle; True if the sight of the leader has changed. A first view that is fresh is no change.
 
         Args:
             sight: how well the leader is seen.

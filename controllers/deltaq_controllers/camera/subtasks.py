@@ -15,7 +15,7 @@ from deltaq_cell.compiled import compiled
 from deltaq_protocol.arrays import Array
 
 LEVEL_RATIO = 0.1
-"""Sine of the angle between view axis and vertical below which there is no roll worth correcting."""
+"""Sine of the angle between view axis and vertical below which roll is not corrected."""
 
 
 class RollJoint(NamedTuple):

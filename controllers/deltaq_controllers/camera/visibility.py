@@ -1,4 +1,4 @@
-"""Whether a camera sees its target: within the pictures of both its eyes, and with nothing on the lines of sight."""
+"""Whether a camera sees its target: within the pictures of both eyes, and with no body on the lines of sight."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Visibility:
 
 
 class VisibilityGauge:
-    """Tells what a robot's camera sees among the bodies of its cell: structure, other robots and the robot itself.
+    """Computes what a robot's camera sees among the bodies of its cell: structure, other robots and the robot itself.
 
     Args:
         cell: the cell.

@@ -1,4 +1,4 @@
-"""Which pairs of bodies can be near: what is left for exact shapes to measure.
+"""Which pairs of bodies can be near, and so have to be measured with exact shapes.
 
 A body is enclosed in a capsule, a box that stands still is a box, and their distance is never more than that of the
 bodies. Compiled, because a path is a thousand configurations of a thousand pairs.

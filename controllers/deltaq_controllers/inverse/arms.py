@@ -104,7 +104,7 @@ def arm_of(robot: RobotModel, kinematics: BatchKinematics, hand: str) -> Arm:
     if not robot.revolute[last].all():
         sliding = ", ".join(np.array(robot.joint_names)[last][~robot.revolute[last]])
         raise TrackingError(
-            f"robot '{robot.name}': {sliding} slides; the six joints before {hand} must turn, others may slide"
+            f"robot '{robot.name}': {sliding} is prismatic; the six joints before {hand} must be revolute"
         )
     for arm in _in_closed_form(robot, hand, chain, T_last_hand):
         if _fits(robot, kinematics, arm):

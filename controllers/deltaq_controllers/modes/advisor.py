@@ -47,7 +47,7 @@ def tracker_of(robot: RobotModel, hands_may_leave: bool = False) -> ConstraintTr
     if not len(tracker.base) and not hands_may_leave:
         raise ControllerError(
             f"mode advisor needs a redundant robot, {robot.name!r} is not; choose joint, decoupled or coupled, "
-            "or let its hand leave its place"
+            "or let its hand leave its pose"
         )
     return tracker
 

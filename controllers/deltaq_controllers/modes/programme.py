@@ -49,7 +49,7 @@ _MILLI = 1e3
 """The programme counts in mm and mrad, so that its numbers are near one."""
 
 _UNBOUNDED = 1e30
-"""What the solver takes for no bound."""
+"""The solver's value for no bound."""
 
 _EQUATION = 5
 """How the solver is told of an equation."""

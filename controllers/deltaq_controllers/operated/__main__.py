@@ -135,7 +135,7 @@ def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> Camera
     """
     if not compiling.done():
         raise ControllerError(
-            "the camera's law is being compiled, which takes a minute, once: try again then"
+            "the camera controller is being compiled, which takes a minute, once; try again then"
         )
     others = [name for name in cell.robots if name != robot]
     model = cell_model(cell.description)

@@ -143,9 +143,7 @@ class Pilot:
             return
         if self._mode is DrivingMode.POSE:
             if not is_rest(wish) and (self._reach is None or wish != Wish(option=1)):
-                raise ControllerError(
-                    "in mode pose the robot goes to a pose that was planned, and nowhere else"
-                )
+                raise ControllerError("in mode pose the robot goes only to a pose that was planned")
         else:
             self.wishes.check(wish, ModeName(self._mode.value))
         self.wishes.take(wish, now_s)

@@ -172,7 +172,7 @@ def make_identities(
         made = {name: issuing.issue(name, now, lifetime) for name, old in known.items() if old is None}
         if taken := [name for name in made if (to / name).exists()]:
             raise IdentityError(
-                f"{to / taken[0]} is there already, and this authority has not made it; remove it, or name another --to"
+                f"{to / taken[0]} exists already, and this authority has not made it; remove it, or name another --to"
             )
         certificates = {name: old or made[name][1] for name, old in known.items()}
         of_services = {name: certificates[name] for name in services}

@@ -1,4 +1,4 @@
-"""What a camera is to look at: a wish that the robot's states tell to whoever follows with it."""
+"""The requested view of a camera; the robot's states publish it for the controller that follows with the camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TargetPoint = tuple[TargetCoordinate, TargetCoordinate, TargetCoordinate]
 
 
 class ViewWish(Message):
-    """What a robot's camera is to look at, and from how far; whoever follows with it reads this from its states.
+    """Requested target and distance of a robot's camera; the controller that follows with it reads them in its states.
 
     The target is `aim_offset_m`, a point in the frame of the tool of `leader`, or `focus_m`, one that stands still in
     the world. What is null stays as the follower was started with.
@@ -28,7 +28,7 @@ class ViewWish(Message):
 
 
 class ViewRequest(ViewWish):
-    """Ask whoever follows with a robot's camera for another view; states tell it (`RobotState.view`).
+    """Ask the controller that follows with a robot's camera for another view; states publish it (`RobotState.view`).
 
     What is null stays as it is. A `leader` or `aim_offset_m` ends an earlier `focus_m`. It needs the right to have a
     lease, and no lease: the follower holds it. `token` is never sent, as in `LeaseRequest`.
@@ -41,7 +41,7 @@ class ViewRequest(ViewWish):
 
 
 class ViewReply(Message):
-    """The view that is wished for now, all wishes together, and who holds the robot: null if nobody follows."""
+    """The view that results from all requests so far, and who holds the robot: null if no client follows."""
 
     type: Literal["view"] = "view"
     robot: Name

@@ -251,7 +251,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         hello = self._front.proven(said, self._address)
         if hello is None:
             text = "wrong token, or too many wrong ones came from this address; the connection ends"
-            hint = "give the right one a second later, or none: then you may look on, and stop"
+            hint = "give the right one a second later, or none: then you may watch, and stop"
             self.origin = replace(self.origin, client=said.client)
             self._tell(AuditKind.CONNECTED, ReasonCode.NOT_PERMITTED, text)
             self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=said.type))

@@ -92,7 +92,7 @@ class TcpFront:
         text = (
             f"{MAX_CONNECTIONS} connections are open, or {MAX_OF_A_PEER} from {address}: no more are allowed"
         )
-        hint = "close one that is not needed; a stop is obeyed here all the same, if it comes now"
+        hint = "close one that is not needed; a stop is still obeyed on this connection, if it comes now"
         connection.deliver(Error(code=ReasonCode.TOO_MANY, message=text, hint=hint))
         refused = AuditOutcome.REFUSED
         self._port.core.tell(

@@ -67,7 +67,7 @@ class RecordingWriter:
             self._file = path.open("xb" if not path.is_char_device() else "wb")
         except FileExistsError:
             raise RecordingError(
-                f"{path} is there already; a recording is never written over, name another file"
+                f"{path} exists already; a recording is never overwritten, name another file"
             ) from None
         except OSError as error:
             raise RecordingError(f"{path} cannot be written: {error.strerror}") from error

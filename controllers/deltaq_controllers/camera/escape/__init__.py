@@ -1,1 +1,1 @@
-"""Getting away from an attacker seconds ahead: courses of the arm are tried on a model, and the best one leads."""
+"""Escape from an attacker seconds ahead: courses of the arm are simulated on a model, and the best one leads."""

@@ -1,4 +1,4 @@
-"""What an escape knows of the robot that it moves: joints, camera, bodies as boxes, and balls around the outer ones."""
+"""The model of the robot that an escape moves: joints, camera, bodies as boxes, spheres around the outer bodies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LEADS = 0.5
 """A course leads the joints that move the lens at least this part as far as the one that moves it farthest."""
 
 _APART_M = 0.1
-"""A pair of the arm's own bodies that never comes apart by as much tells nothing [m]."""
+"""A pair of the arm's own bodies that is never farther apart than this is left out [m]."""
 
 
 class EscapingArm(NamedTuple):

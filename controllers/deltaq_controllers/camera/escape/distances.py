@@ -1,4 +1,4 @@
-"""Distances of balls from the tight boxes around bodies, compiled: rough, quick, and never too great."""
+"""Distances of spheres from the tight boxes around bodies, compiled: rough, quick, and never too great."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from deltaq_protocol.arrays import Array, Indices
 
 
 class BoxedArm(NamedTuple):
-    """A robot whose bodies are boxes, and balls around its outer bodies.
+    """A robot whose bodies are boxes, and spheres around its outer bodies.
 
     Attributes:
         anatomy: of the robot and the structure.
         own: (b,) numbers of its own bodies in there.
         balls: around its outer bodies; `joints` count from 0 here.
-        pairs: (p, 2) ball and body that are to be kept apart.
+        pairs: (p, 2) sphere and body that are to be kept apart.
     """
 
     anatomy: Anatomy
@@ -54,7 +54,7 @@ def place_boxes(arm: BoxedArm, placed: Placed, q: Array) -> None:
 def gap(
     anatomy: Anatomy, placed: Placed, body: int, x: float, y: float, z: float, radius: float, least: float
 ) -> float:
-    """Distance of a ball at (x, y, z) from a body's box, negative inside; `least` if it is no less [m]."""
+    """Distance of a sphere at (x, y, z) from a body's box, negative inside; `least` if it is no less [m]."""
     half, centre, edges = anatomy.half_edges[body], placed.box_centre[body], placed.edges[body]
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
     reach = least + radius + math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
@@ -96,13 +96,13 @@ def least_gap(arm: BoxedArm, placed: Placed, least: float) -> float:
 def clearance(
     arm: BoxedArm, placed: Placed, centres: Array, radii: Array, shift: Array, least: float
 ) -> float:
-    """Least distance of the own bodies from balls that were moved by `shift` (3,); `least` if it is no less [m].
+    """Least distance of the own bodies from spheres that were moved by `shift` (3,); `least` if it is no less [m].
 
     Args:
         arm: the robot.
         placed: where it is.
-        centres: (m, 3) of the balls [m].
-        radii: (m,) of the balls [m].
+        centres: (m, 3) of the spheres [m].
+        radii: (m,) of the spheres [m].
         shift: by which they have moved [m].
         least: what is far enough [m].
     """

@@ -11,10 +11,10 @@ from deltaq_controllers.camera.escape.rollout import Attacker, Courses, CourseSt
 from deltaq_protocol.arrays import Array
 
 _TABLE = 4096
-"""Goals that are drawn in advance and tried in turn; what is tried depends on nothing but the cycle."""
+"""Goals that are drawn in advance and tried in turn; the choice depends only on the cycle."""
 
 _FREE = 0.05
-"""Goals are this part of a joint's range away from its limits."""
+"""Distance of goals from a joint's limits, as a fraction of its range."""
 
 _NEARBY_RAD = 0.35
 """Spread of goals that are drawn about another one."""
@@ -27,7 +27,7 @@ _AHEAD = 2
 
 
 class EscapePlan:
-    """Holds a course, and looks for a better one; every cycle costs the same time at most.
+    """Holds a course, and looks for a better one; the time of every cycle has the same bound.
 
     Args:
         arm: the robot.

@@ -1,4 +1,4 @@
-"""What an attacker is after, told from how its tool moves."""
+"""The target of an attacker, estimated from the motion of its tool."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from deltaq_controllers.surroundings.setpoints import Foreseen
 from deltaq_protocol.arrays import Array
 
 _OUTER_JOINTS = 6
-"""What joints before the last six carry, as a gantry's, comes near nobody."""
+"""Bodies on joints before the last six, as on a gantry, are assumed to come near no robot."""
 
 _SMOOTHS = 0.1
-"""Part of a new velocity in the smoothed one, per cycle."""
+"""Fraction of a new velocity in the smoothed one, per cycle."""
 _MOVES_M_S = 0.08
-"""Speed from which on a tool is after something [m/s]."""
+"""Least speed at which a tool is taken to have a target [m/s]."""
 _HEADS = 0.8
-"""Cosine of the angle between a tool's velocity and the way to what it is after, at least."""
+"""Least cosine of the angle between a tool's velocity and the direction to its target."""
 _STAYS = 0.02
-"""How much another target's cosine has to be greater than that of the one that is known."""
+"""By how much another target's cosine has to exceed that of the present target."""
 _FORGETS = 0.9995
-"""Part of the greatest speed seen that is still expected a cycle later."""
+"""Fraction of the greatest speed seen that is still expected a cycle later."""
 _LEAST_M_S = 0.05
 
 
@@ -42,7 +42,7 @@ class Pursuit:
         self._smoothed, self._speed, self._target = np.zeros(3), _LEAST_M_S, NOTHING
 
     def update(self, leader: Foreseen, joints: Array, lens: Array) -> Attacker:
-        """What it is after now.
+        """The attacker with its present target.
 
         Args:
             leader: how it is seen.

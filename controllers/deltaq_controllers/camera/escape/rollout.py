@@ -1,4 +1,4 @@
-"""A course of the arm carried out on a model of the robot and of its attacker, compiled: what does it cost?
+"""The cost of a course of the arm, simulated on a model of the robot and of its attacker, compiled.
 
 The arm goes to one goal and then to another, its joints as fast as speed and acceleration let them; those that the
 view needs are turned by the law (9). The attacker's tool homes in on a point of the arm, however that moves, and its
@@ -22,26 +22,26 @@ from deltaq_controllers.redundancy import damped_rates
 from deltaq_protocol.arrays import Array, Indices
 
 LENS, NOTHING = -1, -2
-"""What a tool may be after beside a joint's origin."""
+"""Targets of an attacker's tool other than a joint's origin."""
 
 ATTACKERS_M_S2 = 2.0
 """Acceleration that is expected of a tool [m/s^2]."""
 
 _FADES = 0.9
-"""Part of its velocity that a tool that is after nothing keeps from one step to the next."""
+"""Fraction of its velocity that a tool without a target keeps from one step to the next."""
 
 _TURNS = 0.5
-"""Part of the view's error that one step takes away."""
+"""Fraction of the view's error that one step removes."""
 
 _BRAKES = 0.8
-"""Part of its deceleration on which a joint counts before its limit; before a goal it is less."""
+"""Fraction of its deceleration that a joint uses before its limit; before a goal it is less."""
 
 
 class Attacker(NamedTuple):
-    """The robot that is got away from.
+    """The robot that the arm escapes from.
 
     Attributes:
-        centres: (m, 3) of the balls around its bodies [m].
+        centres: (m, 3) of the spheres around its bodies [m].
         radii: (m,) [m].
         tip: (3,) its tool [m].
         velocity: (3,) of the tool [m/s].
