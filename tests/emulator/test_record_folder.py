@@ -107,7 +107,7 @@ def test_neither_a_file_nor_a_pipe_that_is_there_is_written_over(folder: Path) -
     os.mkfifo(folder / "pipe")  # whose opening would wait for a reader
     asked = Asked(folder)
     for name in ("run.csv", "pipe"):
-        assert "is there already" in asked.record(name)["error"]
+        assert "exists already" in asked.record(name)["error"]
     assert (folder / "run.csv").read_text() == "precious"
 
 

@@ -193,7 +193,7 @@ def test_half_a_report_is_not_left_behind_by_a_full_disk(tmp_path: Path) -> None
     [
         (["missing.mcap"], "missing.mcap cannot be read: No such file"),
         (["run.mcap", "--output", "nowhere/run.html"], "there is no folder nowhere"),
-        (["run.mcap", "--output", "run.mcap"], "run.mcap is there already"),
+        (["run.mcap", "--output", "run.mcap"], "run.mcap exists already"),
     ],
 )
 def test_wrong_use_is_exit_status_2_and_one_clear_line(

@@ -19,7 +19,7 @@ def must_be_free(file: Path) -> None:
         ReportError: there is a file already, or no folder for it.
     """
     if file.exists():
-        raise ReportError(f"{file} is there already; it is not written over, name another file with --output")
+        raise ReportError(f"{file} exists already; it is not overwritten, name another file with --output")
     if not file.parent.is_dir():
         raise ReportError(f"{file} cannot be written: there is no folder {file.parent}")
 
