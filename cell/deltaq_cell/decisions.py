@@ -16,6 +16,7 @@ from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.course import Course, lay_course
 from deltaq_cell.kernel.decision import Against, Suspected, Told, certify_all, largest_share
 from deltaq_cell.kernel.look import NONE
+from deltaq_cell.kernel.motion import course_points, keeps_limits
 from deltaq_cell.kernel.pieces import Stack, Tube
 from deltaq_cell.meter import Meter
 from deltaq_cell.paired_groups import PairedGroups, pairs_alone
@@ -100,6 +101,9 @@ class Decisions:
         course = self.course(
             robot, tube.points, 0, 0, tube.points[0], tube.points[0], np.ones(tube.points.shape[1]), 0
         )
+        still = np.zeros(tube.points.shape[1])
+        keeps_limits(still, still, still, still, still, still + 1.0, still, still, 0.0, 0.0)
+        course_points(tube.points, tube.points[:0], still, 1, 0)
         against = self.against(robot, [])
         self.certify(robot, lay_course(course, 0.0), against, 0.0, 0, tells=False)
         self.largest_share(course, 0.0, against, (None, self._every[:0]), 0.0, 0, 0, 1)

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from deltaq_cell.decisions import Decisions
 from deltaq_cell.kernel.course import lay_course
+from deltaq_cell.kernel.motion import course_points
 from deltaq_experiments.bench.cornered import stored
 from deltaq_protocol.guarded import Admission
 from deltaq_services.sim.blend import Blend
 from deltaq_services.sim.compiled_certificate import CompiledCertifier
-from deltaq_services.sim.compiled_motion import course_points
 from deltaq_services.sim.core import Sim
 from deltaq_services.sim.tube import Branch, tube
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltaq_cell.description import RobotDescription
+from deltaq_cell.kernel.motion import keeps_limits
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
 from deltaq_protocol.messages import Reason
 from deltaq_protocol.reasons import ReasonCode
-from deltaq_services.sim.compiled_motion import keeps_limits
 
 _SCALES = np.linspace(0.0, 1.0, 129)
 """Scales tried where the length of the brake, a whole number of cycles, makes the bound no formula."""

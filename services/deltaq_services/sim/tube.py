@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from deltaq_cell.kernel.motion import course_points
 from deltaq_cell.kernel.strip import strip_around
 from deltaq_protocol.arrays import Array
-from deltaq_services.sim.compiled_motion import course_points
 
 _SHORTEST = 1e-7
 """Strips are not divided below this half-length [rad or m]."""
