@@ -127,7 +127,7 @@ class Orders:
             return ReasonCode.CAUSE_STANDS, f"the KRC of {self._robot.name} is silent"
         if state.reason is ReasonCode.RSI_MODE:
             return ReasonCode.CAUSE_STANDS, (
-                f"the probe did not confirm that the KRC of {self._robot.name} is absolute"
+                f"the probe did not confirm that the KRC of {self._robot.name} runs RSI_ON(#ABSOLUTE)"
             )
         if self.standing_stop is not None:
             return ReasonCode.NOT_AT_REST, f"{self._robot.name} is only now being stopped"
