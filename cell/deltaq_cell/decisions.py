@@ -257,11 +257,11 @@ class Decisions:
         asked = [tube for tube in tubes if told.pair[tube] != NONE]
         if not asked:
             return None, 0.0
-        most_m = min(told.most_m[tube] for tube in asked)
+        least = min(asked, key=lambda tube: told.most_m[tube])
         measured: list[tuple[Nearest, float]] = []
         for tube in asked:
-            # coal would find it to have more room than another
-            if told.least_m[tube] > most_m + _APART_M:
+            # coal would find it to have more room than another; that other one is measured whatever its bounds say
+            if tube != least and told.least_m[tube] > told.most_m[least] + _APART_M:
                 continue
             for side, joint in ((0, 5), (1, 5)):
                 first, last = against.tubes[0 if side == 0 else tube, joint : joint + 2]

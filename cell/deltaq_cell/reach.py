@@ -19,7 +19,7 @@ _ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Reach:
+class RobotReach:
     """A ball that holds all bodies of a robot.
 
     Attributes:
@@ -37,7 +37,7 @@ class Reach:
         return float((self.radii_m + self.slides @ farthest).max()) + _ROUNDING_M
 
 
-def reach_of(cell: Anatomy, joints: tuple[int, int], bodies: tuple[int, int]) -> Reach:
+def reach_of(cell: Anatomy, joints: tuple[int, int], bodies: tuple[int, int]) -> RobotReach:
     """The reach of one robot.
 
     Args:
@@ -59,10 +59,12 @@ def reach_of(cell: Anatomy, joints: tuple[int, int], bodies: tuple[int, int]) ->
         length += sum(np.linalg.norm(cell.translation[joint]) for joint in chain[1:])
         radii.append(length + np.linalg.norm(corners, axis=1).max() + widest)
         slides[row] = [joint in chain and not cell.revolute[joint] for joint in range(first, last)]
-    return Reach(centre, np.array(radii), slides)
+    return RobotReach(centre, np.array(radii), slides)
 
 
-def apart_m(one: Reach, other: Reach, farthest: tuple[Array | None, Array | None] = (None, None)) -> float:
+def apart_m(
+    one: RobotReach, other: RobotReach, farthest: tuple[Array | None, Array | None] = (None, None)
+) -> float:
     """Bound from below of the distance between two robots [m]; of robots that can meet it is less than nothing.
 
     Args:

@@ -226,5 +226,11 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(CONSOLE, "refused", "commands refused for another reason"),
     Counted(CONSOLE, "refused_by_driver", "requests that a robot's driver did not carry out"),
     Counted(CONSOLE, "stops", "stops that were pressed"),
+    Counted(CONSOLE, "tokens_wrong", "wrong tokens that were shown; the log has each with its address"),
+    Counted(
+        CONSOLE,
+        "tokens_not_compared",
+        "tokens refused without a comparison because wrong ones came from the same address",
+    ),
 )
 """The table."""

@@ -46,7 +46,17 @@ from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import DriveLog, teleoperate
 from deltaq_protocol.client import Cell
 from deltaq_protocol.errors import RefusedError
-from deltaq_protocol.messages import IoReply, Outcome, Phase, RobotState, ToolPose, Verdict
+from deltaq_protocol.messages import (
+    IoReply,
+    LeaseStatus,
+    Outcome,
+    Phase,
+    RobotState,
+    RobotStatus,
+    Status,
+    ToolPose,
+    Verdict,
+)
 from deltaq_protocol.reasons import ReasonCode
 
 POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
@@ -153,6 +163,20 @@ class QuietCell(Cell):
     async def round_trip_s(self) -> float:
         return 0.0
 
+    async def status(self) -> Status:
+        robots = {
+            name: RobotStatus(
+                phase=Phase.ENGAGED,
+                cycle=self.state(name).cycle,
+                state_age_s=0.0,
+                q=self.state(name).q,
+                lease=LeaseStatus(),
+                counters={},
+            )
+            for name in self.robots
+        }
+        return Status(cell=self.description.cell, robots=robots, gate={}, gate_age_s=None, hli={})
+
     @asynccontextmanager
     async def lease(
         self, robot: str, client: str | None = None, take: bool = False, playout: bool = False
@@ -258,8 +282,9 @@ async def by_camera(cell: QuietCell, name: str) -> None:
     def watch(view: View) -> None:
         if view.own.cycle == 2 * CYCLES:
             cell.places["gr"] = near
-        camera.errors(view.own.q, view.others["gr"].q)
-        camera.clearance(view.own.q, view.others["gr"].q)
+        if (leader := view.others.get("gr")) is not None:  # once its clock is known
+            camera.errors(view.own.q, leader.q)
+            camera.clearance(view.own.q, leader.q)
 
     move_to_start = MoveToStart(camera, limits, None, (1.25, 0.4), 0.6)
     await by_controller(cell, "fr", lambda: move_to_start, watch)

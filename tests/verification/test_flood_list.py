@@ -14,7 +14,7 @@ from deltaq_services.hli.shell import Hli
 from deltaq_verification.floods.__main__ import _line
 from deltaq_verification.floods.attacks import ATTACKS
 from deltaq_verification.floods.line_attacks import _client_hello
-from deltaq_verification.floods.measure import Figures, Row
+from deltaq_verification.floods.measure import FloodFigures, FloodRow
 
 
 def test_the_list_has_every_kind_of_flood() -> None:
@@ -27,7 +27,9 @@ def test_the_list_has_every_kind_of_flood() -> None:
 
 
 def test_a_row_tells_states_braked_cycles_and_how_long_a_stop_took() -> None:
-    row = Row("lines", 1234.5, Figures(166.0, 1, 1.0), Figures(83.0, 20, 0.9), 0.5, 0.0214, None)
+    row = FloodRow(
+        "lines", 1234.5, FloodFigures(166.0, 1, 1.0), FloodFigures(83.0, 20, 0.9), 0.5, 0.0214, None
+    )
     assert _line(row).split() == ["lines", "1234", "166", "->", "83", "50.0%", "1", "->", "20", "21", "-"]
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from deltaq_launch.private_cell import write_private_cell
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.floods.attacks import ATTACKS
-from deltaq_verification.floods.measure import Row, measure
+from deltaq_verification.floods.measure import FloodRow, measure
 
 _HEADING = (
     f"{'flood':30} {'steps/s':>9} {'states/s':>15} {'kept':>7} {'braked':>9} {'stop ms':>9} {'by line':>9}"
@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _line(row: Row) -> str:
+def _line(row: FloodRow) -> str:
     def ms(value: float | None) -> str:
         return "-" if value is None else f"{value * 1000:.0f}"
 

@@ -36,7 +36,7 @@ _ENDS_WITHIN_S = 10.0
 
 
 @dataclass(frozen=True)
-class Figures:
+class FloodFigures:
     """What others got in some seconds.
 
     Attributes:
@@ -51,7 +51,7 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Row:
+class FloodRow:
     """One attack of the list.
 
     Attributes:
@@ -67,8 +67,8 @@ class Row:
 
     attack: str
     steps_s: float
-    without: Figures
-    during: Figures
+    without: FloodFigures
+    during: FloodFigures
     states_kept: float
     stop_s: float | None
     line_stop_s: float | None
@@ -76,7 +76,7 @@ class Row:
 
 def measure(
     cell_name: str, robot: str, names: Iterable[str], duration_s: float, attackers: int
-) -> Iterator[Row]:
+) -> Iterator[FloodRow]:
     """Figures beside each of these attacks.
 
     Args:
@@ -131,7 +131,7 @@ class _Bench:
             self._connection.__exit__(None, None, None)
         self._launcher.__exit__(*about)
 
-    def row(self, name: str, attack: Attack, duration_s: float, attackers: int) -> Row:
+    def row(self, name: str, attack: Attack, duration_s: float, attackers: int) -> FloodRow:
         """The figures of one attack."""
         self._set_moving()
         without = self._figures(duration_s)
@@ -142,7 +142,9 @@ class _Bench:
             if not attack.stops:
                 self._set_moving()
             over_line = None if attack.encrypted else self._stopped(lambda: stop_over_a_line(self._cell))
-        return Row(name, said(), without, during, during.states_hz / without.states_hz, stop_s, over_line)
+        return FloodRow(
+            name, said(), without, during, during.states_hz / without.states_hz, stop_s, over_line
+        )
 
     def _counter(self, robot: str) -> Callable[[Any], None]:
         def count(_: Any) -> None:
@@ -150,7 +152,7 @@ class _Bench:
 
         return count
 
-    def _figures(self, duration_s: float) -> Figures:
+    def _figures(self, duration_s: float) -> FloodFigures:
         before, begin_s = self._counts(), time.monotonic()
         states = self._states.total()
         time.sleep(duration_s)
@@ -159,7 +161,7 @@ class _Bench:
         cycles = max(1, after["cycle"] - before["cycle"])
         admissions = after.get("admissions", 0) - before.get("admissions", 0)
         braked = after.get("braked_cycles", 0) - before.get("braked_cycles", 0)
-        return Figures(states / took_s, braked, admissions / cycles)
+        return FloodFigures(states / took_s, braked, admissions / cycles)
 
     def _counts(self) -> Mapping[str, int]:
         one: RobotStatus = self._asked(lambda: self._running.status()).robots[self._robot]
