@@ -235,10 +235,10 @@ class _Choice:
         from deltaq_controllers.operator_input import gamepad, keyboard, spacemouse
 
         if self.device == "gamepad":
-            from deltaq_controllers.operator_input.view_distance import ViewDistance
+            from deltaq_controllers.operator_input.view_distance import AskedViewDistance
 
             print(gamepad.HELP, file=sys.stderr)
-            return gamepad.Gamepad(teleoperator, self.speed_m_s, ViewDistance(running, self.robot))
+            return gamepad.Gamepad(teleoperator, self.speed_m_s, AskedViewDistance(running, self.robot))
         keys = keyboard.Keyboard(teleoperator, speed_m_s=self.speed_m_s)
         if self.device == "spacemouse":
             print(f"{spacemouse.HELP}\n{keyboard.HELP}", file=sys.stderr)

@@ -21,7 +21,7 @@ from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operator_input.dead_zone import DEAD_ZONE
 from deltaq_controllers.operator_input.gamepad import Gamepad
 from deltaq_controllers.operator_input.pad_device import SETTLE_S, PadButton, StickAxis, Trigger
-from deltaq_controllers.operator_input.view_distance import ViewDistance
+from deltaq_controllers.operator_input.view_distance import AskedViewDistance
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_controllers.teleoperation import teleoperate
 from deltaq_protocol.pad_layout import PAD_LAYOUT, PadFunction
@@ -239,7 +239,7 @@ def test_every_button_and_trigger_does_what_the_layout_says_that_the_console_has
 ) -> None:
     (name,) = (control.name for control in PAD_LAYOUT if control.function is function)
     view = Steps()
-    with Settled(teleoperator(mode=mode), view=cast(ViewDistance, view)) as gamepad:
+    with Settled(teleoperator(mode=mode), view=cast(AskedViewDistance, view)) as gamepad:
         if name.endswith("_trigger"):
             trigger = Trigger[name.removesuffix("_trigger").upper()]
             pad.pull(trigger, 0.0)
@@ -366,7 +366,7 @@ def test_the_less_goes_through_the_stronger_the_pad_rumbles_and_it_ends_with_the
 
 
 def test_the_view_distance_is_told_beside_the_speed(pad: VirtualPad) -> None:
-    with Settled(teleoperator(), view=cast(ViewDistance, Steps())) as gamepad:
+    with Settled(teleoperator(), view=cast(AskedViewDistance, Steps())) as gamepad:
         assert "0.100 m/s, view 1.00 m, hold a shoulder button" in gamepad.status
 
 

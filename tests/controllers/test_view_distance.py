@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from first_cycles import QuietCell, Waits
 
-from deltaq_controllers.operator_input.view_distance import ViewDistance, stepped
+from deltaq_controllers.operator_input.view_distance import AskedViewDistance, stepped
 from deltaq_protocol.errors import RefusedError
 from deltaq_protocol.messages import RobotState, ViewReply, ViewWish
 from deltaq_protocol.pad_layout import VIEW_RANGE_M, VIEW_STEP_M
@@ -51,7 +51,7 @@ def test_a_step_stays_within_the_range_of_the_pad() -> None:
 
 async def test_the_first_step_goes_from_the_distance_that_is_seen_and_the_next_from_what_was_asked() -> None:
     cell = WatchedCell()
-    view = ViewDistance(cell, "gr")
+    view = AskedViewDistance(cell, "gr")
     lens = cell.models["fr"].camera_pose(cell.places["fr"])[:3, 3]
     seen_m = float(np.linalg.norm(np.array(cell.state("gr").tool.position) - lens))
     view.change(-VIEW_STEP_M)
@@ -68,7 +68,7 @@ async def test_the_first_step_goes_from_the_distance_that_is_seen_and_the_next_f
 
 async def test_it_is_said_that_nobody_follows_that_it_is_refused_and_that_no_camera_watches() -> None:
     cell = WatchedCell(holder=None)
-    view = ViewDistance(cell, "gr")
+    view = AskedViewDistance(cell, "gr")
     view.change(VIEW_STEP_M)
     await settled()
     assert view.status.endswith("m, nobody follows with fr")
@@ -76,6 +76,6 @@ async def test_it_is_said_that_nobody_follows_that_it_is_refused_and_that_no_cam
     view.change(VIEW_STEP_M)
     await settled()
     assert "token" in view.status
-    alone = ViewDistance(cell, "fr")
+    alone = AskedViewDistance(cell, "fr")
     alone.change(VIEW_STEP_M)
     assert alone.status == "no camera watches fr"

@@ -22,7 +22,7 @@ from deltaq_controllers.operator_input.choices import (
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.keyboard import TURN_RAD_M
 from deltaq_controllers.operator_input.pad_device import PadButton, PadDevice, PadState, StickAxis, Trigger
-from deltaq_controllers.operator_input.view_distance import ViewDistance
+from deltaq_controllers.operator_input.view_distance import AskedViewDistance
 from deltaq_protocol.pad_layout import PAD_LAYOUT, VIEW_STEP_M, PadFunction
 
 HELP = (
@@ -64,7 +64,7 @@ class Gamepad(OperatorInput):
     """
 
     def __init__(
-        self, teleoperator: Teleoperator, speed_m_s: float = 0.1, view: ViewDistance | None = None
+        self, teleoperator: Teleoperator, speed_m_s: float = 0.1, view: AskedViewDistance | None = None
     ) -> None:
         self._teleoperator, self._view = teleoperator, view
         self._device = PadDevice()

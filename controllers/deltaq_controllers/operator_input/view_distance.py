@@ -19,7 +19,7 @@ def stepped(now_m: float, step_m: float) -> float:
     return round(min(most_m, max(least_m, now_m + step_m)), 2)
 
 
-class ViewDistance:
+class AskedViewDistance:
     """Asks whoever follows a robot for another view distance, beside the control loop.
 
     Args:
