@@ -167,6 +167,7 @@ class QuietCell(Cell):
         robots = {
             name: RobotStatus(
                 phase=Phase.ENGAGED,
+                reason=None,
                 cycle=self.state(name).cycle,
                 state_age_s=0.0,
                 q=self.state(name).q,
@@ -279,15 +280,20 @@ async def by_camera(cell: QuietCell, name: str) -> None:
     lens = scene.robot.camera_pose(scene.robot.home)[:3, 3]
     near = min(tools, key=lambda q: float(np.linalg.norm(scene.leader.forward(q)[:3, 3] - lens)))
 
+    is_seen = False
+
     def watch(view: View) -> None:
+        nonlocal is_seen
         if view.own.cycle == 2 * CYCLES:
             cell.places["gr"] = near
         if (leader := view.others.get("gr")) is not None:  # once its clock is known
+            is_seen = True
             camera.errors(view.own.q, leader.q)
             camera.clearance(view.own.q, leader.q)
 
     move_to_start = MoveToStart(camera, limits, None, (1.25, 0.4), 0.6)
     await by_controller(cell, "fr", lambda: move_to_start, watch)
+    assert is_seen
 
 
 def leader() -> Controller:
