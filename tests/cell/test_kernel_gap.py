@@ -62,6 +62,20 @@ def searched(bodies, enough_m=np.inf, towards=(1.0, 0.0, 0.0), asked_m=np.inf):
     return gap(*bodies, *towards, enough_m, asked_m, np.zeros((4, 3)))
 
 
+@given(st.integers(0, 2**32 - 1), st.floats(4.0, 13.0))
+def test_the_farthest_point_of_a_disc_lies_on_its_rim_also_along_its_axis(seed, decimals):
+    random = np.random.default_rng(seed)
+    _, (body, _) = two_bodies(random, 1.0, kinds=("cylinder", "box"))
+    axis = np.array((body.axis_x, body.axis_y, body.axis_z))
+    towards = axis + random.normal(size=3) * 10.0**-decimals
+    point = np.array(farthest(body, *towards / np.linalg.norm(towards)))
+    corners = body.corners[: body.corner_count]
+    from_corner = point - corners[np.argmax(corners @ axis)]
+    # a point beyond the body would make a bound from below too large
+    assert abs(from_corner @ axis) < 1e-14 * (1.0 + np.abs(corners).max())
+    assert np.linalg.norm(from_corner) <= body.disc * (1.0 + 1e-14) + 1e-14 * np.abs(corners).max()
+
+
 @pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(st.integers(0, 2**32 - 1))

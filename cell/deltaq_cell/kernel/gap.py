@@ -109,8 +109,10 @@ def farthest(body: PlacedBody, x: float, y: float, z: float) -> tuple[float, flo
             best, most = corner, reach
     px, py, pz = corners[best, 0], corners[best, 1], corners[best, 2]
     if body.disc > 0.0:
-        along = body.axis_x * x + body.axis_y * y + body.axis_z * z
-        x, y, z = x - along * body.axis_x, y - along * body.axis_y, z - along * body.axis_z
+        # twice: of a direction along the axis the first remainder is rounding, and has a part along the axis again
+        for _ in range(2):
+            along = body.axis_x * x + body.axis_y * y + body.axis_z * z
+            x, y, z = x - along * body.axis_x, y - along * body.axis_y, z - along * body.axis_z
         across = math.sqrt(x * x + y * y + z * z)
         if across > 1e-12:
             share = body.disc / across
