@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
 from deltaq_cell.compiled_proximity import CompiledProximity
 from deltaq_cell.description import GateDescription
 from deltaq_cell.reach import apart_m
@@ -27,7 +25,7 @@ from deltaq_services.sim.limits import Limits
 from deltaq_services.sim.retreat import Retreat
 from deltaq_services.sim.slow_down import SlowDown
 from deltaq_services.sim.tracker import Tracker
-from deltaq_services.sim.tube import Branch, Windows, tube
+from deltaq_services.sim.tube import Windows
 from deltaq_services.sim.violations import Violations
 
 _LEAST_SCALE = 1e-3
@@ -78,10 +76,6 @@ class Gate:
         self._violations = violations
         self._retreat = Retreat(proximity, margins, violations)
         self._slow_down = SlowDown(proximity, margins, next(iter(limits.values())).cycle_s)
-        for one in limits.values():  # so that no decision waits for machine code
-            still = np.zeros_like(one.lower)
-            one.keeps(still, still, still, still)
-            tube(still[None], Branch(still, 1, 0), 1)
 
     def decide(self, robot: Tracker, others: Sequence[Tracker], request: Array) -> Decision:
         """Decide one request.
