@@ -88,10 +88,10 @@ def _move(port: int, robot: str, home: float) -> None:
                     asked_cycle = message["cycle"]
                     _say(sock, acquire)
                 mover = mover or Mover(len(message["q"]), cycle_s, home)
-                seq += 1
-                dq = mover.increment(message["q_cmd"]).tolist()
-                increment = {"type": "increment", "robot": robot, "seq": seq, "cycle": message["cycle"]}
                 if leased:
+                    seq += 1
+                    dq = mover.increment(message["q_cmd"]).tolist()
+                    increment = {"type": "increment", "robot": robot, "seq": seq, "cycle": message["cycle"]}
                     _say(sock, increment | {"dq": dq})
 
 
