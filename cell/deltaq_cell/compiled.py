@@ -20,7 +20,7 @@ from numba.core.caching import UserProvidedCacheLocator
 
 from deltaq_cell.machine_code import folder, package_of
 
-__all__ = ["compiled", "inlined", "told_of_compiling"]
+__all__ = ["compiled", "inlined", "makes_no_array", "told_of_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -31,7 +31,7 @@ def compiled(function: Function) -> Function:
     It is compiled at its first call with arguments of new types, or found where an earlier process left it. Numbers
     are as numpy has them: a division by zero is infinite.
     """
-    return _to_machine_code(function, inline="never")
+    return _to_machine_code(function)
 
 
 def inlined(function: Function) -> Function:
@@ -42,14 +42,24 @@ def inlined(function: Function) -> Function:
     return _to_machine_code(function, inline="always")
 
 
-def _to_machine_code(function: Function, inline: str) -> Function:
+def makes_no_array(function: Function) -> Function:
+    """Decorate a compiled function that only reads and writes arrays that it is given, and returns none to Python.
+
+    For all others numba counts the users of an array wherever one of its rows is looked at, with an instruction that
+    locks the memory: as long again as all that the gate computes.
+    """
+    return _to_machine_code(function, counts_users=False)
+
+
+def _to_machine_code(function: Function, inline: str = "never", counts_users: bool = True) -> Function:
     users_own = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
     kept = _folder(function.__module__)
     # numba asks for its folder while it decorates, and others may want theirs elsewhere
     numba.config.CACHE_DIR = kept
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{_PlaceInPackage.__name__}" if kept else users_own[1]
     try:
-        decorate = numba.njit(cache=bool(kept), error_model="numpy", inline=inline)
+        # numba's option has no public name; what makes an array all the same is refused when it is compiled
+        decorate = numba.njit(cache=bool(kept), error_model="numpy", inline=inline, _nrt=counts_users)
         return cast(Function, decorate(function))
     finally:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = users_own

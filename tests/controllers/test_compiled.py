@@ -4,10 +4,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
+from deltaq_cell.compiled import compiled, makes_no_array
 from deltaq_cell.machine_code import folder_of, package_of
 
 LAW = """
@@ -137,6 +140,32 @@ def test_machine_code_is_kept_by_package_and_that_of_a_script_beside_the_decorat
     assert package_of("deltaq_controllers.camera.law").name == "deltaq_controllers"
     assert package_of("deltaq_cell.kernel.look").name == "deltaq_cell"
     assert package_of("__main__").name == package_of("no_such_module").name == "deltaq_cell"
+
+
+def test_what_makes_no_array_counts_no_users_and_what_makes_one_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # of machine code that was kept numba tells nothing
+    monkeypatch.setattr("deltaq_cell.compiled._folder", lambda _module: "")
+
+    def least(rows: np.ndarray) -> float:
+        found = 0.0
+        for row in rows:
+            found = min(found, row[0])
+        return found
+
+    def zeros(count: int) -> float:
+        return float(np.zeros(count)[0])
+
+    rows = np.array([[1.0], [-2.0]])
+    for decorate, counts in ((compiled, True), (makes_no_array, False)):
+        function: Any = decorate(least)
+        assert function(rows) == -2.0
+        (machine_code,) = function.inspect_asm().values()
+        assert ("NRT_decref" in machine_code) is counts
+    assert compiled(zeros)(3) == 0.0
+    with pytest.raises(NumbaError, match="array passed into the function"):
+        makes_no_array(zeros)(3)
 
 
 def test_where_nothing_can_be_written_to_nothing_is_kept(tmp_path: Path) -> None:

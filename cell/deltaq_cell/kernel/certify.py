@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deltaq_cell.compiled import compiled, inlined
+from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.look import NONE, look
 from deltaq_cell.kernel.pieces import MINE, THEIRS, Stack, Tube, begin, divide, divides, lay_strip, want
@@ -41,7 +41,7 @@ class TubesCertified(NamedTuple):
     last_open: int
 
 
-@compiled
+@makes_no_array
 def certify(
     cell: Anatomy,
     placed: Placed,

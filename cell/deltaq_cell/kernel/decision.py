@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.certify import TubesCertified, certify
 from deltaq_cell.kernel.course import Course, lay_course
@@ -62,7 +62,7 @@ class Suspected(NamedTuple):
     robot: Integers
 
 
-@compiled
+@makes_no_array
 def certify_all(
     cell: Anatomy,
     placed: Placed,
@@ -111,7 +111,7 @@ def certify_all(
     return NONE, budget, False, 0, 0
 
 
-@compiled
+@makes_no_array
 def largest_share(
     cell: Anatomy,
     placed: Placed,
@@ -196,7 +196,7 @@ def largest_share(
     return (least if failed == NONE else 0.0), budget
 
 
-@compiled
+@makes_no_array
 def _keep(
     cell: Anatomy,
     placed: Placed,
@@ -226,13 +226,13 @@ def _keep(
     return True, budget
 
 
-@compiled
+@makes_no_array
 def _tube(against: Against, number: int) -> Tube:
     of = against.tubes[number]
     return Tube(against.points[of[0] : of[1]], of[2], of[3], of[4], (of[5], of[6]), (of[7], of[8]))
 
 
-@compiled
+@makes_no_array
 def _tell(told: Told, number: int, verdict: TubesCertified, stack: Stack) -> None:
     told.pair[number], told.travel_m[number] = verdict.told, verdict.travel_m
     told.least_m[number], told.most_m[number] = verdict.least_m, verdict.most_m
@@ -241,7 +241,7 @@ def _tell(told: Told, number: int, verdict: TubesCertified, stack: Stack) -> Non
             told.middle[number, side, joint] = stack.told[side, joint]
 
 
-@compiled
+@makes_no_array
 def _suspect(suspected: Suspected, sets: int, open_: Integers, robot: int) -> None:
     """Add the pairs at which a certificate failed to `sets` sets of them."""
     end = suspected.end[sets]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled, inlined
+from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Findings, Integers, Pairs, Placed
 from deltaq_cell.kernel.boxes import apart
 from deltaq_cell.kernel.gap import ROUNDING_M, body_at, gap
@@ -20,7 +20,7 @@ NONE = -1
 """The tightest of no pairs."""
 
 
-@compiled
+@makes_no_array
 def look(
     cell: Anatomy,
     placed: Placed,

@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import compiled, makes_no_array
 from deltaq_protocol.arrays import Array
 
 
-@compiled
+@makes_no_array
 def keeps_limits(
     brake: Array,
     request: Array,

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled, inlined
+from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Placed
 from deltaq_protocol.arrays import Array, Flags
 
 
-@compiled
+@makes_no_array
 def place(
     cell: Anatomy,
     placed: Placed,

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 
-from deltaq_cell.compiled import compiled, inlined
+from deltaq_cell.compiled import inlined, makes_no_array
 from deltaq_cell.kernel.arrays import Anatomy, Placed, PlacedBody
 from deltaq_cell.kernel.gap import body_at
 from deltaq_protocol.arrays import Array
 
 
-@compiled
+@makes_no_array
 def keeps_apart(
     cell: Anatomy,
     placed: Placed,

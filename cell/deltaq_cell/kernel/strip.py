@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from deltaq_cell.compiled import compiled
+from deltaq_cell.compiled import compiled, makes_no_array
 from deltaq_protocol.arrays import Array
 
 
@@ -19,7 +19,7 @@ def strip_around(points: Array) -> tuple[Array, Array, Array]:
     return middle, direction, deviation
 
 
-@compiled
+@makes_no_array
 def write_strip(points: Array, middle: Array, direction: Array, deviation: Array, aside: Array) -> None:
     """Write a strip that holds the hull of `points` (k, n) [rad or m].
 
