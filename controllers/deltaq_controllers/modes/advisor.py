@@ -175,7 +175,8 @@ class AdvisorMode(SteppedMode):
             best = f", best energy {progress.energy:.4f}" if np.isfinite(progress.energy) else ""
             return f"{progress.doing}{best}, {progress.trials} trials"
         ways = sum(option.path is not None for option in progress.options)
-        return f"{len(progress.options)} options, paths to {ways}"
+        options = len(progress.options)
+        return f"{options} option{'' if options == 1 else 's'}, {ways} with a path"
 
     @property
     def arrived_at(self) -> int | None:

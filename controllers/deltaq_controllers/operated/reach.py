@@ -172,7 +172,7 @@ def _pose(
     w, x, y, z = quaternion_wxyz
     size = float(np.linalg.norm(quaternion_wxyz))
     if size < 1e-6:
-        raise ControllerError("quaternion_wxyz: is no rotation, all of it is zero")
+        raise ControllerError("quaternion_wxyz: is not a rotation, all elements are zero")
     T = np.eye(4)
     T[:3, :3] = pin.Quaternion(w / size, x / size, y / size, z / size).matrix()
     T[:3, 3] = position_m

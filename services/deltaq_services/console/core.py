@@ -91,7 +91,7 @@ class ConsoleCore:
         )
         self.clients[number] = client
         self.counters["clients"] += 1
-        self._log.add(now_s, "client", f"{client.name} has come")
+        self._log.add(now_s, "client", f"{client.name} has connected")
         hello = ConsoleHello(
             client=client.name,
             operator=is_operator,
@@ -105,7 +105,7 @@ class ConsoleCore:
         """A browser has gone: what it drove comes to rest and is released."""
         del self.clients[client.number]
         self.board.forget(client)
-        self._log.add(now_s, "client", f"{client.name} has gone")
+        self._log.add(now_s, "client", f"{client.name} has disconnected")
         return self.drivers.leave(client)
 
     def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
@@ -180,10 +180,10 @@ class ConsoleCore:
 
     def health(self) -> dict[str, object]:
         """The console's report on itself."""
-        looking = f"{len(self.clients)} browsers"
+        browsers = f"browsers: {len(self.clients)}"
         return {
             "healthy": self.board.hli,
-            "detail": looking if self.board.hli else f"{looking}; {self.board.text}",
+            "detail": browsers if self.board.hli else f"{browsers}; {self.board.text}",
             "counters": dict(self.counters),
         }
 

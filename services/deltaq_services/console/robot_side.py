@@ -161,7 +161,7 @@ class RobotSide:
             )
         names = tuple(self.outputs)
         if command.index >= len(names):
-            raise ValueError(f"index: {self.name} has {len(names)} outputs, got {command.index}")
+            raise ValueError(f"index: outputs of {self.name}: {len(names)}, got {command.index}")
         return driving.Switch(id=request, outputs={names[command.index]: command.value})
 
     def view_distance_of(self, command: ViewDistance) -> float:
