@@ -75,7 +75,7 @@ def is_awaited(state: RobotState) -> bool:
 
 
 class InFlight:
-    """Increments of one lease from when they are sent until states show them, or it is known that they never will."""
+    """Increments of one lease, from sending until states show them, or until it is known that no state will."""
 
     def __init__(self) -> None:
         self._given_up = 0
@@ -128,7 +128,7 @@ class InFlight:
         return Ahead(cycle, q_cmd, max(1, state.cycle + self._lookahead_cycles - cycle))
 
     def take_given_up(self) -> int:
-        """How many increments were given up since the last call, whose verdicts have not come."""
+        """The number of increments without a verdict that were given up since the last call."""
         given_up, self._given_up = self._given_up, 0
         return given_up
 

@@ -82,9 +82,9 @@ class Seal:
         """The message that came under `zenoh_key`, to be acted upon.
 
         Raises:
-            ForgedMessageError: if nobody published it there who may, or it is not newer than the last, or of a process
-                whose successor was heard.
-            UnboundMessageError: if it was not made for this process; a greeting tells its sender of it.
+            ForgedMessageError: it was not published by a process that may publish there, it is not newer than the
+                last, or it is from a process whose successor was heard.
+            UnboundMessageError: it was not made for this process; a greeting makes this process known to its sender.
         """
         opened = self._opened(zenoh_key, sealed)
         message = _message(opened)
@@ -112,7 +112,7 @@ class Seal:
         return message
 
     def meet(self, zenoh_key: str, sealed: bytes) -> None:
-        """Learn of the sender of a greeting: what is closed from now on is valid for it.
+        """Register the sender of a greeting: messages sealed from now on are valid for it.
 
         Raises:
             ForgedMessageError: as `open` does.
@@ -121,11 +121,11 @@ class Seal:
             self.open(zenoh_key, sealed)
 
     def read(self, zenoh_key: str, sealed: bytes) -> bytes:
-        """The message, for who only watches: it may be old, and another process's. Any thread may call this.
+        """The message, for a process that only watches; it may be old or for another process. Any thread may call it.
 
         Raises:
-            ForgedMessageError: if nobody published it under `zenoh_key` who may, or it is too long; under an identity
-                also if nothing that is said there is said to it.
+            ForgedMessageError: it was not published by a process that may publish under `zenoh_key`, or it is too long;
+                under an identity also if no message there is for this identity.
         """
         return _message(self._opened(zenoh_key, sealed))
 

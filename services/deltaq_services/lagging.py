@@ -27,9 +27,9 @@ class Heard:
 
     Args:
         name: for people.
-        topic: its row, steady and with an age.
-        cycle_s: the robots' sample time.
-        bound_s: bounds its age where the cell does.
+        topic: its row in the table of topics, with a steady rate and a greatest age.
+        cycle_s: sampling time of the robots [s].
+        bound_s: the cell's bound on its age, if there is one [s].
     """
 
     def __init__(self, name: str, topic: Topic, cycle_s: float, bound_s: float = math.inf) -> None:

@@ -30,12 +30,12 @@ class BrowserConnection:
         self._something = asyncio.Event()
 
     def put_text(self, text: str) -> None:
-        """Send a message, after those that wait."""
+        """Send a message, after the messages that wait."""
         self._texts.append(text)
         self._something.set()
 
     def put_frame(self, frame: bytes) -> None:
-        """Send a frame, in place of one that still waits."""
+        """Send a frame, and drop a frame that still waits."""
         self._frame = frame
         self._something.set()
 

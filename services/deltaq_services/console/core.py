@@ -109,7 +109,7 @@ class ConsoleCore:
         return self.drivers.leave(client)
 
     def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
-        """A browser has sent something; whatever it is, it is answered."""
+        """Take a message of a browser; every message is answered, also an invalid one."""
         self.counters["messages"] += 1
         allowed = client.rate.take(now_s)
         try:
@@ -174,7 +174,7 @@ class ConsoleCore:
         self.robots[robot].inputs |= inputs
 
     def tick(self, now_s: float) -> list[ConsoleOutput]:
-        """What browsers have to be told now, besides frames."""
+        """The messages that browsers must get now, in addition to frames."""
         self.stop.see({name: side.motion(now_s) for name, side in self.robots.items()})
         return self.board.tell(self.clients.values(), self.stop, now_s)
 

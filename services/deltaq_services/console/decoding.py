@@ -15,7 +15,7 @@ _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "expe
 
 
 class InvalidCommandError(ProtocolError):
-    """A message that is no command; the text names field, value and bound.
+    """A message that is not a valid command; the text names field, value and bound.
 
     Attributes:
         id: of the command, as far as it had one.

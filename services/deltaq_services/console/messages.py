@@ -69,7 +69,7 @@ class StopPhase(StrEnum):
 class LeaseView(Message):
     """Who holds a robot's lease; `mine` is True for the client that is told, `wanted_by` asks for it.
 
-    `outside` says that its holder is no browser at this console, and so cannot be asked for it.
+    `outside`: its holder is not a browser at this console, and so cannot be asked for it.
     """
 
     holder: str | None = None
@@ -117,7 +117,7 @@ class RobotStatusView(Message):
 
 
 class WaysView(Message):
-    """The ways that a robot's driver offers now, whenever that has changed."""
+    """The ways that a robot's driver offers now, sent when they have changed."""
 
     type: Literal["ways"] = "ways"
     robot: str

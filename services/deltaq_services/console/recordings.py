@@ -20,7 +20,7 @@ _MOST_LISTED = 500
 
 
 class NoSuchRecordingError(ValueError):
-    """A name that is no recording of the folder."""
+    """A name that is not the name of a recording in the folder."""
 
 
 class RecordingFolder:

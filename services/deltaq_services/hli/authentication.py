@@ -53,9 +53,9 @@ class Authentication:
         self._counts: dict[str, tuple[str, int]] = {}
 
     def holder_of_increment(self, robot: str, key: str, message: bytes, proof: bytes) -> Proven | None:
-        """Under which lease an increment was sent: the present one, or the one before it; any thread may ask.
+        """The lease under which an increment was sent: the present one or the one before it; any thread may ask.
 
-        One of the lease before comes from a holder that has not heard of its loss yet, and is to be told.
+        An increment under the earlier lease comes from a holder that has not heard of its loss yet, and must be told.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             return None

@@ -88,7 +88,7 @@ class DeedGroups:
         return []
 
     def due(self, now_s: float) -> list[CountedDeed]:
-        """Those that were counted for long enough."""
+        """The groups that were counted for long enough, as deeds with their counts."""
         told: list[CountedDeed] = []
         for key, group in list(self._groups.items()):
             if now_s < group.until_s:
@@ -104,7 +104,7 @@ class DeedGroups:
         return told
 
     def rest(self) -> list[CountedDeed]:
-        """Those that are counted and were not told yet; nothing is kept."""
+        """The counted deeds that were not reported yet; all groups are forgotten."""
         groups, self._groups = self._groups, {}
         self._told_apart.clear()
         return [group.counted() for group in groups.values() if group.count]

@@ -21,11 +21,11 @@ MOST_TOGETHER_S = 2000.0
 
 
 class LineTurns(Generic[C]):
-    """The connections that have a line waiting, and what each may still send.
+    """The connections that have a line waiting, and how many lines each may still send.
 
     Args:
-        most_lines_s: of one connection.
-        most_together_s: of all that hold no lease.
+        most_lines_s: lines a second of one connection.
+        most_together_s: lines a second of all connections without a lease together.
     """
 
     def __init__(self, most_lines_s: float = MOST_LINES_S, most_together_s: float = MOST_TOGETHER_S) -> None:

@@ -40,7 +40,7 @@ class ReceivedLines:
         return line
 
     def take_stop(self, begin: int) -> bool:
-        """Take out a stop that has come whole, whatever came before it and waits.
+        """Take out a stop that has come whole, even if other lines wait before it.
 
         Args:
             begin: bytes that were looked at before.

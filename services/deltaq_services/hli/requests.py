@@ -40,7 +40,7 @@ _GIVE_IT = f"over lines in the hello; to `deltaq` and in Python by {OPERATOR_TOK
 
 
 class Requests:
-    """Answers requests; those that the gate must carry out are answered when it has.
+    """Answers requests. Requests that the gate must carry out are answered when it has carried them out.
 
     Args:
         state: of the HLI.

@@ -81,7 +81,7 @@ class TcpFront:
                 same.listen(_WAITING_CONNECTIONS)
 
     def admit(self, connection: TcpConnection, address: str) -> bool:
-        """Take up a connection: as a client's, or, where there is no place, for a stop alone."""
+        """Accept a connection: as a client's or, if no place is left, only for a stop."""
         self.counters["tcp_connections"] += 1
         place, gives_way = self._places.take(connection, address)
         if gives_way is not None:

@@ -109,9 +109,9 @@ class RobotServer:
         """Answer one telegram.
 
         Args:
-            measured: what the KRC reported.
+            measured: the values that the KRC reported.
             time_s: time of arrival, for the published state only.
-            admission: one that has come since the last cycle, if any; `take` takes more of them.
+            admission: an admission that has come since the last cycle, if any; `take` takes further ones.
             supervision: the newest heartbeat of the gate since the last cycle, if any.
 
         Returns:
