@@ -30,7 +30,7 @@ class ModelCheck:
         self._cell, self._at = cell, placed.at
 
     def of_robot(self, robot: RobotModel) -> Iterator[Problem]:
-        """What is wrong with a robot."""
+        """Problems of a robot's model."""
         yield from self._limits(robot)
         yield from self._tolerances(robot)
 

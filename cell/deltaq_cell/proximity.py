@@ -202,7 +202,7 @@ class ProximityEngine:
         return DistanceQuery(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
 
     def measured(self, groups: Iterable[Group]) -> Iterator[Group]:
-        """The same groups, each with all its pairs measured where the robots are placed now."""
+        """The groups that are not empty, each with all pairs measured at the robots' present placement."""
         for group in groups:
             if not group.is_empty:
                 self.least(group)

@@ -19,7 +19,7 @@ from deltaq_protocol.messages import RobotState
 
 
 class ControllerError(DeltaqError):
-    """A controller that cannot do what it is asked to."""
+    """A controller that cannot do what was requested."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class RobotView:
     def after(self, cycle: int, dq: Array) -> RobotView:
         """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
 
-        A controller that left it out would request the same motion twice.
+        A controller that left it out would request its motion twice.
         """
         return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq, self.ahead_cycles)
 

@@ -89,7 +89,7 @@ class PathClock:
         }
 
     def age_s(self, stamp_s: float, now_s: float) -> float:
-        """How old is what was stamped on the other clock [s], on this one now [s]."""
+        """Age [s] of a stamp of the other clock [s] at a time of this clock [s]."""
         return now_s - (stamp_s - self.offset_s)
 
 

@@ -53,7 +53,7 @@ class Heard:
         self._times_s = deque(times_s, maxlen=self._times_s.maxlen)
 
     def fault(self, time_s: float) -> str | None:
-        """What is wrong with the stream, for people; None if nothing is."""
+        """The fault of the stream, for people; None if it has none."""
         times_s = self._times_s
         if not times_s:
             return f"{self.name}: no {self._topic.name} yet"

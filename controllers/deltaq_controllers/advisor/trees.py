@@ -162,7 +162,7 @@ def connected(
     rounds: int,
     go_on: Callable[[], bool],
 ) -> Array | None:
-    """(k, n) corners of a path from a tree's root to a goal; what is found meanwhile stays in the tree.
+    """(k, n) corners of a path from a tree's root to a goal; nodes found meanwhile stay in the tree.
 
     Args:
         tree: which may have grown already.

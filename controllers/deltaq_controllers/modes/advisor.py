@@ -67,7 +67,7 @@ class Advisor(Protocol):
 
     @property
     def trouble(self) -> str:
-        """Why what was asked for cannot be answered; empty if it can."""
+        """Why the newest question cannot be answered; empty if it can."""
         ...
 
     @property
@@ -196,20 +196,20 @@ class AdvisorMode(SteppedMode):
         return AdvisorMode(self._robot, self._cycle_s, Answered(tracker, answer))
 
     def enter(self, q: Array) -> None:
-        """Ask for options with the hands where they are."""
+        """Ask for options with the hands at their present poses."""
         super().enter(q)
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
         self._advisor.ask(q, self.trade_off)
 
     def forget(self) -> None:
-        """At rest: end the search, and forget the choice; what is known stays known."""
+        """At rest: end the search and forget the choice; the results so far are kept."""
         self._advisor.give_up()
         self._wanted = self._driven = self._route = None
         self._hindrance = ""
 
     def leave(self) -> None:
-        """Nobody waits for the advisor any more."""
+        """End the advisor; no answer is awaited any more."""
         self._advisor.give_up()
 
     def choose(self, option: int | None) -> None:

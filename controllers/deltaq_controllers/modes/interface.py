@@ -42,7 +42,7 @@ class Instant:
 
 
 class Advance(NamedTuple):
-    """An increment, and what keeps it from what is asked for.
+    """An increment, and what keeps it from the requested one.
 
     Attributes:
         dq: (n,) increment [rad or m].

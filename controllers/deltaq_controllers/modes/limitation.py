@@ -85,7 +85,7 @@ def of_pair(pair: tuple[str, str], distance_m: float, kept_m: float) -> Limitati
 
 
 def of_object(limitation: Limitation) -> Limitation:
-    """The same of hands that hold an object: it stops with them."""
+    """The limitation of hands that hold an object, which stops with them."""
     return replace(limitation, text=f"the object, held by all hands: {limitation.text}")
 
 

@@ -119,13 +119,13 @@ class ResolvedMode(TeleoperationMode):
         return of_conditioning(self._hands, conditioning)
 
     def enter(self, q: Array) -> None:
-        """The hands go from where they are."""
+        """The lines of the hands begin at their present poses."""
         self._line.forget()
         self._asked = np.zeros_like(q)
         self._going = self._motion = None
 
     def advance(self, instant: Instant, asked: Motion) -> Advance:
-        """The increment that goes on towards what is asked for."""
+        """The increment that continues towards the requested motion."""
         q, dq_last, limits = instant.q_cmd, instant.dq_last, instant.limits
         box = increment_box(
             limits,

@@ -27,7 +27,7 @@ class WishedClutch:
         self.is_clutched = False
 
     def read(self, _time_s: float, /) -> OperatorCommand | None:
-        """Nothing is chosen by it but the coupling."""
+        """It chooses only the coupling."""
         return OperatorCommand()
 
     def reflect(self, share: float) -> None:

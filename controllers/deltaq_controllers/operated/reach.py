@@ -37,7 +37,7 @@ _MEASURED = 12
 
 @dataclass(frozen=True)
 class PlannedReach:
-    """A way that can be driven, and what is told of it."""
+    """A way that can be driven, and its description for the operator."""
 
     teleoperator: Teleoperator
     way: Way
@@ -73,7 +73,7 @@ class ReachPlanner:
         position_m: tuple[float, float, float],
         quaternion_wxyz: tuple[float, float, float, float],
     ) -> PlannedReach:
-        """The way of a hand to a pose in the world; other hands stay where they are.
+        """The way of a hand to a pose in the world; other hands do not move.
 
         Args:
             q: (n,) setpoint at which the robot rests.

@@ -46,14 +46,14 @@ def next_hand(teleoperator: Teleoperator, hand: str | None) -> str | None:
 
 
 def grip_of(teleoperator: Teleoperator, hand: str | None) -> Grip | None:
-    """The grip of a choice of hand; None for a robot that has one."""
+    """The grip of a choice of hand; None for a robot with one hand."""
     if len(teleoperator.hand_names) < 2:
         return None
     return Grip.OBJECT if hand == OBJECT else Grip.FREE
 
 
 def hand_axis(hand: str | None, axis: str) -> str:
-    """The axis of a choice of hand, as it is commanded."""
+    """The name of the commanded axis for a choice of hand."""
     return axis if hand in (None, OBJECT) else f"{hand}.{axis}"
 
 
@@ -71,10 +71,10 @@ def changed_speed(speed_m_s: float, is_faster: bool) -> float:
 class OutputChoice:
     """The digital output that is switched next.
 
-    On and off are commanded apart: what is pressed twice, or without knowing how the output stands, does no harm.
+    On and off are separate commands, so it does no harm to press one twice, or without knowing the output's value.
 
     Args:
-        teleoperator: of the robot that has them.
+        teleoperator: the teleoperator of the robot that has the outputs.
 
     Attributes:
         name: of the output; empty if the robot has none.

@@ -49,7 +49,8 @@ class _Anchor:
 class LedPose:
     """Leads a hand by a master's tool: its way since they were coupled, scaled, is the hand's.
 
-    Travel is scaled, turns are not. Both are in world axes, or with `own_axes` each in those that its tool had then.
+    Displacements are scaled, rotations are not. Both are in world axes, or with `own_axes` each in those that its tool
+    had then.
 
     Args:
         scale: way of the hand for each metre of the master's.

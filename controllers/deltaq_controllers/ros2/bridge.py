@@ -98,7 +98,7 @@ class Bridge:
 
         Raises:
             ServiceUnreachableError: one of them is not there at the beginning.
-            BridgeUseError: the cell has no such robot, or two of one name as ROS has it.
+            BridgeUseError: the cell has no such robot, or two robots have one name in ROS.
         """
         has_begun = asyncio.Event()
         while True:

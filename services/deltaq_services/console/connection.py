@@ -40,7 +40,7 @@ class BrowserConnection:
         self._something.set()
 
     async def serve(self, take: Callable[[str | bytes], None]) -> None:
-        """Hand over what the browser sends, until it has gone or does not take what it is sent."""
+        """Pass on the browser's messages, until it disconnects or stops taking messages."""
         receiving = asyncio.ensure_future(self._receive(take))
         sending = asyncio.ensure_future(self._send())
         try:

@@ -40,7 +40,7 @@ class ConsoleCore:
         has_recordings: whether it was given a folder for recordings.
 
     Attributes:
-        clients: who is connected, by the number of the connection.
+        clients: connected browsers, by the number of the connection.
         counters: of what browsers sent.
         robots: each robot's side.
         picture: what is seen of the cell.
@@ -102,7 +102,7 @@ class ConsoleCore:
         return client, [ToClient(number, message) for message in (hello, *self._log.kept, *ways)]
 
     def disconnect(self, client: Client, now_s: float) -> list[ConsoleOutput]:
-        """A browser has gone: what it drove comes to rest and is released."""
+        """A browser has disconnected: robots that it drove come to rest and are released."""
         del self.clients[client.number]
         self.board.forget(client)
         self._log.add(now_s, "client", f"{client.name} has disconnected")

@@ -69,7 +69,7 @@ class RobotFrame:
         admission: share of increments admitted whole in the last second.
         longest_cycle_s: longest time between two states in the last second.
         q: (n,) measured.
-        q_rest: (n,) where it would come to rest.
+        q_rest: (n,) configuration in which it would come to rest.
     """
 
     phase: Phase

@@ -47,7 +47,7 @@ class RobotSide:
         seat: who drives it.
         report: the newest report of its driver; None while there is no driver.
         ways: that its driver offers now.
-        outside_holder: who holds its lease as the HLI says.
+        outside_holder: the holder of its lease according to the HLI.
         bound: what bound the newest verdict that was not admitted whole.
     """
 

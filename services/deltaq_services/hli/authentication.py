@@ -81,9 +81,9 @@ class Authentication:
         return lease.token
 
     def goes_first(self, key: str, message: bytes, proof: bytes, time_s: float) -> bool:
-        """Whether a holder, or who has a role, made a request that was not heard before; one thread at a time may ask.
+        """Whether a holder, or a client with a role, made a request that is no duplicate; one thread at a time may ask.
 
-        A proof that was overheard is nobody's the second time, and waits among those of strangers.
+        A proof that comes a second time, because it was overheard, proves nothing and waits among strangers' requests.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             return False

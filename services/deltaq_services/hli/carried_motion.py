@@ -40,7 +40,7 @@ class CarriedMemory:
 
 
 class CarriedMotion:
-    """What one robot was asked for and has not been sent, and what it moved unasked.
+    """The motion that was requested of one robot and not sent yet, and the motion that it made unasked.
 
     Args:
         max_dq: (n,) largest increment [rad or m].
@@ -71,7 +71,7 @@ class CarriedMotion:
         self._unasked, self._unasked_cycles = dq, cycles
 
     def settle(self, missing: int) -> None:
-        """An increment has its turn again: what was moved unasked is owed back.
+        """An increment has its turn again: motion that was made unasked is owed back.
 
         It is not for as many cycles as increments are missing that will never come.
         """
@@ -93,7 +93,7 @@ class CarriedMotion:
 
         Args:
             dq: (n,) the increment [rad or m].
-            last_dq: (n,) the one sent before; None where that is not known.
+            last_dq: (n,) the increment sent before [rad or m]; None if it is not known.
 
         Returns:
             (n,) what to ask the gate for.

@@ -31,7 +31,7 @@ class ClientRoles:
     controller_token: str | None = None
 
     def of(self, token: str | None, identity: str = "") -> ClientRole:
-        """The role of who gives this token, compared in constant time, or has proven this identity."""
+        """The role of a client that gives this token, compared in constant time, or has proven this identity."""
         return max(self._by_token(token), _ROLES[kind_of(identity)])
 
     def _by_token(self, token: str | None) -> ClientRole:

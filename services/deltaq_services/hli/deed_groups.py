@@ -73,7 +73,7 @@ class DeedGroups:
         self._told_apart: Counter[_Kind] = Counter()
 
     def add(self, deed: Deed, now_s: float, count: int = 1) -> list[CountedDeed]:
-        """Take a deed, or several equal ones; returns what is to be told at once."""
+        """Take a deed, or several equal ones; returns the deeds to report at once."""
         group = self._groups.get(_key(deed))
         if group is None and not self._may_begin(deed, now_s):
             others = ClientOrigin(client=MANY, role=deed.origin.role)

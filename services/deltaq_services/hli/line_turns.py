@@ -53,7 +53,7 @@ class LineTurns(Generic[C]):
         self._rates.pop(connection, None)
 
     def next(self, time_s: float) -> C | None:
-        """Whose line is served now; None if none may be yet. It waits again only when `wait` says so."""
+        """The connection whose line is served now; None if none may be yet. It waits again only after `wait`."""
         for connection in self._holders:
             if self._rate(connection).take(time_s):
                 del self._holders[connection]

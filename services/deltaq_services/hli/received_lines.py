@@ -10,7 +10,7 @@ _STOPS_LOOKED_FOR = 4
 
 
 class ReceivedLines:
-    """What has come and was not served yet."""
+    """Bytes that were received and not served yet."""
 
     def __init__(self) -> None:
         self._received = bytearray()

@@ -159,7 +159,7 @@ class Requests:
         return self._state.command(command, sender, Done(what=what), time_s)
 
     def on_view(self, request: ViewRequest, sender: Sender) -> list[Output]:
-        """Wish for another view of a robot's camera: its states tell it to whoever follows."""
+        """Request another view of a robot's camera; its states publish it for the follower."""
         link = self._state.links.get(request.robot)
         if link is None:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))

@@ -68,8 +68,8 @@ class RobotLink:
     Attributes:
         joints: as given.
         playout: keeps the increments of the lease until their turn; None if the lease did not ask for it.
-        sight: how well the controller sees what it follows; None where it says nothing.
-        view: what its camera is to look at; None while nobody has asked.
+        sight: how well the controller sees the leader; None if it says nothing.
+        view: the requested view of its camera; None before the first request.
         state, received_s: newest state of the robot, and when it came [s].
     """
 

@@ -132,7 +132,7 @@ class ModeProbe:
 
     @property
     def detail(self) -> str:
-        """What is amiss and what helps, for people; empty if nothing is."""
+        """The fault and its remedy, for people; empty if there is none."""
         if self.known:
             return ""
         if self.mode is Mode.RELATIVE:
@@ -176,7 +176,7 @@ class ModeProbe:
         return setpoint + self._offset if self.mode is Mode.UNKNOWN else setpoint
 
     def end(self) -> None:
-        """Undo what was added, and add nothing more."""
+        """Undo the pulse that was added, and add no further one."""
         self._ended = True
 
     def snapshot(self) -> ProbeMemory:
