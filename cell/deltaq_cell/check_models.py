@@ -118,7 +118,7 @@ class ModelCheck:
 
 
 def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
-    """What to do about two bodies that are too near at home."""
+    """The remedy for two bodies that are too near at home."""
     if not all(name.startswith(f"{robot.name}/") for name in pair):
         return "choose another home, or name what the robot stands on in mounted_on"
     drawn = samples(robot.lower, robot.upper)

@@ -239,7 +239,7 @@ class ProximityEngine:
         """Pairs nearer than `distance_m` where the robots are placed, each as one point.
 
         Args:
-            robot: whose joints count.
+            robot: name of the robot whose joints count.
             groups: one of this object's own lists for that robot, not empty.
             distance_m: beyond it pairs are left out.
         """

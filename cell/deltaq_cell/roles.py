@@ -1,4 +1,4 @@
-"""Which robot of a cell watches which: the first with a camera watches the first other one, unless told otherwise."""
+"""Which robot of a cell watches which: the first with a camera watches the first other one, unless others are named."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class RoleError(DeltaqError):
 
 @dataclass(frozen=True)
 class CameraRoles:
-    """Who is who.
+    """The robots' roles.
 
     Attributes:
         follower: the robot with the camera.

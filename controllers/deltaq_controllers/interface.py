@@ -60,7 +60,7 @@ class RobotView:
 
 @dataclass(frozen=True)
 class View:
-    """What a controller sees in one cycle.
+    """The input of a controller in one cycle.
 
     Attributes:
         own: the robot that the controller moves.
@@ -91,7 +91,7 @@ _RECKONED_CYCLES = 10
 
 
 class LastIncrement:
-    """What a robot was last commanded, read off its setpoints.
+    """The last command of a robot, read from its setpoints.
 
     Verdicts contain the same, but they can get lost; a setpoint cannot. In a cycle that the controller missed the
     robot braked, so in a gap the first increment is taken as admitted and the others as its brake.

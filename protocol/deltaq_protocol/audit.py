@@ -17,7 +17,7 @@ LONGEST_TEXT = 300
 
 
 class AuditKind(StrEnum):
-    """What was done, or tried."""
+    """The kind of deed, done or attempted."""
 
     CONNECTED = "connected"
     DISCONNECTED = "disconnected"

@@ -14,7 +14,7 @@ from deltaq_protocol.topic import Topic
 
 
 class ClientRole(IntEnum):
-    """What a client may do; each may do what those before it may."""
+    """The roles of clients; each may do everything that the roles before it may."""
 
     OBSERVER = 1
     """Look on, and stop."""

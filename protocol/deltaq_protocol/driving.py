@@ -140,7 +140,7 @@ REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Fiel
 
 
 class DriverAnswer(Message):
-    """What became of the request `id`; `text` says why not, if it was not done."""
+    """The outcome of the request `id`; if it was not done, `text` says why."""
 
     type: Literal["answer"] = "answer"
     id: str

@@ -1,4 +1,4 @@
-"""Which cell is meant: its name and a hash of what its description says, for those who meet to compare."""
+"""The identity of a cell: its name and a hash of its description, which two processes compare."""
 
 from __future__ import annotations
 
@@ -37,6 +37,6 @@ class CellIdentity:
 
 
 def mismatch(who: str, theirs: CellIdentity, ours: CellIdentity) -> str:
-    """What to say of two that mean different cells."""
+    """The message about two processes that have read different cells."""
     told = str(theirs) if theirs.content else f"{theirs.name or 'one'} of a version that tells no hash"
     return f"{who} has read cell {told.strip()}, and here it is {ours}"

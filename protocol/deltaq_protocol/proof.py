@@ -52,7 +52,7 @@ def line_proof(token: str, challenge: str) -> str:
 
     Args:
         token: of a role; it is not sent.
-        challenge: that the server gave, in hexadecimal digits.
+        challenge: the server's challenge, in hexadecimal digits.
     """
     return hmac.new(token.encode(), f"deltaq hello {challenge}".encode(), "sha256").hexdigest()
 

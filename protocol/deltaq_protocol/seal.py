@@ -47,7 +47,7 @@ class UnboundMessageError(ProtocolError):
 
 
 class _Link:
-    """What was heard under one zenoh key: its sender, and who claims to be its successor."""
+    """The senders heard under one zenoh key: the present one, and those that claim to be its successor."""
 
     def __init__(self) -> None:
         self.sender = b""
@@ -130,7 +130,7 @@ class Seal:
         return _message(self._opened(zenoh_key, sealed))
 
     def _opened(self, zenoh_key: str, sealed: bytes) -> bytes:
-        """What lies behind the MACs, of which the one for this process is right."""
+        """The bytes behind the MACs, after the MAC for this process was verified."""
         if len(sealed) > MAX_SEALED_BYTES:
             raise ForgedMessageError(
                 f"{zenoh_key}: {len(sealed)} bytes, at most {MAX_SEALED_BYTES} are sealed"

@@ -127,7 +127,7 @@ class AdvisorMode(SteppedMode):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """What is known by now, best first."""
+        """The options found so far, best first."""
         progress = self._advisor.progress
         return () if progress is None else progress.options
 
@@ -148,12 +148,12 @@ class AdvisorMode(SteppedMode):
 
     @property
     def is_at_end(self) -> bool:
-        """Whether the robot stands where that path ends."""
+        """Whether the robot stands at the end of that path."""
         return self._route is not None and bool(np.abs(self._q - self._route.end).max() < ARRIVED)
 
     @property
     def search(self) -> Progress | None:
-        """What is known of the search; None before anything is."""
+        """The search's progress; None before there is any."""
         return self._advisor.progress
 
     @property
@@ -163,7 +163,7 @@ class AdvisorMode(SteppedMode):
 
     @property
     def status(self) -> str:
-        """What the advisor is doing, or how far the robot is on its path."""
+        """The advisor's present step, or the robot's progress on its path."""
         if self.arrived_at is not None:
             return f"at option {self.arrived_at}"
         if self._wanted is not None and self._driven == self._wanted:

@@ -52,7 +52,7 @@ _FROM_GATE = {
 
 
 def from_verdict(verdict: Verdict) -> Limitation | None:
-    """What limited a request at the gate; None if it was admitted."""
+    """The limitation of a request by the gate; None if it was admitted."""
     if verdict.outcome is Outcome.ADMITTED or not verdict.reasons:
         return None
     reason = verdict.reasons[0]

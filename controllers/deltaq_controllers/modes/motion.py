@@ -40,7 +40,7 @@ class Grip(StrEnum):
 
 @dataclass(frozen=True)
 class OperatorCommand:
-    """What the operator commands in this cycle; an empty command is a released stick.
+    """The operator's command of this cycle; an empty command is a released stick.
 
     Attributes:
         rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several

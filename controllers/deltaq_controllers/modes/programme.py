@@ -75,7 +75,7 @@ class Wanted(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """What the joints would do by themselves.
+    """The motion of the joints without tasks.
 
     Attributes:
         dq: (n,) increment [rad or m].

@@ -60,6 +60,6 @@ class Reflection:
         self.share += self._follows * (now - self.share)
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """What the gate made of it."""
+        """Take the gate's verdict on it."""
         is_whole = verdict.outcome is Outcome.ADMITTED
         self._admitted = 1.0 if is_whole else max(0.0, min(1.0, verdict.scale))

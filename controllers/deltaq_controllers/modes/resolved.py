@@ -69,7 +69,7 @@ class DrivenTasks(NamedTuple):
 
 
 class ResolvedMode(TeleoperationMode):
-    """What `decoupled`, `coupled` and `self-motion` have in common.
+    """The common part of `decoupled`, `coupled` and `self-motion`.
 
     Args:
         robot: the robot.
@@ -114,7 +114,7 @@ class ResolvedMode(TeleoperationMode):
         return np.zeros_like(q)
 
     def _ended(self, motion: Motion, conditioning: Conditioning) -> Limitation:
-        """What is told where the way ends for want of mobility."""
+        """The limitation that is reported when the way ends for lack of mobility."""
         del motion
         return of_conditioning(self._hands, conditioning)
 

@@ -15,7 +15,7 @@ from deltaq_protocol.arrays import Array
 
 
 class SteppedMode(TeleoperationMode):
-    """What `joint` and `advisor` have in common.
+    """The common part of `joint` and `advisor`.
 
     Args:
         robot: the robot.

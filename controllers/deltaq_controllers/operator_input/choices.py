@@ -15,7 +15,7 @@ _LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
 def choices_help(
     *, mode: str, frame: str, hand: str, speed: str, end: str, outputs: str, on: str, off: str
 ) -> str:
-    """What every device lets choose, and by which of its keys or buttons."""
+    """The choices of every device, and the keys or buttons that make them."""
     return (
         f"{mode} next mode, {frame} world/tool, {hand} next hand, {speed} speed, {end} ends\n"
         f"outputs: {outputs} next, {on} on, {off} off"

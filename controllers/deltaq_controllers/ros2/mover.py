@@ -1,4 +1,4 @@
-"""What becomes of the trajectories that ROS asks of a robot: one at a time, the newest goes first.
+"""The trajectories that ROS requests of a robot: one is driven at a time, and the newest goes first.
 
 Pure: messages, states and verdicts are handed in, with the time where it matters.
 """

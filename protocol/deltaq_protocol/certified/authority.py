@@ -43,7 +43,7 @@ _EARLIER = timedelta(days=1)
 
 @dataclass(frozen=True)
 class Made:
-    """What `make_identities` did.
+    """The result of `make_identities`.
 
     Attributes:
         authority: its folder.

@@ -23,7 +23,7 @@ class IdentityError(DeltaqError):
 
 
 class IdentityKind(StrEnum):
-    """What an identity is for."""
+    """The kind of an identity's owner."""
 
     SERVICE = "service"
     OPERATOR = "operator"

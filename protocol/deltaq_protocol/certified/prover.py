@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def identity_prover(folder: Path) -> IdentityProver:
-    """What signs a client's requests.
+    """The signer of a client's requests.
 
     Raises:
         IdentityError: there is no identity, it is not valid or a service's, or `cryptography` is not installed.

@@ -10,7 +10,7 @@ from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, Pos
 
 
 class Hello(Message):
-    """Who a TCP client is; nothing but a `challenge` and a stop may come before it.
+    """The name and role of a TCP client; only a `challenge` and a stop may come before it.
 
     `proof` shows the role of a token that is not sent: HMAC-SHA256 with the token over `deltaq hello ` and `challenge`,
     which the server gave on this connection or another, in hexadecimal digits. Over TLS `token` does as well.

@@ -12,7 +12,7 @@ from deltaq_protocol.reasons import ReasonCode
 
 
 class LeaseAction(StrEnum):
-    """What can be done with the lease of a robot; `take` is a hand-over against the holder's will."""
+    """Actions on the lease of a robot; `take` is a hand-over against the holder's will."""
 
     ACQUIRE = "acquire"
     RENEW = "renew"

@@ -28,7 +28,7 @@ class Proximity(Message):
 
 
 class LeaseStatus(Message):
-    """Who may write to a robot."""
+    """The holder of a robot's lease."""
 
     holder: str | None = None
     expires_s: FiniteFloat | None = None

@@ -22,7 +22,7 @@ def add_recordings(app: FastAPI, console: Console, enter: Callable[[HTTPConnecti
 
     Args:
         app: to add them to.
-        console: whose they are.
+        console: the console whose recordings are served.
         enter: the role that a request's token gives.
     """
 

@@ -44,9 +44,9 @@ class RobotSide:
 
     Attributes:
         feed: what is heard of it.
-        seat: who drives it.
+        seat: the seat of its operator.
         report: the newest report of its driver; None while there is no driver.
-        ways: that its driver offers now.
+        ways: the ways that its driver offers now.
         outside_holder: the holder of its lease according to the HLI.
         bound: what bound the newest verdict that was not admitted whole.
     """

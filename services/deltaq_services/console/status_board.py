@@ -22,7 +22,7 @@ class StatusBoard:
     Args:
         robots: each robot's side.
         desk: the recording that is being written.
-        log: whose lines are told too.
+        log: the event log, whose lines are sent too.
 
     Attributes:
         hli: whether the HLI is heard.

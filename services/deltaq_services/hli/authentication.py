@@ -34,10 +34,10 @@ class Authentication:
     """Checks proofs.
 
     Args:
-        leases: whose secrets may have proven something.
-        roles: whose tokens may have proven something.
-        secret: that challenges are made with, different each time.
-        identities: whose certificates may have proven something; None: nobody's.
+        leases: the leases, whose secrets proofs are made with.
+        roles: the roles, whose tokens proofs are made with.
+        secret: the secret of this process's challenges, new for each process.
+        identities: judges certificates and their signatures; None: certificates prove nothing.
     """
 
     def __init__(

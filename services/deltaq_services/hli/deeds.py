@@ -18,8 +18,8 @@ class Deed:
     Attributes:
         what: it was.
         outcome: how it ended, so far.
-        origin: whose it was.
-        robot: that it concerned; None where it was none, or all of them.
+        origin: the client that did it.
+        robot: the robot that it concerned; None for no robot or all robots.
         code: why it was refused.
         text: what the client was told.
     """

@@ -44,7 +44,7 @@ class Requests:
 
     Args:
         state: of the HLI.
-        roles: who may `take`, `reset` and switch contacts, and who may have a lease at all.
+        roles: determines who may `take`, `reset` and switch contacts, and who may have a lease at all.
     """
 
     def __init__(self, state: HliState, roles: ClientRoles) -> None:

@@ -34,7 +34,7 @@ class LinkMemory:
         state, received_s: of the robot, and when it came.
         asked_cycle: cycle in which an increment was passed on last.
         answered_cycle: cycle of the state that it answered.
-        awaited: who awaits which verdict.
+        awaited: the senders that await verdicts.
         waiting: the increment that waits.
         admitted: what is known of the setpoints to come.
         playout: the increments of a controller far away.

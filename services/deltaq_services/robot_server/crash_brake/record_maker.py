@@ -41,7 +41,7 @@ class CrashRecordMaker:
             ipoc: of the telegram that is answered.
             correction: (n,) of the reply [rad or m].
             outputs: of the reply, by name.
-            motion: that the reply belongs to.
+            motion: the motion that the reply belongs to.
 
         Returns:
             None if no process could continue from it, because the telegram does not have the usual layout.
