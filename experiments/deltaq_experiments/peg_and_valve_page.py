@@ -36,16 +36,16 @@ the worst, with its seed.
 BETWEEN = f"""
 `self-motion` and `advisor` are `decoupled` with a change of posture before each piece of work. In `joint` mode
 the operator is assumed to know the goal of each joint, as with taught points, and divides each straight
-line into ten; an operator who does not know the goals is slower still. Margins are fractions of half a joint's range, at
-the goals. With the advisor the operator takes the option with the largest margin, and asks again when the hand
+line into ten; an operator who does not know the goals is slower still. Margins are fractions of half a joint's range,
+at the goals. With the advisor the operator takes the option with the largest margin, and asks again when the hand
 is stopped. The advisor's computing time is not counted.
 
 ## No contact, a tolerance
 
 Hole and valve are in free space. A tolerance replaces contact: a peg more than {OFF_MM:g} mm off
-the hole's axis or more than {TILT_DEG:g} degree tilted would touch the hole, and so would a hand more than
-{OFF_MM:g} mm off the valve's axis touch the valve. That is an assumption. The effect of a touch (jamming, slipping, guiding)
-is not in these figures; the operator continues as if nothing had happened.
+the hole's axis or more than {TILT_DEG:g} degree tilted would touch the hole. A hand more than {OFF_MM:g} mm off the
+valve's axis would touch the valve. That is an assumption. The effect of a touch (jamming, slipping, guiding) is not in
+these figures; the operator continues as if nothing had happened.
 
 ## The operator
 
