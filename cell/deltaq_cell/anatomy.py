@@ -83,7 +83,7 @@ def anatomy_of(model: Any, structure: Sequence[Any], robots: Sequence[Bodies]) -
 
 
 def placed_at_first(cell: Anatomy) -> Placed:
-    """Bodies as they are before any robot was placed: those that stand are where they stand."""
+    """Bodies before any robot was placed: standing bodies have their final place."""
     bodies, joints = cell.moved_by.shape
     return Placed(
         rotation=np.zeros((joints, 3, 3)),

@@ -84,7 +84,7 @@ class CellModel:
 
     @cached_property
     def identity(self) -> CellIdentity:
-        """Its name and hash, by which those who meet know that they mean the same cell."""
+        """Its name and hash, by which two processes see whether they have read one cell."""
         urdf = {name: robot.urdf for name, robot in self.robots.items()}
         return cell_identity(
             self.description, urdf, {name: robot.hulls for name, robot in self.robots.items()}

@@ -22,7 +22,7 @@ from deltaq_cell.robot import RobotModel
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What `check_cell` found.
+    """The result of `check_cell`.
 
     Attributes:
         cell: the name or path that was checked.

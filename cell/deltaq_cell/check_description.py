@@ -31,13 +31,13 @@ class DescriptionCheck:
         self._path, self._cell, self._at = path, cell, placed.at
 
     def of_cell(self) -> Iterator[Problem]:
-        """What is wrong with the cell, whatever its robots are."""
+        """Problems of the cell that do not depend on its robots."""
         yield from self._ports()
         yield from self._open_realm()
         yield from self._timing()
 
     def of_robot(self, name: str, robot: RobotDescription) -> Iterator[Problem]:
-        """What is wrong with a robot."""
+        """Problems of a robot's description."""
         yield from self._references(name, robot)
         yield from self._cycle(name, robot)
         yield from self._krc_files(name, robot)

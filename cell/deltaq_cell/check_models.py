@@ -30,7 +30,7 @@ class ModelCheck:
         self._cell, self._at = cell, placed.at
 
     def of_robot(self, robot: RobotModel) -> Iterator[Problem]:
-        """What is wrong with a robot."""
+        """Problems of a robot's model."""
         yield from self._limits(robot)
         yield from self._tolerances(robot)
 
@@ -118,7 +118,7 @@ class ModelCheck:
 
 
 def _remedy(robot: RobotModel, pair: Pair, stop_m: float) -> str:
-    """What to do about two bodies that are too near at home."""
+    """The remedy for two bodies that are too near at home."""
     if not all(name.startswith(f"{robot.name}/") for name in pair):
         return "choose another home, or name what the robot stands on in mounted_on"
     drawn = samples(robot.lower, robot.upper)

@@ -35,7 +35,7 @@ def compiled(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Decorate a compiled function whose code is put wherever a compiled one calls it.
+    """Decorate a compiled function whose code is inlined wherever a compiled function calls it.
 
     For short functions of named tuples: to hand over some thirty arrays costs several times what such a function does.
     """

@@ -66,13 +66,13 @@ class Decisions:
     """Certificates of whole tubes, and searches for the largest share of a request.
 
     Args:
-        arrays: of the kernel.
+        arrays: the kernel's arrays.
         pairs: all pairs of the cell, one list after the other.
-        ranges: per robot its first joint and one more than its last, and the same of its bodies.
-        alone: per robot the pairs of its links with what stands and with each other.
-        between: per ordered pair of robots those of the first one's links with the second's.
+        ranges: per robot its first joint and one more than its last, then likewise for its bodies.
+        alone: per robot the pairs of its links with standing bodies and with each other.
+        between: per ordered pair of robots the pairs of the first one's links with the second's.
         meter: measures single pairs.
-        forget: is called when robots count as placed no longer.
+        forget: is called when the robots' placements are no longer valid.
     """
 
     def __init__(

@@ -62,7 +62,7 @@ def resolve_near(cell_file: str | Path, name: str | Path) -> Path:
     """The path of a file that a cell names, e.g. its `ethernet_xml`.
 
     It is looked up beside the cell's file, then in the folder `krc` beside the cell's folder, then likewise
-    for every folder of `cell_folders`. An absolute path is taken as it is.
+    for every folder of `cell_folders`. An absolute path is not searched for.
 
     Raises:
         FileNotFoundError: it is in none of them; the message says where it was searched for.

@@ -53,9 +53,9 @@ def parse_cell(text: str, source: str = "cell") -> CellDescription:
 
 
 def load_with_text(name_or_path: str | Path) -> tuple[CellDescription, str]:
-    """The description of a cell and its YAML text, both of one reading of its file.
+    """The description of a cell and its YAML text, both from one reading of its file.
 
-    The text of one that extends another is merged, so that it stands alone.
+    If the cell extends another, the texts are merged, so that the result stands alone.
 
     Raises:
         CellError: no such cell, or its file has errors.

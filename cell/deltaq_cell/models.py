@@ -26,7 +26,7 @@ class RobotModelError(DeltaqError):
 
     Attributes:
         field: path of the field at fault below the robot's own, e.g. `("attachments", "box", "link")`.
-        suggestion: what was probably meant.
+        suggestion: the name that was probably meant.
     """
 
     def __init__(self, message: str, field: tuple[str, ...] = (), suggestion: str | None = None) -> None:
@@ -47,8 +47,8 @@ class Urdf:
 
     Attributes:
         text: the XML, as it was written.
-        source: the file it came from, for messages; `<text>` where it came as text.
-        folder: of that file, from which its meshes are searched for; None where it came as text.
+        source: the file it came from, for messages; `<text>` if it was given as text.
+        folder: folder of that file, from which its meshes are searched for; None if it was given as text.
     """
 
     text: str
@@ -75,7 +75,7 @@ def load_urdf(model: str | Path) -> Urdf:
             (see `deltaq_cell.packages.find_file`).
 
     Raises:
-        RobotModelError: no such model or file, or it is no text.
+        RobotModelError: no such model or file, or the file is not text.
     """
     path = _model_file(str(model))
     try:

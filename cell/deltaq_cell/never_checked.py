@@ -164,5 +164,5 @@ def _named(
 
 
 def samples(lower: Array, upper: Array) -> Array:
-    """(`SAMPLES`, n) configurations within the limits, always the same."""
+    """(`SAMPLES`, n) configurations within the limits, from a fixed seed."""
     return np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))

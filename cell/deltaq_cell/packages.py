@@ -23,7 +23,7 @@ def find_file(name: str, folder: Path | None = None) -> Path:
 
     Args:
         name: as the model writes it.
-        folder: that of the model's own file; None where it came as text.
+        folder: folder of the model's own file; None if the model was given as text.
 
     Raises:
         FileNotFoundError: there is no such file; the message says where it was searched for, and what to set.

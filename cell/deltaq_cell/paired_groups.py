@@ -17,7 +17,7 @@ class PairedGroups(list[Group]):
         numbers: (pairs,) of the pairs among all.
         group: (pairs,) index of the group that each belongs to, in `of`.
         pairs: what the kernel is given.
-        of: the groups that the pairs are of; those that are none of these groups have no active pair.
+        of: the groups of the pairs; a group that was not given has no active pair.
     """
 
     def __init__(

@@ -18,9 +18,9 @@ class Problem:
         line: line in that file, from 1; 0 where the file as a whole is meant.
         field: path of the field, e.g. `robots.fr.joints.a1.home_deg`; empty for the whole file.
         message: what is wrong, what is allowed, what to do.
-        value: what was given, where a single value is at fault.
-        bound: what is allowed, where there is a bound.
-        suggestion: what was probably meant.
+        value: the given value, if a single value is at fault.
+        bound: the allowed value, if there is a bound.
+        suggestion: the name that was probably meant.
         severity: an error keeps the cell from being used; a warning does not.
     """
 

@@ -202,7 +202,7 @@ class ProximityEngine:
         return DistanceQuery(failing, too_near, tightest.nearest(), tightest.stop_distance_m)
 
     def measured(self, groups: Iterable[Group]) -> Iterator[Group]:
-        """The same groups, each with all its pairs measured where the robots are placed now."""
+        """The groups that are not empty, each with all pairs measured at the robots' present placement."""
         for group in groups:
             if not group.is_empty:
                 self.least(group)
@@ -239,7 +239,7 @@ class ProximityEngine:
         """Pairs nearer than `distance_m` where the robots are placed, each as one point.
 
         Args:
-            robot: whose joints count.
+            robot: name of the robot whose joints count.
             groups: one of this object's own lists for that robot, not empty.
             distance_m: beyond it pairs are left out.
         """

@@ -43,7 +43,7 @@ def reach_of(cell: Anatomy, joints: tuple[int, int], bodies: tuple[int, int]) ->
     Args:
         cell: what stays.
         joints: the robot's first joint, and one more than its last.
-        bodies: the same of its bodies.
+        bodies: likewise for its bodies.
     """
     first, last = joints
     centre = cell.translation[first]
@@ -70,7 +70,7 @@ def apart_m(
     Args:
         one: reach of a robot.
         other: of another.
-        farthest: (n,) of each robot, how far its joints are from zero [rad or m]; all at zero if it is not told.
+        farthest: (n,) of each robot, how far its joints are from zero [rad or m]; zero if not given.
     """
     distance_m = float(np.linalg.norm(one.centre_m - other.centre_m))
     for reach, of in zip((one, other), farthest, strict=True):

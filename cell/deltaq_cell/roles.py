@@ -1,4 +1,4 @@
-"""Which robot of a cell watches which: the first with a camera watches the first other one, unless told otherwise."""
+"""Which robot of a cell watches which: the first with a camera watches the first other one, unless others are named."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from deltaq_protocol.errors import DeltaqError
 
 
 class RoleError(DeltaqError):
-    """A robot that cannot be what it is to be."""
+    """A robot that cannot have the role that it was given."""
 
 
 @dataclass(frozen=True)
 class CameraRoles:
-    """Who is who.
+    """The robots' roles.
 
     Attributes:
         follower: the robot with the camera.
@@ -42,9 +42,9 @@ def first_camera(cell: CellDescription) -> str:
 def camera_roles(
     cell: CellDescription, follower: str | None = None, leader: str | None = None
 ) -> CameraRoles:
-    """Who watches whom.
+    """The follower and its leader.
 
-    A leader that nobody names is the first other robot without a camera, or else the first other one.
+    If no leader is named, it is the first other robot without a camera, or else the first other robot.
 
     Args:
         cell: the cell.
@@ -52,7 +52,7 @@ def camera_roles(
         leader: name of the robot that is watched; None for the first other one.
 
     Raises:
-        RoleError: there is no such robot, it carries no camera, or it is the same.
+        RoleError: there is no such robot, the follower has no camera, or the two are one robot.
     """
     names = ", ".join(cell.robots)
     for role, name in (("follower", follower), ("leader", leader)):

@@ -61,13 +61,13 @@ class Separation:
         joints: slice | None = None,
         moved_by: Flags | None = None,
     ) -> slice:
-        """Add the bodies of one robot, or those that stand; returns their places.
+        """Add the bodies of one robot, or the standing bodies; returns their places.
 
         Args:
             names: of the bodies, unique in the cell.
             extents: of the bodies; those of standing bodies in the world.
             joints: the robot's joints among all.
-            moved_by: (bodies, n) which of them move which body.
+            moved_by: (bodies, n) which joint moves which body.
         """
         first, count = len(self._disc), len(names)
         most = max(self._corners.shape[1], extents.corners.shape[1])

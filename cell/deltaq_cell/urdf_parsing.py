@@ -25,10 +25,10 @@ def parse_model(urdf: Urdf, locked: Mapping[str, float]) -> Any:
 
     Args:
         urdf: the robot's.
-        locked: joints that do not move, and where they stay [rad or m]; those that mimic one of them stay, too.
+        locked: joints that do not move, and their positions [rad or m]; joints that mimic one of them do not move.
 
     Raises:
-        RobotModelError: it is no URDF, or a joint cannot be locked there.
+        RobotModelError: the text is not a URDF, or a joint cannot be locked at its position.
     """
     model = _built(urdf, urdf.tree())
     joints, q = _locks(urdf, model, locked)
@@ -42,7 +42,7 @@ def parse_geometry(
     locked: Mapping[str, float],
     known: Collection[str] = (),
 ) -> pin.GeometryModel:
-    """The bodies of a URDF, those that no joint moves placed in the world.
+    """The bodies of a URDF; bodies that no joint moves are placed in the world.
 
     Args:
         urdf: the robot's.

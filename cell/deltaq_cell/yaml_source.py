@@ -52,7 +52,7 @@ def merge(base: YamlNode, over: YamlNode, removable: Collection[str] = ()) -> Ya
     """Deep merge: mappings are merged key by key, anything else of `over` takes the place of `base`.
 
     Args:
-        base: what is changed.
+        base: the tree that is changed.
         over: the changes.
         removable: keys of `base` below which null removes the entry of that name.
 

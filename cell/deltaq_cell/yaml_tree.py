@@ -240,7 +240,7 @@ class _Composer:
 
 
 def _plain(text: str) -> Scalar:
-    """What a word without quotes means."""
+    """The value of a word without quotes."""
     if _NULL.fullmatch(text):
         return None
     if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):

@@ -106,7 +106,7 @@ def notices(result: Replay) -> list[str]:
     lines = [*result.notices, *result.gaps]
     if result.skipped:
         lines.append(
-            f"{result.skipped} messages of the gate lie before a snapshot of it and were not replayed"
+            f"messages of the gate that precede its first snapshot, and were not replayed: {result.skipped}"
         )
     code, _, configuration = result.fingerprint.partition("-")
     recorded_code, _, recorded_configuration = result.recorded_fingerprint.partition("-")

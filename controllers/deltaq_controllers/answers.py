@@ -91,7 +91,7 @@ class Answers:
 
         Raises:
             RefusedError: the lease was lost.
-            ServiceUnreachableError: the HLI is gone. That a verdict is missing is no error.
+            ServiceUnreachableError: the HLI is gone. A missing verdict is not an error.
         """
         if not is_awaited(state):
             self._in_flight.sent(await self._leased.send(dq.tolist(), cycle), dq, cycle)
@@ -118,7 +118,7 @@ def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
 
     Args:
         state: its newest.
-        verdict: the newest on it; what it admitted and the state does not show yet is in flight.
+        verdict: the newest verdict on it; an admitted increment that the state does not show yet is in flight.
     """
     own = RobotView.from_state(state)
     if verdict is not None and verdict.dq and verdict.cycle >= state.cycle:
@@ -129,7 +129,7 @@ def own_view(state: RobotState, verdict: Verdict | None = None) -> RobotView:
 def view_of(cell: Cell, robot: str, own: RobotView, clocks: RobotClocks) -> View:
     """The view of the robot that is moved, and the newest states of all others, stamped on its clock.
 
-    One that was not heard, or whose clock is not known yet, is left out: nobody could say how old its state is.
+    A robot that was not heard, or whose clock is not known yet, is left out: the age of its state is unknown.
     """
     others = {}
     for name in cell.robots:

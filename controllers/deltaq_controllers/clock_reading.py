@@ -23,7 +23,7 @@ class ClockReading:
         cell: connection to the cell.
 
     Attributes:
-        clocks: what is known of them.
+        clocks: the clocks, as far as they are known.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -50,7 +50,7 @@ class ClockReading:
                     raise
 
     def go_on(self) -> None:
-        """Ask again if it is time to, once a cycle. Nobody waits for the answer, and one may be missing."""
+        """Ask again if it is due; to be called once a cycle. The answer is not waited for, and one may be missing."""
         if self._under_way is not None and not self._under_way.done():
             return
         heard = [name for name in self._cell.robots if self._cell.state(name) is not None]

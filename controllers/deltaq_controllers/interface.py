@@ -19,7 +19,7 @@ from deltaq_protocol.messages import RobotState
 
 
 class ControllerError(DeltaqError):
-    """A controller that cannot do what it is asked to."""
+    """A controller that cannot do what was requested."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class RobotView:
     def after(self, cycle: int, dq: Array) -> RobotView:
         """The same with an increment (n,) that is in flight: it is what the cycle after `cycle` will command.
 
-        A controller that left it out would request the same motion twice.
+        A controller that left it out would request its motion twice.
         """
         return RobotView(cycle + 1, self.time_s, self.q, self.q_cmd + dq, self.ahead_cycles)
 
 
 @dataclass(frozen=True)
 class View:
-    """What a controller sees in one cycle.
+    """The input of a controller in one cycle.
 
     Attributes:
         own: the robot that the controller moves.
@@ -91,7 +91,7 @@ _RECKONED_CYCLES = 10
 
 
 class LastIncrement:
-    """What a robot was last commanded, read off its setpoints.
+    """The last command of a robot, read from its setpoints.
 
     Verdicts contain the same, but they can get lost; a setpoint cannot. In a cycle that the controller missed the
     robot braked, so in a gap the first increment is taken as admitted and the others as its brake.

@@ -42,12 +42,12 @@ class IncrementLimits(NamedTuple):
 
     @classmethod
     def of(cls, robot: RobotModel, cycle_s: float) -> Self:
-        """Limits of a robot whose cycle is `cycle_s`."""
+        """Limits of a robot with sampling time `cycle_s` [s]."""
         return cls._of(robot.lower, robot.upper, robot.max_velocity, robot.max_acceleration, cycle_s)
 
     @classmethod
     def told(cls, summary: RobotSummary, cycle_s: float) -> Self:
-        """The same of a robot that is known by what its HLI says of it."""
+        """Limits of a robot from the summary that its HLI gives."""
         lower, upper = np.array(summary.lower), np.array(summary.upper)
         return cls._of(
             lower, upper, np.array(summary.max_velocity), np.array(summary.max_acceleration), cycle_s

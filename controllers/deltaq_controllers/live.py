@@ -114,7 +114,7 @@ async def drive(
 
 @contextlib.contextmanager
 def control_loop() -> Iterator[None]:
-    """What a control loop asks of its process: models live for ever, and its cycle waits for no ordinary program."""
+    """Prepares the process for a control loop: models live for ever, and a cycle waits for no ordinary program."""
     gc.collect()
     gc.freeze()  # no collection need visit what is there by now
     with ahead_of_ordinary_programs():
@@ -130,7 +130,7 @@ def run(
         controller: the coroutine; SIGTERM and SIGINT cancel it, which brings the robot to rest.
         summary: what to print when it has ended.
         name: of the controller, for what it logs.
-        robot: that it moves.
+        robot: name of the robot that it moves.
     """
     try:
         log.configure(name, robot)

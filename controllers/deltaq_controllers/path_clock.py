@@ -42,7 +42,7 @@ class PathClock:
 
     @property
     def offset_s(self) -> float:
-        """What that clock shows less what this one shows [s]; 0 before the first exchange."""
+        """Time of that clock minus time of this one [s]; 0 before the first exchange."""
         return self._believed.offset_s
 
     @property
@@ -89,12 +89,12 @@ class PathClock:
         }
 
     def age_s(self, stamp_s: float, now_s: float) -> float:
-        """How old is what was stamped on the other clock [s], on this one now [s]."""
+        """Age [s] of a stamp of the other clock [s] at a time of this clock [s]."""
         return now_s - (stamp_s - self.offset_s)
 
 
 def robot_clock_s(status: Status, newest: RobotState, cycle_s: float) -> float | None:
-    """What the clock of a robot's server showed when the HLI answered with a status [s].
+    """Time of the Robot Server's clock when the HLI answered with a status [s].
 
     The answer names the newest cycle and its age. Its stamp follows from that of a state that had come before, by whole
     cycles: the KRC counts them evenly.

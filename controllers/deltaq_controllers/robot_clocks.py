@@ -13,7 +13,7 @@ from deltaq_protocol.messages import RobotState, Status
 
 
 class RobotClocks:
-    """Offsets of the robots' clocks, and stamps of one on another.
+    """Offsets of the robots' clocks, and conversion of one clock's stamps to another.
 
     Args:
         robots: their names.
@@ -48,7 +48,7 @@ class RobotClocks:
     def on_clock_of(self, robot: str, other: str, stamp_s: float) -> float | None:
         """A stamp of `other` [s] on the clock of `robot` [s]; None while one of them is not known.
 
-        The newest stays where it is when clocks are read again: who sees a state twice must not take it for two.
+        The newest stamp does not change when clocks are read again, so that a state seen twice is not taken for two.
         """
         own, its = self._clocks[robot], self._clocks[other]
         if not (own.known and its.known):

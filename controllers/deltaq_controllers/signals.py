@@ -38,7 +38,7 @@ class Switched:
 
 @dataclass
 class SignalLog:
-    """What is known of a robot's digital signals.
+    """The newest digital signals of a robot.
 
     Attributes:
         outputs, inputs: as last read, by name.

@@ -39,7 +39,7 @@ class CollisionReport(Report):
             degree.
         gated: whether a gate stopped the robots.
         gate_by_robot: verdicts of each robot by outcome; empty over real processes, and without a gate.
-        attack_pressure: share of the attacking cycles in which the attacker's tool moved as it wanted to, and was not
+        attack_pressure: fraction of the attacking cycles in which the attacker's tool moved as requested, and was not
             held by the gate or by its own limits; None over real processes.
     """
 

@@ -24,54 +24,54 @@ SEEDS = 10
 
 BEFORE = f"""# The modes compared
 
-Written by `python -m deltaq_experiments.peg_and_valve_page`; `deltaq peg-and-valve` prints the same figures. A
-scripted operator brings the hand of the gantry robot to a hole, puts a peg {1000 * PEG_M:.0f} mm in and takes
-it out, goes to a valve and turns it by 60 degrees, in virtual time, through the gate. A seed places hole and
-valve within {1000 * PLACED_M:.0f} mm and 10 degrees of their usual places, and is the operator; all modes have
-the same seeds. Each cell is the median over the seeds, with the quartiles in brackets; then the worst, with its
-seed.
+`python -m deltaq_experiments.peg_and_valve_page` writes this page; `deltaq peg-and-valve` prints the same figures.
+A scripted operator brings the hand of the gantry robot to a hole, inserts a peg by {1000 * PEG_M:.0f} mm and removes
+it, moves to a valve and turns it by 60 degrees, in virtual time, through the gate. The seed places hole and
+valve within {1000 * PLACED_M:.0f} mm and 10 degrees of their usual places, and determines the operator; all modes
+have the same seeds. Each cell of the table has the median over the seeds, with the quartiles in brackets, and then
+the worst, with its seed.
 
 """
 
 BETWEEN = f"""
 `self-motion` and `advisor` are `decoupled` with a change of posture before each piece of work. In `joint` mode
-the operator is assumed to know where each joint has to go, as with taught points, and divides each straight
-line into ten; an operator who does not know is slower still. Margins are fractions of half a joint's range, at
-the goals. With the advisor the operator takes the option with the largest margin, and asks again when the hand
+the operator is assumed to know the goal of each joint, as with taught points, and divides each straight
+line into ten; an operator who does not know the goals is slower still. Margins are fractions of half a joint's range,
+at the goals. With the advisor the operator takes the option with the largest margin, and asks again when the hand
 is stopped. The advisor's computing time is not counted.
 
 ## No contact, a tolerance
 
-Hole and valve are in free space. In place of a contact stands a tolerance: a peg more than {OFF_MM:g} mm off
-the hole's axis or more than {TILT_DEG:g} degree tilted would touch it, and so would a hand more than {OFF_MM:g}
-mm off the valve's. That is an assumption. What a touch does - jam, slip, guide - is not in these figures; the
-operator goes on as if nothing had happened.
+Hole and valve are in free space. A tolerance replaces contact: a peg more than {OFF_MM:g} mm off
+the hole's axis or more than {TILT_DEG:g} degree tilted would touch the hole. A hand more than {OFF_MM:g} mm off the
+valve's axis would touch the valve. That is an assumption. The effect of a touch (jamming, slipping, guiding) is not in
+these figures; the operator continues as if nothing had happened.
 
 ## The operator
 
-- Reacts after {REACTION_S:g} s, differing by a tenth from one operator to the next. Simple visual reactions
+- Reacts after {REACTION_S:g} s, which varies by a tenth from one operator to the next. Simple visual reactions
   take 0.2 to 0.3 s (Woods et al., Front. Hum. Neurosci. 9:131, 2015); the spread is an assumption.
 - Is noisy: a rate deviates by {100 * NOISE:.0f} % of the whole command, in all axes of the stick, with a memory
-  of {NOISE_MEMORY_S:g} s. That noise grows with the signal is Harris and Wolpert's (Nature 394:780, 1998), a
-  tenth the order of what van Beers, Haggard and Wolpert find for reaching (J. Neurophysiol. 91:1050, 2004).
-  That it holds for a hand controller, and its memory, are assumptions.
+  of {NOISE_MEMORY_S:g} s. That noise grows with the signal is a result of Harris and Wolpert (Nature 394:780, 1998).
+  A tenth is the order of magnitude that van Beers, Haggard and Wolpert find for reaching (J. Neurophysiol. 91:1050,
+  2004). That this holds for a hand controller, and the memory, are assumptions.
 - Slips in {100 * SLIP:g} % of the actions, HEART's figure for a routine, highly practised, rapid task
-  (Williams, 1986): takes the wrong axis or joint, pushes the wrong way, lets go too late, or chooses the wrong
-  option, all equally likely. A continuous motion counts as an action every {ACTION_S:g} s. A slip ends one
+  (Williams, 1986): the operator takes the wrong axis or joint, pushes the wrong way, releases too late, or chooses
+  the wrong option, all equally likely. A continuous motion counts as an action every {ACTION_S:g} s. A slip ends one
   reaction later. Kinds, actions and duration are assumptions.
 
 ## What the paper concludes
 
-Hooper and Noakes (section V) tell what they found in use, and print no figure. A question is put to each seed;
-a conclusion is called supported if the answer is yes in at least {100 * MOST:.0f} % of them, not supported up
-to {100 * FEW:.0f} %.
+Hooper and Noakes (section V) report what they found in use, without figures. Here a question is asked of each seed.
+A conclusion is called supported if the answer is yes for at least {100 * MOST:.0f} % of the seeds, and not supported
+if it is yes for at most {100 * FEW:.0f} %.
 
 """
 
 AFTER = """
-The cell is the same for all of them, and its description complete: how the modes fare where obstacles are not known is
-not measured, nor how they lead out of difficult configurations. An operator that is a program does not tire, does not
-learn, and sees poses where people see pictures.
+All modes are used in one cell, whose description is complete. So these figures do not show how the modes perform if
+obstacles are not known, nor how they lead out of difficult configurations. An operator that is a program does not
+tire, does not learn, and sees poses where people see pictures.
 """
 
 
@@ -91,7 +91,7 @@ def page(runs: Sequence[ModeFigures]) -> str:
     for run in runs:
         if run.undone:
             figures += ["", f"`{run.mode}`, seed {run.seed}: {run.undone}."]
-    answers = ["| the paper says | asked of the figures | answer |", "| --- | --- | --- |"]
+    answers = ["| the paper says | question to the figures | answer |", "| --- | --- | --- |"]
     for conclusion in CONCLUSIONS:
         answers.append(f"| {conclusion.said} | {conclusion.asked or '-'} | {conclusion.verdict(modes)} |")
     parts = (BEFORE, "\n".join(figures), "\n", BETWEEN, "\n".join(answers), "\n", AFTER)

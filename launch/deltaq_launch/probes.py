@@ -101,7 +101,7 @@ def _ask_hli(cell: CellDescription) -> ProbeAnswer:
     if status.gate_age_s is None or status.gate_age_s > topics.HEALTH.age_s(cell.cycle_s):
         return ProbeAnswer(False, "the SIM is silent")
     lagging = f", lagging: {'; '.join(status.lagging)}" if status.lagging else ""
-    return ProbeAnswer(True, f"{len(status.robots)} robots{lagging}")
+    return ProbeAnswer(True, f"robots: {len(status.robots)}{lagging}")
 
 
 def _ask_panel(name: str, endpoint: str) -> ProbeAnswer:

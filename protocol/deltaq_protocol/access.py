@@ -24,8 +24,8 @@ def access(
     """The access control of one party's session in one realm, as zenoh's configuration has it.
 
     Args:
-        party: whose session it is.
-        realm: that it serves.
+        party: the party whose session it is.
+        realm: the realm of the session.
         cell: name of the cell.
         robot: the only one that it is concerned with; `*`: all.
         speakers: over TLS, the keys that each is heard under, by the name that its certificate proves; None: everybody

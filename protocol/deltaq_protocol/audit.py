@@ -17,7 +17,7 @@ LONGEST_TEXT = 300
 
 
 class AuditKind(StrEnum):
-    """What was done, or tried."""
+    """The kind of deed, done or attempted."""
 
     CONNECTED = "connected"
     DISCONNECTED = "disconnected"
@@ -40,7 +40,7 @@ class AuditKind(StrEnum):
 class AuditOutcome(StrEnum):
     """How it ended.
 
-    `asked` says that the gate was asked, `done` that it was carried out, `unconfirmed` that nobody knows.
+    `asked`: the gate was asked. `done`: the deed was carried out. `unconfirmed`: whether it was is not known.
     """
 
     ASKED = "asked"
@@ -52,11 +52,12 @@ class AuditOutcome(StrEnum):
 class AuditEntry(Message):
     """One line of the audit log, written by the HLI.
 
-    `time_utc` is the wall clock's time in ISO 8601, `time_s` the HLI's monotonic one [s]. `client` is the name that the
-    client gives itself, `identity` the one that its certificate proved (`operator-NAME`, `controller-NAME`). `address`
-    is HOST:PORT of a TCP connection, or `zenoh`, which does not tell. `role` is what was proved (`observer`,
-    `controller`, `operator`); empty where nobody asked. `text` is what the client was told. `count` is how many equal
-    ones the entry stands for; client, address and text are then those of the newest.
+    `time_utc` is the wall clock's time in ISO 8601, `time_s` the HLI's monotonic time [s]. `client` is the name that
+    the client gives itself, `identity` the name that its certificate proved (`operator-NAME`, `controller-NAME`).
+    `address` is HOST:PORT of a TCP connection, or `zenoh`, which does not show addresses. `role` is the role that was
+    proved (`observer`, `controller`, `operator`); empty if none was required. `text` is what the client was told.
+    `count` is the number of equal entries that this one stands for; client, address and text are then those of the
+    newest.
     """
 
     time_utc: str

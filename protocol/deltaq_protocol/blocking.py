@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 class BlockingOpening(AbstractContextManager[T]):
-    """A manager that has `open` and `close` too, for notebooks; it opens once.
+    """A context manager with `open` and `close` as well, for notebooks; it opens once.
 
     If it is not closed, it closes when the interpreter ends.
 

@@ -106,10 +106,10 @@ class Cell:
         return self._heard.verdicts(robot)
 
     async def stop(self) -> Done:
-        """Bring every robot of the cell to rest; each is held until it is reset, and has shown so when this returns.
+        """Bring every robot of the cell to rest; each is held until it is reset. Returns when all states show it.
 
         Raises:
-            RefusedError: `unreachable`, if not all of them have shown it in time; they were told all the same.
+            RefusedError: `unreachable`, if not all robots have shown it in time; the stop was sent nevertheless.
             ServiceUnreachableError: no answer in time.
         """
         request = StopRequest(client=self._client)
@@ -160,12 +160,12 @@ class Cell:
         aim_offset_m: ArrayLike | None = None,
         focus_m: ArrayLike | None = None,
     ) -> ViewReply:
-        """Ask the controller that follows with a robot's camera for another view; values that are not given stay.
+        """Ask the controller that follows with a robot's camera for another view; omitted values do not change.
 
         Args:
-            robot: that carries the camera.
+            robot: the robot that carries the camera.
             distance_m: from the lens to the target [m].
-            leader: robot whose tool is looked at.
+            leader: robot whose tool the camera looks at.
             aim_offset_m: (3,) the target in the frame of that tool [m].
             focus_m: (3,) a target that stands still, in the world [m].
 
@@ -225,8 +225,8 @@ class Cell:
             robot: name of the robot.
             client: what others see as the holder's name; otherwise the name given to `connect`.
             take: take the lease from whoever holds it; this is logged.
-            playout: for a controller farther away than a cycle (`round_trip_s`), which sends with `send`: its
-                increments wait in the HLI, so that each cycle has one though they come unevenly.
+            playout: for a controller whose round trip (`round_trip_s`) takes longer than a cycle, and which sends with
+                `send`: its increments wait in the HLI, so that each cycle has one although they come unevenly.
 
         Raises:
             RefusedError: `lease_taken` by another client, `unknown_robot`, or `not_permitted` to take.
@@ -243,7 +243,7 @@ class Cell:
             self._wire.close()
 
     def close_now(self) -> None:
-        """`close` for a loop that has ended without it: the interpreter is about to end."""
+        """`close`, for a loop that ended before it could be awaited: the interpreter is about to end."""
         self._leases.release_now()
         self._wire.close()
 
@@ -260,18 +260,18 @@ def connect(
     robots come to rest.
 
     Args:
-        address: where its HLI listens, e.g. `tcp/127.0.0.1:7447`.
+        address: endpoint at which the HLI listens, e.g. `tcp/127.0.0.1:7447`.
         client: name that others see.
-        token: the operator's or the controller's, where the server asks for one; it is not sent. None: what the
-            environment holds in `DELTAQ_CLIENT_TOKEN`, or in the file that `DELTAQ_CLIENT_TOKEN_FILE` names.
-        identity: folder of an operator's or a controller's identity, which goes before a token; None: what the
-            environment names in `DELTAQ_CLIENT_IDENTITY`, if anything.
+        token: the operator's or the controller's, if the server asks for one; it is not sent. None: the token in
+            the environment variable `DELTAQ_CLIENT_TOKEN`, or in the file that `DELTAQ_CLIENT_TOKEN_FILE` names.
+        identity: folder of an operator's or a controller's identity, which is preferred to a token; None: the folder
+            that the environment variable `DELTAQ_CLIENT_IDENTITY` names, if any.
 
-    What the environment names is read when a role is needed, and what is wrong with it told then: a stop needs none.
+    Files that the environment names are read, and errors in them raised, when a role is needed; a stop needs none.
 
     Raises:
         IdentityError: the identity is missing, not valid, or a service's.
-        ServiceUnreachableError: nobody answers there.
+        ServiceUnreachableError: no HLI answers at the address.
         RefusedError: `protocol_version`, if the server speaks another version.
     """
     return Opening(_connected(address, client, role_prover(token, identity)))

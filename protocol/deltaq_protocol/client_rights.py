@@ -14,7 +14,7 @@ from deltaq_protocol.topic import Topic
 
 
 class ClientRole(IntEnum):
-    """What a client may do; each may do what those before it may."""
+    """The roles of clients; each may do everything that the roles before it may."""
 
     OBSERVER = 1
     """Look on, and stop."""
@@ -30,9 +30,9 @@ class Right:
 
     Attributes:
         topic: row of the table of topics.
-        what: may be done there, where the topic has several things; otherwise empty.
-        least: the least role that may.
-        of_holder: only who holds the lease of the robot may, whatever its role.
+        what: the action, if the topic has several; otherwise empty.
+        least: the least role that may do it.
+        of_holder: only the holder of the robot's lease may do it, in any role.
     """
 
     topic: Topic

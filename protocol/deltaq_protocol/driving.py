@@ -64,9 +64,9 @@ class Release(Message):
 
 
 class ChangeMode(Message):
-    """Drive in this mode and with this grip from now on; the robot comes to rest in those before.
+    """Drive in this mode and with this grip from now on; the robot first comes to rest in the earlier ones.
 
-    Without a `grip` that stays as it was: whoever does not know of it lets nothing go.
+    Without a `grip` the grip stays unchanged, so that a sender that does not know of grips lets nothing fall.
     """
 
     type: Literal["mode"] = "mode"
@@ -94,7 +94,7 @@ class Wish(Message):
 
 
 class ChooseMaster(Message):
-    """Choose another robot of the cell as the master, whose tool leads a hand while wishes say `led`; empty: none."""
+    """Choose another robot of the cell as the master. Its tool leads a hand while wishes have `led`; empty for none."""
 
     type: Literal["choose_master"] = "choose_master"
     id: RequestId
@@ -125,7 +125,7 @@ class Advise(Message):
 class Reach(Message):
     """In mode `pose`: plan a way that brings a hand to a pose in the world; nothing moves.
 
-    Without a `hand` it is the robot's only one. The way is told in `DriverWays`, the answer says why there is none.
+    Without a `hand` it is the robot's only one. `DriverWays` has the way; the answer says why there is none.
     """
 
     type: Literal["reach"] = "reach"
@@ -140,7 +140,7 @@ REQUESTS: TypeAdapter[DriverRequest] = TypeAdapter(Annotated[DriverRequest, Fiel
 
 
 class DriverAnswer(Message):
-    """What became of the request `id`; `text` says why not, if it was not done."""
+    """The outcome of the request `id`; if it was not done, `text` says why."""
 
     type: Literal["answer"] = "answer"
     id: str
@@ -157,11 +157,11 @@ class DriverStage(StrEnum):
 
 
 class Search(Message):
-    """How far the search for ways is, and the robot on one of them.
+    """The progress of the search for ways, and of the robot on one of them.
 
     `done` is the fraction of the step `doing` that is done. `way` is the rank of the way that was begun, `driven` the
-    fraction of its duration that lies behind the robot; `arrived` says that the robot stands at its end. `trade_off`
-    names the two criteria on whose front the options are; None: they are minima of the energy.
+    fraction of its duration that has been driven; `arrived` says that the robot stands at its end. `trade_off`
+    names the two criteria whose Pareto front the options form; None: the options are minima of the energy.
     """
 
     doing: str = ""
@@ -215,14 +215,15 @@ class NearPair(Message):
 class Way(Message):
     """One way that is offered: an option of the advisor, or the way to a pose.
 
-    `rank` is by which it is chosen, `q` where it leads to, (n,) [rad or m], `points` configurations on it from its
-    beginning, none if no way is known; `why_not` says why. `energy` is what the advisor ranks by, `energy_here` that of
-    where it was asked, `costs` are those of its criteria, 0 good to 1 bad. `near` has the nearest bodies of each kind,
-    `self`, `environment` and `robots`, that the hands' poses do not fix; `hands_leave` says that the hands leave their
-    place on the way and come back. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an
-    option, and on a way to a pose the least. `clear` is the fraction of the way that keeps all distances and limits as
-    a copy of the cell forecasts it, the other robots standing still; `text` says so in words. `first` is the increment
-    that begins it, for the gate's dry run.
+    `rank` is the number by which it is chosen, and `q` the configuration at its end, (n,) [rad or m]. `points` are
+    configurations on it from its beginning; if no way is known there are none, and `why_not` says why. The advisor
+    ranks by `energy`; `energy_here` is that of the configuration in which it was asked, and `costs` are those of the
+    criteria, 0 good to 1 bad. `near` has the nearest bodies of each kind, `self`, `environment` and `robots`, without
+    pairs whose distance the hands' poses determine. `hands_leave` says that the hands leave their poses on the way and
+    return to them. `clearance_m` is the distance of `pair`, the nearest bodies: at the end of an option, and the least
+    on a way to a pose. `clear` is the fraction of the way that keeps all distances and limits, as a copy of the cell
+    forecasts it while the other robots stand still; `text` says this in words. `first` is the first increment of the
+    way, for the gate's dry run.
     """
 
     rank: Annotated[int, Field(ge=1, le=99)]
@@ -244,7 +245,7 @@ class Way(Message):
 
 
 class DriverWays(Message):
-    """All ways that are offered now, whenever that has changed; none after another mode was chosen."""
+    """All ways that are offered now, sent when they have changed; none after another mode was chosen."""
 
     type: Literal["ways"] = "ways"
     mode: DrivingMode

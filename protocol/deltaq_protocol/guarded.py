@@ -27,12 +27,12 @@ class Plan(Message):
 class ServerState(Message):
     """State of one robot as its Robot Server publishes it, after it replied to the KRC.
 
-    `process` is a number that no other process of this Robot Server has: each begins with cycle 1, and knows nothing of
-    the holds and resets before it. `q_cmd` and `dq` are the setpoint just sent and its increment; `q_reset`, of a held
-    robot, is the setpoint that the KRC has instead in a session that began since, and that a reset takes. `sequence`
-    is the admission it follows in gate epoch `epoch` (0 and 0: none yet). `cell` is the identity of the cell that its
-    Robot Server has read; the gate holds a robot whose server has read another. All joints are those of the robot, n
-    everywhere.
+    `process` is the instance id of the Robot Server's process: each process begins with cycle 1, and knows nothing of
+    earlier holds and resets. `q_cmd` and `dq` are the setpoint just sent and its increment. `q_reset` of a held robot
+    is the setpoint that the KRC has in a session that began after the hold; a reset adopts it. `sequence` is the
+    admission that the robot follows in gate epoch `epoch` (0 and 0: none yet). `cell` is the identity of the cell that
+    the Robot Server has read; the gate holds a robot whose server has read another cell. All arrays have the robot's n
+    joints.
     """
 
     robot: Name
@@ -69,8 +69,8 @@ class Request(Message):
     """HLI to SIM, at least once a cycle and robot: the newest increment, or none as a heartbeat.
 
     An increment answers the state of `cycle`; `newest` is the cycle of the newest state that the HLI had when it sent
-    this, where that may be another. A heartbeat's `cycle` is that of the newest state, its `lease_epoch` that of the
-    lease that stands, or 0 if none does.
+    the request, if it may differ. A heartbeat's `cycle` is that of the newest state, and its `lease_epoch` that of the
+    present lease, or 0 without a lease.
     """
 
     robot: Name
@@ -105,9 +105,9 @@ class Admission(Message):
 class Supervision(Message):
     """SIM to Robot Server, once a cycle: a heartbeat, and standing orders.
 
-    Orders are levels, not edges, so that a lost message costs nothing: `stop` stands until the state
-    shows `held`; a reset is the count of resets so far, obeyed when it is greater than the state's. A Robot
-    Server that has read another `cell` holds its robot.
+    Orders are levels, not edges, so that a lost message costs nothing. `stop` is repeated until the state shows
+    `held`. `resets` is the count of resets so far, obeyed if it is greater than the state's. A Robot Server that
+    has read another `cell` holds its robot.
     """
 
     robot: Name
@@ -147,7 +147,7 @@ class CommandReply(Message):
     A stop is acted upon at once, and answered when the newest state of every robot that it concerns shows that it is
     held; a reset when the state shows that the robot is not. What no state shows is not answered.
 
-    `epoch` and `newest_id` are what the next command has to go by, told to who did not know.
+    `epoch` and `newest_id` tell a sender that did not know them which values its next command needs.
     """
 
     id: Count
@@ -181,9 +181,9 @@ class Health(Message):
 
 
 class Greeting(Message):
-    """Says that this process of a service is there now; its seal tells which.
+    """Shows that this process of a service is running; its seal identifies the process.
 
-    It comes in answer to a message that was not made for the process, so that the next one is.
+    It answers a message that was not made for the process, so that the sender makes the next one for it.
     """
 
     service: Name

@@ -31,10 +31,10 @@ class HeartbeatError(DeltaqError):
 
 
 class Heartbeat:
-    """Signs of life, at most one a second; without anybody who wants them they cost a comparison.
+    """Heartbeats for a supervisor, at most one a second; without a supervisor they cost a comparison.
 
     Args:
-        environment: that says who wants them.
+        environment: its variables name the supervisor.
 
     Raises:
         HeartbeatError: if the health file cannot be written.

@@ -1,4 +1,4 @@
-"""Which cell is meant: its name and a hash of what its description says, for those who meet to compare."""
+"""The identity of a cell: its name and a hash of its description, which two processes compare."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class CellIdentity:
 
     @classmethod
     def parse(cls, text: str) -> CellIdentity:
-        """From its text; whatever it is, so that a stranger has an identity too, which is nobody else's."""
+        """From any text, so that an unknown text gives an identity too, which differs from all others."""
         name, _, hashes = text.partition(" ")
         content, _, bodies = hashes.partition("-")
         return cls(name, content, bodies)
 
     def is_same(self, other: CellIdentity) -> bool:
-        """Whether both mean the same cell, as far as both have read it."""
+        """Whether both identify one cell, as far as both have read it."""
         bodies_differ = bool(self.bodies and other.bodies) and self.bodies != other.bodies
         return (self.name, self.content) == (other.name, other.content) and not bodies_differ
 
@@ -37,6 +37,6 @@ class CellIdentity:
 
 
 def mismatch(who: str, theirs: CellIdentity, ours: CellIdentity) -> str:
-    """What to say of two that mean different cells."""
+    """The message about two processes that have read different cells."""
     told = str(theirs) if theirs.content else f"{theirs.name or 'one'} of a version that tells no hash"
     return f"{who} has read cell {told.strip()}, and here it is {ours}"

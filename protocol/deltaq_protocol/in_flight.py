@@ -35,10 +35,10 @@ _MAY_MOVE = (Phase.READY, Phase.ENGAGED, Phase.BRAKING)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ahead:
-    """What the next increment is added to.
+    """The setpoint that the next increment is added to.
 
     Attributes:
-        cycle: whose setpoint it is.
+        cycle: cycle of the setpoint.
         q_cmd: (n,) setpoint, if all that was sent is admitted as it was asked for [rad or m].
         dq: (n,) increment that leads to it, where an increment leads to it that was sent [rad or m].
         room: increments for which there is a setpoint to be decided, if none of those sent was lost.
@@ -75,7 +75,7 @@ def is_awaited(state: RobotState) -> bool:
 
 
 class InFlight:
-    """Increments of one lease from when they are sent until states show them, or it is known that they never will."""
+    """Increments of one lease, from sending until states show them, or until it is known that no state will."""
 
     def __init__(self) -> None:
         self._given_up = 0
@@ -115,7 +115,7 @@ class InFlight:
         return is_first
 
     def ahead(self, state: RobotState) -> Ahead:
-        """What the next increment is added to that answers a state, the newest so far."""
+        """The setpoint that the next increment is added to, if it answers this state, the newest so far."""
         self._cycle_passed(state)
         if state.phase not in _MAY_MOVE:
             return Ahead(state.cycle, np.array(state.q_cmd), 1)
@@ -128,7 +128,7 @@ class InFlight:
         return Ahead(cycle, q_cmd, max(1, state.cycle + self._lookahead_cycles - cycle))
 
     def take_given_up(self) -> int:
-        """How many increments were given up since the last call, whose verdicts have not come."""
+        """The number of increments without a verdict that were given up since the last call."""
         given_up, self._given_up = self._given_up, 0
         return given_up
 
@@ -161,7 +161,7 @@ class InFlight:
         self._give_up([one for one in self._sent if one.cycle <= oldest])
 
     def _behind_playout(self, state: RobotState, playout: Playout) -> Ahead:
-        """What the increments behind the one that is in the setpoint make of it, if each has its turn."""
+        """The setpoint after all increments later than the one that it includes, if each has its turn."""
         first, q_ahead = _told(state)
         q_cmd, dq = np.array(q_ahead), None
         if playout.owed is not None:

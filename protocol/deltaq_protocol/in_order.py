@@ -8,9 +8,9 @@ import zenoh
 
 
 def in_order(put: Callable[[zenoh.Sample], None]) -> Callable[[zenoh.Sample], None]:
-    """Hand samples of one stream on to `put`, but for those that come after a newer one of the same publisher.
+    """Pass samples of one stream on to `put`, except a sample that comes after a newer one of its publisher.
 
-    They are told by zenoh's time stamps, which sessions with a link of datagrams give; those without come in order.
+    Zenoh's time stamps show the order; sessions with a datagram link set them. Samples without a stamp come in order.
     """
     newest: zenoh.Timestamp | None = None
 

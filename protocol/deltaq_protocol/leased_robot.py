@@ -120,7 +120,7 @@ class LeasedRobot:
             del self._awaited[seq]
 
     def move_now(self, dq: Iterable[float], renew: Callable[[], None]) -> Verdict:
-        """`move` for a robot that has a state already; for threads other than the loop's, which wait themselves.
+        """`move` for a robot whose state has come already; for threads other than the loop's, which wait themselves.
 
         Args:
             dq: (n,) increment over one cycle [rad or m].
@@ -150,8 +150,8 @@ class LeasedRobot:
     async def send(self, dq: Iterable[float], cycle: int | None = None) -> int:
         """Ask for an increment and do not wait: its verdict comes with `verdicts` or `new_verdicts`.
 
-        For a controller that is slower than a cycle, or farther away than one, and for any in a cell with a lookahead.
-        `deltaq_protocol.in_flight` keeps account of what was sent and is not in the setpoint yet.
+        For a controller whose answer or round trip takes longer than a cycle, and for any in a cell with a lookahead.
+        `deltaq_protocol.in_flight` adds up the increments that were sent and are not in the setpoint yet.
 
         Args:
             dq: (n,) increment over one cycle [rad or m].
@@ -169,7 +169,7 @@ class LeasedRobot:
         return self.send_now(dq, cycle)
 
     def send_now(self, dq: Iterable[float], cycle: int | None = None) -> int:
-        """`send` for a robot that has a state already; any thread may call it."""
+        """`send` for a robot whose state has come already; any thread may call it."""
         self.lease.check()
         state = self._newest.value
         if state is None:
@@ -182,7 +182,7 @@ class LeasedRobot:
     async def verdicts(self) -> AsyncIterator[Verdict]:
         """The verdicts on increments sent with `send`, as they come; a reader that is too slow loses the oldest.
 
-        Of two on the same sequence number the last one counts: the first one's admission came too late.
+        Of two verdicts on one sequence number the last counts: the admission of the first came too late.
         A verdict that was lost in transit does not come: its sequence number is missing. One reader at a time.
 
         Raises:
@@ -199,7 +199,7 @@ class LeasedRobot:
     async def new_verdicts(self) -> list[Verdict]:
         """The verdicts on increments sent with `send` that have come since the last call; none is waited for.
 
-        As with `verdicts`, of two on the same sequence number the last one counts, and one that was lost is missing.
+        As with `verdicts`, of two verdicts on one sequence number the last counts, and a lost verdict is missing.
 
         Raises:
             RefusedError: the lease was lost.

@@ -23,7 +23,7 @@ from deltaq_protocol.errors import DeltaqError
 FORMAT = "DELTAQ_LOG_FORMAT"
 """Environment variable: `text`, which is the default, or `json`."""
 RESULT = "result"
-"""What the line says whose fields are what a program was run for."""
+"""Text of the line whose fields are the result of a program."""
 _OURS = ("__main__", "deltaq_controllers", "deltaq_emulator", "deltaq_protocol", "deltaq_services")
 _BEGINNING = '{"time": '
 
@@ -121,7 +121,7 @@ def read_json_line(line: str) -> dict[str, Any] | None:
 
 
 def message_of(line: str) -> str:
-    """What a line of either format says."""
+    """The contents of a line in either format."""
     told = read_json_line(line)
     return line if told is None else str(told["message"])
 
@@ -174,7 +174,7 @@ def _log_uncaught(
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has: not a number is null, and what it does not know is its text."""
+    """A value that JSON can express: not-a-number becomes null, and an unknown type its text."""
     match value:
         case Mapping():
             return {str(name): _plain(one) for name, one in value.items()}

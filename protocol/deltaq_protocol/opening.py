@@ -13,7 +13,7 @@ _open: set[Opening[Any]] = set()
 
 
 class Opening(AbstractAsyncContextManager[T]):
-    """A manager that has `open` and `close` too, for notebooks; it opens once.
+    """A context manager with `open` and `close` as well, for notebooks; it opens once.
 
     Args:
         manager: opens and closes.

@@ -39,7 +39,7 @@ class PadControl:
         name: its name by SDL.
         standard: its place in the standard mapping of browsers (W3C, Gamepad, section 12).
         function: what it does.
-        words: the same for people, as short as it is written beside a drawing.
+        words: what it does in words, short enough to stand beside a drawing.
     """
 
     name: str

@@ -52,14 +52,14 @@ def line_proof(token: str, challenge: str) -> str:
 
     Args:
         token: of a role; it is not sent.
-        challenge: that the server gave, in hexadecimal digits.
+        challenge: the server's challenge, in hexadecimal digits.
     """
     return hmac.new(token.encode(), f"deltaq hello {challenge}".encode(), "sha256").hexdigest()
 
 
 @functools.lru_cache(maxsize=64)
 def key_of(secret: str) -> bytes:
-    """The MAC's key; JSON can smuggle half a surrogate pair into a secret, which is no text."""
+    """The MAC's key; JSON can bring half a surrogate pair into a secret, which cannot be encoded."""
     return blake2b(secret.encode(errors="replace"), digest_size=MAC_BYTES).digest()
 
 

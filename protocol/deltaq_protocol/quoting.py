@@ -14,10 +14,10 @@ _LONGEST_NAME = 64
 
 
 def quoted(value: object, field: str, message_type: type[BaseModel]) -> str:
-    """What was given for a field, as far as anybody may read it.
+    """The value given for a field, as far as anybody may read it.
 
-    Numbers and text are quoted where the message has that field and its `repr` shows it; whatever is in a field of
-    another name, in a map, or in a field that is a secret, is told by its kind.
+    Numbers and text are quoted if the message has that field and its `repr` shows it. Of a value in a field of another
+    name, in a map, or in a secret field, only the kind is named.
     """
     known = message_type.model_fields.get(field)
     return shown(value) if known is not None and known.repr else kind_of(value)
@@ -32,7 +32,7 @@ def shown(value: object) -> str:
 
 
 def kind_of(value: object) -> str:
-    """What a value is, without what it holds."""
+    """The kind of a value, without its contents."""
     match value:
         case None:
             return "null"

@@ -1,4 +1,4 @@
-"""What shows the server a client's role: its identity or its token, neither of which is sent."""
+"""Proofs of a client's role, by its identity or its token, neither of which is sent."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RoleOfEnvironment:
 
 
 def role_prover(token: str | None, identity: str | os.PathLike[str] | None) -> RoleProver | None:
-    """What shows the role of a client, which its program or the environment names; None: nothing does.
+    """The prover of a client's role, from its program or the environment; None: the client has no role to prove.
 
     Raises:
         IdentityError: the identity that the program names is missing, not valid, or a service's.

@@ -1,4 +1,4 @@
-"""Who says what to whom in the guarded realm: the table of topics, by the services of one cell.
+"""Who sends what to whom in the guarded realm: the table of topics, by the services of one cell.
 
 A seal under an identity follows from this table: each service can say what stands here under its own name, to those
 that stand beside it, and nothing else. So does the reference.
@@ -55,7 +55,7 @@ def sayings(cell: str, robots: Sequence[str]) -> tuple[Saying, ...]:
 
 
 def speakers_to(service: str, cell: str, robots: Sequence[str]) -> dict[str, list[str]]:
-    """Whom a service listens to, and under which keys."""
+    """The services that a service listens to, and the zenoh keys."""
     heard: dict[str, list[str]] = {}
     for saying in sayings(cell, robots):
         if service in saying.listeners and service != saying.speaker:

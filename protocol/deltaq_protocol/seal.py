@@ -47,7 +47,7 @@ class UnboundMessageError(ProtocolError):
 
 
 class _Link:
-    """What was heard under one zenoh key: its sender, and who claims to be its successor."""
+    """The senders heard under one zenoh key: the present one, and those that claim to be its successor."""
 
     def __init__(self) -> None:
         self.sender = b""
@@ -82,9 +82,9 @@ class Seal:
         """The message that came under `zenoh_key`, to be acted upon.
 
         Raises:
-            ForgedMessageError: if nobody published it there who may, or it is not newer than the last, or of a process
-                whose successor was heard.
-            UnboundMessageError: if it was not made for this process; a greeting tells its sender of it.
+            ForgedMessageError: it was not published by a process that may publish there, it is not newer than the
+                last, or it is from a process whose successor was heard.
+            UnboundMessageError: it was not made for this process; a greeting makes this process known to its sender.
         """
         opened = self._opened(zenoh_key, sealed)
         message = _message(opened)
@@ -112,7 +112,7 @@ class Seal:
         return message
 
     def meet(self, zenoh_key: str, sealed: bytes) -> None:
-        """Learn of the sender of a greeting: what is closed from now on is valid for it.
+        """Register the sender of a greeting: messages sealed from now on are valid for it.
 
         Raises:
             ForgedMessageError: as `open` does.
@@ -121,16 +121,16 @@ class Seal:
             self.open(zenoh_key, sealed)
 
     def read(self, zenoh_key: str, sealed: bytes) -> bytes:
-        """The message, for who only watches: it may be old, and another process's. Any thread may call this.
+        """The message, for a process that only watches; it may be old or for another process. Any thread may call it.
 
         Raises:
-            ForgedMessageError: if nobody published it under `zenoh_key` who may, or it is too long; under an identity
-                also if nothing that is said there is said to it.
+            ForgedMessageError: it was not published by a process that may publish under `zenoh_key`, or it is too long;
+                under an identity also if no message there is for this identity.
         """
         return _message(self._opened(zenoh_key, sealed))
 
     def _opened(self, zenoh_key: str, sealed: bytes) -> bytes:
-        """What lies behind the MACs, of which the one for this process is right."""
+        """The bytes behind the MACs, after the MAC for this process was verified."""
         if len(sealed) > MAX_SEALED_BYTES:
             raise ForgedMessageError(
                 f"{zenoh_key}: {len(sealed)} bytes, at most {MAX_SEALED_BYTES} are sealed"

@@ -16,10 +16,10 @@ class KnownBy(NamedTuple):
     """How a receiver finds out who sent a message under a zenoh key.
 
     Attributes:
-        key: of the MAC that is for it.
-        place: of that MAC among those of the message, from 0.
-        macs: how many the message has.
-        speaker: who can have made it, for people.
+        key: key of the MAC that is for this receiver.
+        place: index of that MAC among the message's MACs, from 0.
+        macs: number of MACs of the message.
+        speaker: the service that can have made it, for people.
     """
 
     key: bytes
@@ -32,10 +32,10 @@ class SealKeys(Protocol):
     """The keys of one process."""
 
     def said(self, zenoh_key: str) -> Sequence[bytes]:
-        """Keys of the MACs of what it publishes under a zenoh key, one for each of those who can tell it."""
+        """Keys of the MACs of messages that it publishes under a zenoh key, one for each receiver that checks them."""
 
     def heard(self, zenoh_key: str) -> KnownBy | None:
-        """What it knows a message under a zenoh key by; None if nothing there is said to it."""
+        """How it verifies a message under a zenoh key; None if no message there is for it."""
 
 
 class RealmKey:
@@ -61,10 +61,10 @@ class RealmKey:
 
 
 class PairKeys:
-    """A key for each speaker and listener, in each direction: who has one identity can say what that one may say.
+    """A key for each sender and receiver, in each direction: the holder of one identity can send only what it may send.
 
     Args:
-        name: of the service whose keys these are.
+        name: the service whose keys these are.
         cell: name of the cell.
         robots: names of its robots.
         secrets: by service, its own included, the 32 bytes that only it and this service can compute.

@@ -14,7 +14,7 @@ _MOST_BYTES = 64 * 1024
 
 
 def contents(file: Path) -> tuple[os.stat_result, bytes]:
-    """What the system says of a file, and its first 64 KiB, of one opening: nobody can put another in between.
+    """The status of a file and its first 64 KiB, from one opening, so that the file cannot be exchanged in between.
 
     Raises:
         OSError: if it cannot be read.

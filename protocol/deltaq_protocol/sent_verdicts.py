@@ -13,10 +13,10 @@ _MOST = 1024
 
 
 class SentVerdicts:
-    """Keeps the newest verdicts on what was sent. Each operation is atomic, whatever other threads do meanwhile.
+    """Keeps the newest verdicts on increments that were sent. Each operation is atomic with respect to other threads.
 
     Attributes:
-        queue: those that nobody has read.
+        queue: the verdicts that were not read yet.
     """
 
     def __init__(self) -> None:

@@ -44,7 +44,7 @@ def open_session(
         listen: endpoints to listen on, e.g. `tcp/127.0.0.1:7447`.
         connect: endpoints to connect to, and to connect to again whenever they are lost.
         must_connect: fail at once if an endpoint cannot be reached, instead of trying for ever.
-        access: who may say what here, as `deltaq_protocol.access` has it; None: whoever is there, anything.
+        access: who may send what here, as `deltaq_protocol.access` returns it; None: anybody may send anything.
         tls: certificates of `tls/` endpoints, as zenoh's configuration has them.
 
     Raises:
@@ -130,14 +130,14 @@ def declare_publisher(
     priority: Priority = Priority.URGENT,
     to_itself: bool = True,
 ) -> Any:
-    """A publisher for small messages, dropped when blocked. What is sealed is for others, and not heard by oneself.
+    """A publisher for small messages, dropped when blocked. Its own session does not receive sealed messages.
 
     Args:
         session: an open zenoh session.
-        key: to publish on.
-        seal: put on what is published; None in the open realm, and for what is only recorded.
-        priority: what its row of the table of topics says; what is urgent is sent at once.
-        to_itself: whether subscribers of the same session count.
+        key: zenoh key to publish on.
+        seal: seals the messages; None in the open realm, and for messages that are only recorded.
+        priority: as in its row of the table of topics; urgent messages are sent at once.
+        to_itself: whether subscribers of this session receive the messages too.
     """
     is_local = to_itself and seal is None
     urgent = priority is Priority.URGENT

@@ -18,7 +18,7 @@ from deltaq_protocol.guarded import Admission, Plan, ServerState
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetpointMotion:
-    """What a robot was sent in a cycle, and the brake that follows where nothing is admitted.
+    """The setpoint that a robot was sent in a cycle, and the brake that follows without an admission.
 
     Attributes:
         q_cmd: (n,) setpoint [rad or m].

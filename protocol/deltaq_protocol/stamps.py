@@ -35,7 +35,7 @@ _COLUMNS = 5
 
 
 class StampStation(IntEnum):
-    """Where a stamp is taken. What `cycle` and `detail` of it are, each member says."""
+    """Where a stamp is taken. Each member says what `cycle` and `detail` of its stamps are."""
 
     TELEGRAM = 0
     """The Robot Server has read a telegram; the robot's cycle that it begins."""
@@ -60,7 +60,7 @@ class StampStation(IntEnum):
 
 
 class CycleOutcome(IntEnum):
-    """What a Robot Server sent its robot in a cycle."""
+    """The kind of setpoint that a Robot Server sent in a cycle."""
 
     FRESH = 0
     """An increment that was admitted for this cycle."""
@@ -81,7 +81,7 @@ class Stamps:
 
     Args:
         process: its name.
-        robots: whose stamps are kept; others are left out.
+        robots: robots whose stamps are kept; others are left out.
         capacity: of the ring.
     """
 
@@ -100,8 +100,8 @@ class Stamps:
 
         Args:
             station: where.
-            robot: whose increment or state it is.
-            cycle: which cycle's, see `StampStation`.
+            robot: robot of the increment or state.
+            cycle: its cycle, see `StampStation`.
             detail: see `StampStation`.
             time_ns: of CLOCK_MONOTONIC [ns].
         """

@@ -38,7 +38,7 @@ class Party(StrEnum):
 
 
 class Priority(StrEnum):
-    """How urgent a message is on a link where others wait. What is urgent is sent at once, by itself."""
+    """How urgent a message is on a link where others wait. An urgent message is sent at once, by itself."""
 
     URGENT = "urgent"
     ORDINARY = "ordinary"
@@ -108,11 +108,11 @@ class Topic:
         readers: who reads the stream, or answers the query.
         rate: how often it comes; None: on demand.
         reply: type of the reply of a query.
-        max_age_cycles: what is older, in cycles of the robot, is not acted upon; None where cycles do not count.
-        max_age_s: what is older than this is not acted upon, or counts as silence; None where seconds do not count.
+        max_age_cycles: older messages, in cycles of the robot, are not acted upon; None if cycles do not count.
+        max_age_s: older messages are not acted upon, or count as silence; None if seconds do not count.
         priority: how urgent it is.
-        recorded: whether a recording holds it. What passes between a client and the HLI alone is not heard by
-            anybody else: of it a recording has what the HLI makes of it, in the guarded realm.
+        recorded: whether a recording holds it. Nobody else receives messages between a client and the HLI; a
+            recording has the messages that the HLI makes of them in the guarded realm.
     """
 
     name: str
@@ -164,7 +164,7 @@ class Topic:
         return age_s
 
     def age_cycles(self, cycle_s: float, bound_s: float = math.inf) -> int:
-        """The same in whole cycles, what is begun not counted."""
+        """The greatest age in whole cycles, rounded down."""
         return math.floor(self.age_s(cycle_s, bound_s) / cycle_s + _ROUNDING)
 
     @property

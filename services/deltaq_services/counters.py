@@ -19,7 +19,7 @@ class Counted:
     """One row.
 
     Attributes:
-        service: which counts it.
+        service: the service that counts it.
         name: as in the status, with its variable part in braces.
         meaning: what was counted.
     """

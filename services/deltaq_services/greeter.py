@@ -15,7 +15,7 @@ class Greeter:
     """One service's greetings, at most one in so often.
 
     Args:
-        service: whose they are.
+        service: name of the service that greets.
         publish: sends one.
     """
 

@@ -39,12 +39,12 @@ def guarded_seal(cell: CellDescription, service: str = "", watched: str = "") ->
 
     Args:
         cell: the cell.
-        service: whose seal it is; empty for who only watches.
-        watched: whose messages such a one reads, best with the identity of that service.
+        service: name of the service that seals; empty for a process that only watches.
+        watched: the service whose messages a watching process reads, best with the identity of that service.
 
     Raises:
-        GuardedKeyError: if there is no key, or it is not this user's secret.
-        IdentityError: the same of an identity, or it is another's.
+        GuardedKeyError: there is no key, or it is not this user's secret.
+        IdentityError: there is no identity, it is not this user's secret, or it belongs to another service.
     """
     if not os.environ.get(IDENTITY):
         return Seal(RealmKey(_key_in(_file_of(cell))))
@@ -95,11 +95,11 @@ def write_new_key(file: Path, *, keep: bool = False) -> None:
 
     Args:
         file: to write.
-        keep: leave one that is there already as it is.
+        keep: do not overwrite an existing key.
 
     Raises:
-        GuardedKeyError: if the file cannot be written or, unless it is to be kept, is there already; or if the one
-            that is kept is no secret key.
+        GuardedKeyError: the file cannot be written, it exists and `keep` is false, or the key that is kept is not a
+            secret key.
     """
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -33,12 +33,12 @@ def open_guarded_session(
         service: its name.
         listen: endpoints to listen on.
         connect: endpoints to connect to, for ever.
-        robot: the only one that it is concerned with; `*`: all.
+        robot: the only robot that it serves; `*`: all.
 
     Raises:
-        GuardedKeyError: if an endpoint is of TLS, and there is no identity.
-        IdentityError: if it is another's, or not valid.
-        ServiceUnreachableError: if an endpoint cannot be listened on.
+        GuardedKeyError: an endpoint uses TLS, and there is no identity.
+        IdentityError: the identity belongs to another service, or is not valid.
+        ServiceUnreachableError: the session cannot listen on an endpoint.
     """
     tls = _tls(cell, [*listen, *connect], os.environ.get(IDENTITY), service)
     speakers = None if tls is None else speakers_to(service, cell.cell, tuple(cell.robots))
@@ -47,12 +47,12 @@ def open_guarded_session(
 
 
 def open_watching_session(cell: CellDescription, connect: Sequence[str], watched: str = "") -> Any:
-    """The session of who only listens: under the identity of the service that it watches, or whatever it has.
+    """A session that only listens, under the identity of the watched service, or any other identity of the environment.
 
     Raises:
-        GuardedKeyError: if an endpoint is of TLS, and there is no identity.
-        IdentityError: if it is not valid.
-        ServiceUnreachableError: if nobody answers there.
+        GuardedKeyError: an endpoint uses TLS, and there is no identity.
+        IdentityError: the identity is not valid.
+        ServiceUnreachableError: no service answers there.
     """
     folder = os.environ.get(IDENTITY) or os.environ.get(CLIENT_IDENTITY)
     return open_session(connect=connect, must_connect=True, tls=_tls(cell, connect, folder, watched))

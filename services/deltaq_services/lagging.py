@@ -27,9 +27,9 @@ class Heard:
 
     Args:
         name: for people.
-        topic: its row, steady and with an age.
-        cycle_s: the robots' sample time.
-        bound_s: bounds its age where the cell does.
+        topic: its row in the table of topics, with a steady rate and a greatest age.
+        cycle_s: sampling time of the robots [s].
+        bound_s: the cell's bound on its age, if there is one [s].
     """
 
     def __init__(self, name: str, topic: Topic, cycle_s: float, bound_s: float = math.inf) -> None:
@@ -53,7 +53,7 @@ class Heard:
         self._times_s = deque(times_s, maxlen=self._times_s.maxlen)
 
     def fault(self, time_s: float) -> str | None:
-        """What is wrong with the stream, for people; None if nothing is."""
+        """The fault of the stream, for people; None if it has none."""
         times_s = self._times_s
         if not times_s:
             return f"{self.name}: no {self._topic.name} yet"

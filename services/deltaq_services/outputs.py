@@ -18,7 +18,7 @@ class ClientOrigin:
     Attributes:
         client: the name that it gives itself.
         address: HOST:PORT of its connection, or `zenoh`; empty for the server itself.
-        role: that it has proved; empty where nobody asked.
+        role: the role that it has proved; empty if none was required.
         identity: the name that its certificate proved; empty without one.
     """
 
@@ -37,7 +37,7 @@ class Sender(ABC):
 
     Attributes:
         lasting: True for a connection, which can get later messages too; a query takes one answer.
-        origin: whom it is, as far as that is known.
+        origin: the sender's name, address and role, as far as they are known.
     """
 
     lasting = False
@@ -53,7 +53,7 @@ class ToTopic:
     """Publish in the realm of the topic; states go to the readers over TCP too.
 
     Attributes:
-        robot: whose key it goes to; empty where the topic has no robot in its key.
+        robot: robot of the key; empty if the topic's key has no robot.
     """
 
     topic: Topic
@@ -88,5 +88,5 @@ Output = ToTopic | ToSender
 
 
 def published(outputs: Iterable[Output], realm: Realm) -> list[ToTopic]:
-    """Those that are published in a realm."""
+    """The outputs that are published in a realm."""
     return [output for output in outputs if isinstance(output, ToTopic) and output.topic.realm is realm]

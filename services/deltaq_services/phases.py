@@ -57,5 +57,5 @@ MAY_MOVE = frozenset({Phase.READY, Phase.ENGAGED, Phase.BRAKING})
 
 
 def next_phase(phase: Phase, event: Event) -> Phase:
-    """The phase that follows `event`; the same phase where the table has no row."""
+    """The phase that follows `event`; the present phase if the table has no row for it."""
     return _NEXT.get((phase, event), phase)

@@ -41,7 +41,7 @@ def arguments(description: str, *, of_robot: bool = False, writes_audit: bool = 
 
 
 def run(serve: Callable[[], None], service: str) -> None:
-    """Run a service until SIGTERM or Ctrl-C; what it logs is of this name.
+    """Run a service until SIGTERM or Ctrl-C; it logs under this name.
 
     A user's mistake becomes one line and exit status 2; an address that is not available, exit status 3.
     """

@@ -535,7 +535,7 @@ test("it is told whether an object is held, and by how much the hands are off", 
   assert.match(hands.gripWords("object", null, "object"), /is taken as soon as/);
   assert.equal(
     hands.gripWords("object", { distance_m: 0.0012, angle_rad: 0.01 }, "object"),
-    "Object held. Hands off by 1.2 mm, 0.57° from how they took it.",
+    "Object held. The hands are off their grasp by 1.2 mm, 0.57°.",
   );
   assert.doesNotMatch(hands.gripWords("free", null, "left"), /held/);
 });

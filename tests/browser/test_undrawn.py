@@ -33,7 +33,10 @@ def without_webgl(page):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (without_a_description, "/scene.json did not come: the console answers 500. Its log says why."),
+        (
+            without_a_description,
+            "/scene.json could not be loaded: the console answers 500. Its log says why.",
+        ),
         pytest.param(without_three_js, "Failed to fetch", marks=pytest.mark.nightly),
         pytest.param(without_webgl, "This browser has no WebGL 2", marks=pytest.mark.nightly),
     ],

@@ -173,8 +173,8 @@ def test_a_robot_is_taken_over_from_a_holder_outside_by_a_button_that_is_held(op
         page.wait_for_function("deltaq.live.robot('gr').lease.outside")
         words = page.locator(".lease").text_content()
         assert "night shift has control" in words
-        assert "no browser at this console" in words
-        button = page.get_by_role("button", name="Take it over: hold")
+        assert "not a browser at this console" in words
+        button = page.get_by_role("button", name="Hold to take over")
         button.hover()
         page.mouse.down()
         page.mouse.up()

@@ -268,7 +268,7 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
     assert "| angle 0.90°, angle rms 0.50°, distance 2.0 cm, roll 3°, seen 50 % | angle 1.30° (2)," in text
     assert "`deltaq experiment tracking --controller paper --duration-s 20`" in text
     assert "Each row has 2 to 3 runs" in text
-    assert "Where a row has less than 10 runs, there was no time for more" in text
+    assert "Where a row has fewer than 10 runs, there was no time for more" in text
     assert "no time for more" not in page(CAMERA, [ClaimOutcome(claim, 10 * [reports[0]])])
 
 

@@ -41,7 +41,7 @@ def driving_anna(bench):
         ('{"type": "jog"}', ("id: is missing",)),
         ('{"type": "jog", "id": "", "sent_ms": 0, "robot": "fr"}', ("id", "bound 1")),
         ('{"type": "ping", "id": "1", "sent_ms": NaN}', ("sent_ms", "finite")),
-        ('{"type": "ping", "id": "1", "sent_ms": 0, "more": 1}', ("more: is no field of a ping",)),
+        ('{"type": "ping", "id": "1", "sent_ms": 0, "more": 1}', ("more: is not a field of a ping",)),
         ('{"type": "jog", "id": "1", "sent_ms": 0, "robot": "fr", "wish": [1e999]}', ("wish.0", "finite")),
         (
             '{"type": "jog", "id": "1", "sent_ms": 0, "robot": "fr", "wish": [' + "0," * 32 + "0]}",
@@ -190,7 +190,7 @@ def test_a_stop_needs_no_more_than_its_type(bench):
             "2 rad/s is too fast for a hand",
         ),
         ("jog", {"robot": "gr", "wish": [0] * 9}, "gr is not yours to move"),
-        ("output", {"robot": "fr", "index": 0, "value": True}, "fr has 0 outputs, got 0"),
+        ("output", {"robot": "fr", "index": 0, "value": True}, "outputs of fr: 0, got 0"),
         ("dry_run", {"robot": "fr", "dq": [0.0]}, "6 joints, got 1"),
     ],
 )

@@ -15,8 +15,8 @@ POSE = ToolPose(position=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
     [
         (None, "engaged"),
         (Sight.FRESH, "engaged"),
-        (Sight.STALE, "engaged, and sees what it follows late (view_stale)"),
-        (Sight.LOST, "engaged, and sees what it follows no more (view_lost)"),
+        (Sight.STALE, "engaged, and its view of the leader is stale (view_stale)"),
+        (Sight.LOST, "engaged, and its view of the leader is lost (view_lost)"),
     ],
 )
 def test_a_view_that_is_stale_or_lost_is_said_beside_the_phase(sight: Sight | None, said: str) -> None:

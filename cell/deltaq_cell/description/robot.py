@@ -22,7 +22,7 @@ class RobotDescription(DescriptionModel):
     model: str
     """A model's name (`kr16`), the path of a URDF file, or `package://` and a path within a package."""
     server: GuardedEndpointText
-    """Where its Robot Server listens for SIM and HLI."""
+    """Endpoint at which its Robot Server listens for SIM and HLI."""
     driver: Driver
     joints: dict[JointName, JointDescription]
     """In the joint order of the model."""

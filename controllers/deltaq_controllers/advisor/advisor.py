@@ -48,7 +48,7 @@ class Option:
         no_path: why not; empty if there is one.
         hands_leave: whether the hands are in place, and leave and come back on the way.
         energy_here: energy of the configuration from which the advisor was asked.
-        nearest: of each kind of body that is near, the nearest pair whose distance the hands do not fix.
+        nearest: for each kind of near body, the nearest pair whose distance the hands' poses do not determine.
     """
 
     q: Array

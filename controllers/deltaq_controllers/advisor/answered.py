@@ -8,7 +8,7 @@ from deltaq_protocol.arrays import Array
 
 
 class Answered:
-    """Gives the answer that it was given, whatever it is asked.
+    """Gives one prepared answer to every question.
 
     Args:
         tracker: of the robot.

@@ -35,7 +35,7 @@ class MotionValidator:
     """Where paths between some configurations may pass.
 
     Args:
-        robot: whose limits are kept.
+        robot: the robot, whose limits are kept.
         space: in which the paths lie.
         exact: measures the distances of bodies.
         ends: (k, n) configurations that paths begin and end at; margins are no larger than these have them.

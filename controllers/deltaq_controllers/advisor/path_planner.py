@@ -36,7 +36,7 @@ class PathPlanner:
     """Finds paths from one configuration.
 
     Args:
-        robot: whose limits are kept.
+        robot: the robot, whose limits are kept.
         space: in which to look.
         exact: measures the paths that are returned.
         generator: of random numbers.
@@ -90,7 +90,7 @@ class PathPlanner:
 
     @property
     def tree(self) -> Tree:
-        """What can be reached from the start, as far as it has been looked for."""
+        """The nodes that can be reached from the start, as far as it has been searched."""
         return self._tree(WIDER[0])
 
     def _tree(self, wider: float) -> Tree:

@@ -107,14 +107,14 @@ class AdvisorProblem:
         self.count = 0
 
     def at(self, T_world_hands: Array, others: Mapping[str, Array] | None = None) -> AdvisorProblem:
-        """The same with the hands (h, 4, 4), and other robots (n,), elsewhere, and no trials yet."""
+        """This task with other poses of the hands (h, 4, 4) and of other robots (n,), and no trials yet."""
         self.data.bodies.place(others or {})
         other = copy(self)
         other.poses, other.count = _checked(T_world_hands, len(self.robot.hands)), 0
         return other
 
     def weighed(self, weights: Mapping[str, float]) -> AdvisorProblem:
-        """The same with other criteria.
+        """This task with other criteria.
 
         Raises:
             CriterionError: an unknown criterion, or a weight that is negative or not finite.

@@ -112,7 +112,7 @@ class AdvisorProcess:
         self._send(_Seek(self._newest.number, back, rank, self._others()))
 
     def give_up(self) -> None:
-        """End the search; what is known stays known."""
+        """End the search; the results so far are kept."""
         self._newest = _Answer(self._newest.number + 1, self._newest.progress, is_over=True)
         self._send(_GiveUp(self._newest.number))
 
@@ -124,13 +124,13 @@ class AdvisorProcess:
 
     @property
     def progress(self) -> Progress | None:
-        """What is known by now; None before anything is."""
+        """The results so far; None before there are any."""
         self._listen()
         return self._newest.progress
 
     @property
     def trouble(self) -> str:
-        """Why what was asked for last cannot be answered; empty if it can."""
+        """Why the newest question cannot be answered; empty if it can."""
         self._listen()
         return self._newest.trouble
 

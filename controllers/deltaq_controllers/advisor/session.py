@@ -73,7 +73,7 @@ class AdvisorSession:
         go_on: GoOn,
         trade_off: tuple[str, str] | None = None,
     ) -> None:
-        """Look for options that keep the hands where they are.
+        """Look for options that keep the hands at their present poses.
 
         Args:
             q: (n,) where the robot stands.

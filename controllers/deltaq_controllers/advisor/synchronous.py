@@ -23,7 +23,7 @@ class SynchronousAdvisor:
 
     Attributes:
         tracker: of the robot.
-        progress: what is known; None before anything was asked.
+        progress: the results so far; None before the first question.
     """
 
     trouble = ""

@@ -21,7 +21,7 @@ def front(component: Component, problem: AdvisorProblem, names: tuple[str, str],
     """Nodes of a component on the front of two criteria, the best by the first one first.
 
     Args:
-        component: which has been explored.
+        component: the explored component.
         problem: the task, of which only the hands count.
         names: of the criteria.
         count: how many at most; they are spread over the front, its ends among them.

@@ -162,10 +162,10 @@ def connected(
     rounds: int,
     go_on: Callable[[], bool],
 ) -> Array | None:
-    """(k, n) corners of a path from a tree's root to a goal; what is found meanwhile stays in the tree.
+    """(k, n) corners of a path from a tree's root to a goal; nodes found meanwhile stay in the tree.
 
     Args:
-        tree: which may have grown already.
+        tree: a tree, which may have grown already.
         goal: (n,) configuration.
         ground: what paths to the goal may pass.
         limits: (m,) lower and upper limits of the free joints.

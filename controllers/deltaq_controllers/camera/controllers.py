@@ -42,7 +42,7 @@ class FocusController(Controller, Protocol):
 
 @runtime_checkable
 class Aiming(Protocol):
-    """A controller whose target may be changed at any time; all that come with the project are.
+    """A controller whose target may be changed at any time; all controllers of this project are such.
 
     Attributes:
         focus: (3,) fixed point in the world to look at; None for the leader's tool [m].
@@ -81,7 +81,7 @@ def camera_controller_named(
 
     Args:
         name: one of `NAMES`, or `package.module:function` of a `Maker`.
-        scene: what it is for.
+        scene: the scene that it is for.
         distance_m: desired view distance [m].
         focus: (3,) fixed point to look at in place of the leader's tool [m].
 

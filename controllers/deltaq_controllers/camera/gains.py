@@ -60,7 +60,7 @@ class Variants(NamedTuple):
             away; else they are reduced as fast as it can move.
         one_sided_weights: joints that leave a limit are not weighed; else (10) as printed.
         gradient_repulsion: the gradient of the potential; else (12) as printed.
-        extrapolated_focus: the focus is where the leader will be; else held where it was measured.
+        extrapolated_focus: the focus is where the leader will be; otherwise it is held where it was measured.
     """
 
     angle_law: bool = True

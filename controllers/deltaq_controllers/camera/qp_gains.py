@@ -20,16 +20,16 @@ class QpGains(NamedTuple):
 
     Attributes:
         clear_of_others_m: least distance from other robots, beyond the gate's stop distance [m].
-        clear_of_structure_m: the same from the structure [m].
-        clear_of_self_m: the same between the robot's own bodies, beyond the gate's for these [m].
+        clear_of_structure_m: least distance from the structure, likewise [m].
+        clear_of_self_m: least distance between the robot's own bodies, beyond the gate's for these [m].
         barrier_range_m: beyond its barrier, how far a pair of bodies is taken into account [m].
-        others_range_m: the same for bodies of other robots [m].
-        barrier_share: part of what is left of a distance that one cycle may take.
-        others_share: the same for other robots; smaller, so that evading begins early and gently.
+        others_range_m: this range for bodies of other robots [m].
+        barrier_share: fraction of the remaining distance that one cycle may use up.
+        others_share: this fraction for other robots; smaller, so that evading begins early and gently.
         reaction_s: time for which another robot is expected to keep its speed [s].
         others_brake_m_s2: deceleration that is expected of another robot [m/s^2].
         barrier_price: cost of slack per m, on the scale of the tasks' costs.
-        reserve_price: the same for the braking distance of other robots, beyond the least distance from them.
+        reserve_price: this cost for the braking distance of other robots, beyond the least distance from them.
         evasion: eta of the repulsion (12) off other robots [m^3 rad/s].
         evasion_range_m: rho_0 of (12) [m].
         evasion_min_m: distance at which the repulsion stops growing [m].

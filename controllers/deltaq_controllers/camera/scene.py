@@ -40,7 +40,7 @@ class Scene:
         return self.cell.robots[self.leader_name]
 
     def focus_at(self, q_leader: Array) -> Array:
-        """(3,) what is looked at, in the world, for a configuration of the leader [m]."""
+        """(3,) the focus in the world, for a configuration of the leader [m]."""
         return focus_of(self.leader.forward(q_leader), np.array(self.aim_offset_m))
 
     @property

@@ -64,7 +64,7 @@ class VisibilityGauge:
         """What the camera sees of a point.
 
         Args:
-            configurations: (n,) of each robot of the cell [rad or m]; a robot that is not there stays where it was.
+            configurations: (n,) of each robot of the cell [rad or m]; an omitted robot stays where it was.
             target: (3,) the point in the world [m].
         """
         self._lines.place(configurations)

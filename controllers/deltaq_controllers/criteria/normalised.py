@@ -39,7 +39,7 @@ class Normalised:
     Args:
         data: of the robot.
         weights: criterion to weight, not negative.
-        known: references by criterion, where they are known already.
+        known: references by criterion, if they are known already.
 
     Attributes:
         criteria: those with a weight, in the order of the weights.

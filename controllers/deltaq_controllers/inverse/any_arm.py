@@ -49,7 +49,7 @@ NEIGHBOUR = 0.5
 class AnyArm:
     """Inverse kinematics of six revolute joints in a row.
 
-    The branches of a pose are in no order; along a path they are told apart by going along it.
+    The branches of a pose have no order; along a path they are distinguished by following it.
 
     Args:
         chain: the joints, at zero, in the base frame.
@@ -79,7 +79,7 @@ class AnyArm:
                 are free, it has the hint's values.
 
         Returns:
-            Branches, those there are first. None is told to be free.
+            Branches, existing ones first. No joint is marked as free.
 
         Raises:
             InverseError: poses or hint have another shape.
@@ -174,7 +174,7 @@ class AnyArm:
 
 
 def known(chain: Chain) -> Any:
-    """EAIK's robot; None where it knows no decomposition, or is not installed."""
+    """EAIK's robot; None if EAIK knows no decomposition, or is not installed."""
     if EAIK is None:
         return None
     robot = EAIK.Robot(chain.axes.T, chain.offsets.T, chain.rotation, [], True)

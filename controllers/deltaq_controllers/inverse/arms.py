@@ -23,7 +23,7 @@ ARM_JOINTS = 6
 
 
 class TrackingError(DeltaqError):
-    """A robot whose arms have no inverse."""
+    """A robot with an arm that has no inverse."""
 
 
 class ArmInverse(Protocol):

@@ -81,7 +81,7 @@ class Branches:
 
 
 class NumberedBranches(ABC):
-    """A closed form whose branches have numbers: the same branch of two poses has the same number."""
+    """A closed form with numbered branches: a branch has one number at all poses."""
 
     @abstractmethod
     def inverse(self, poses: Array, hint: Array | None = None) -> Branches:

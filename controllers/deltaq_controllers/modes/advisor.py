@@ -67,7 +67,7 @@ class Advisor(Protocol):
 
     @property
     def trouble(self) -> str:
-        """Why what was asked for cannot be answered; empty if it can."""
+        """Why the newest question cannot be answered; empty if it can."""
         ...
 
     @property
@@ -127,7 +127,7 @@ class AdvisorMode(SteppedMode):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """What is known by now, best first."""
+        """The options found so far, best first."""
         progress = self._advisor.progress
         return () if progress is None else progress.options
 
@@ -148,12 +148,12 @@ class AdvisorMode(SteppedMode):
 
     @property
     def is_at_end(self) -> bool:
-        """Whether the robot stands where that path ends."""
+        """Whether the robot stands at the end of that path."""
         return self._route is not None and bool(np.abs(self._q - self._route.end).max() < ARRIVED)
 
     @property
     def search(self) -> Progress | None:
-        """What is known of the search; None before anything is."""
+        """The search's progress; None before there is any."""
         return self._advisor.progress
 
     @property
@@ -163,7 +163,7 @@ class AdvisorMode(SteppedMode):
 
     @property
     def status(self) -> str:
-        """What the advisor is doing, or how far the robot is on its path."""
+        """The advisor's present step, or the robot's progress on its path."""
         if self.arrived_at is not None:
             return f"at option {self.arrived_at}"
         if self._wanted is not None and self._driven == self._wanted:
@@ -175,7 +175,8 @@ class AdvisorMode(SteppedMode):
             best = f", best energy {progress.energy:.4f}" if np.isfinite(progress.energy) else ""
             return f"{progress.doing}{best}, {progress.trials} trials"
         ways = sum(option.path is not None for option in progress.options)
-        return f"{len(progress.options)} options, paths to {ways}"
+        options = len(progress.options)
+        return f"{options} option{'' if options == 1 else 's'}, {ways} with a path"
 
     @property
     def arrived_at(self) -> int | None:
@@ -195,20 +196,20 @@ class AdvisorMode(SteppedMode):
         return AdvisorMode(self._robot, self._cycle_s, Answered(tracker, answer))
 
     def enter(self, q: Array) -> None:
-        """Ask for options with the hands where they are."""
+        """Ask for options with the hands at their present poses."""
         super().enter(q)
         self._driven, self._route, self._hindrance = None, None, ""
         self._trail = q[None].copy()
         self._advisor.ask(q, self.trade_off)
 
     def forget(self) -> None:
-        """At rest: end the search, and forget the choice; what is known stays known."""
+        """At rest: end the search and forget the choice; the results so far are kept."""
         self._advisor.give_up()
         self._wanted = self._driven = self._route = None
         self._hindrance = ""
 
     def leave(self) -> None:
-        """Nobody waits for the advisor any more."""
+        """End the advisor; no answer is awaited any more."""
         self._advisor.give_up()
 
     def choose(self, option: int | None) -> None:

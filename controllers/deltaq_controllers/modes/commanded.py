@@ -25,9 +25,9 @@ def commanded(
 
     Args:
         command: of the operator.
-        robot: that is driven.
+        robot: the driven robot.
         hands: its hands; they are placed anew.
-        mode: that drives it.
+        mode: the mode that drives it.
         frame: the axes in which hands are moved.
         held: the object between the hands, which then moves in their place.
         q: (n,) where the robot is [rad or m].

@@ -48,7 +48,7 @@ _DAMPING = 1e-9
 
 
 class Motions(NamedTuple):
-    """The least joint motions that do what is asked, and what is made.
+    """The least joint motions that achieve the requested motion, and the motion that is made.
 
     Attributes:
         asked: (n,) of the way that is asked for [rad or m].

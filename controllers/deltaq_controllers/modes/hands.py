@@ -50,7 +50,7 @@ class Hands:
         self.jacobian: Array = _stacked(columns, self.positions, self.moved_by)
 
     def place(self, q: Array) -> None:
-        """Place the robot at `q` (n,), `jacobian` left as it is."""
+        """Place the robot at `q` (n,) [rad or m] without updating `jacobian`."""
         pin.forwardKinematics(self._model, self._data, q)
         self._read_poses()
 

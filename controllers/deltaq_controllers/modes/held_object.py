@@ -36,7 +36,7 @@ class HeldObject:
             positions: (h, 3) origins of the hands in the world [m].
 
         Returns:
-            The same of the hands, kept together.
+            Axes and origins of the hands, kept together.
         """
         axes = self.axes(rotations)
         return axes @ self._rotations, positions.mean(axis=0) + self._offsets @ axes.T

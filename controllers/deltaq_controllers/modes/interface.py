@@ -1,4 +1,4 @@
-"""What a mode is."""
+"""The interface of a mode."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deltaq_protocol.arrays import Array
 
 @dataclass(frozen=True)
 class Instant:
-    """Where a robot is in a cycle, and what bounds its next increment.
+    """A robot's configuration in a cycle, and the bounds of its next increment.
 
     Attributes:
         q_cmd: (n,) setpoint that the increment is added to [rad or m].
@@ -42,7 +42,7 @@ class Instant:
 
 
 class Advance(NamedTuple):
-    """An increment, and what keeps it from what is asked for.
+    """An increment, and what keeps it from the requested one.
 
     Attributes:
         dq: (n,) increment [rad or m].

@@ -52,7 +52,7 @@ _FROM_GATE = {
 
 
 def from_verdict(verdict: Verdict) -> Limitation | None:
-    """What limited a request at the gate; None if it was admitted."""
+    """The limitation of a request by the gate; None if it was admitted."""
     if verdict.outcome is Outcome.ADMITTED or not verdict.reasons:
         return None
     reason = verdict.reasons[0]
@@ -85,7 +85,7 @@ def of_pair(pair: tuple[str, str], distance_m: float, kept_m: float) -> Limitati
 
 
 def of_object(limitation: Limitation) -> Limitation:
-    """The same of hands that hold an object: it stops with them."""
+    """The limitation of hands that hold an object, which stops with them."""
     return replace(limitation, text=f"the object, held by all hands: {limitation.text}")
 
 

@@ -40,16 +40,16 @@ class Grip(StrEnum):
 
 @dataclass(frozen=True)
 class OperatorCommand:
-    """What the operator commands in this cycle; an empty command is a released stick.
+    """The operator's command of this cycle; an empty command is a released stick.
 
     Attributes:
         rates: by axis: a joint's name [rad/s or m/s], an axis of all hands (`x`, `rz`), or of one of several
             hands (`left.x`) [m/s, rad/s]. Hands that hold an object move as it does: `x` is the object's.
-        mode: the mode wanted from here on; None leaves it as it is.
-        frame: the axes wanted from here on; None leaves them as they are.
+        mode: the mode from now on; None does not change it.
+        frame: the axes from now on; None does not change them.
         option: rank of the advisor's option to go to; None is rest, also on the path to it.
-        outputs: digital outputs to switch now, by name; the others stay as they are.
-        grip: whether all hands hold an object from here on; None leaves it as it is.
+        outputs: digital outputs to switch now, by name; the others do not change.
+        grip: whether all hands hold an object from now on; None does not change it.
     """
 
     rates: Mapping[str, float] = field(default_factory=dict)
@@ -62,12 +62,12 @@ class OperatorCommand:
 
 @dataclass(frozen=True)
 class Motion:
-    """Rates of all joints and all hands; a mode uses those that it drives.
+    """Rates of all joints and all hands; a mode uses the rates of what it drives.
 
     Attributes:
         joints: (n,) joint rates [rad/s or m/s].
         hands: (h, 6) velocity [m/s] and angular velocity [rad/s] of each hand, world axes.
-        along: pace along a path, 1 as it is timed.
+        along: pace along a path; 1 follows its time parameterisation.
     """
 
     joints: Array

@@ -26,7 +26,7 @@ def practise(teleoperator: Teleoperator) -> None:
     The teleoperator itself is not changed: each mode practises in a separate one.
 
     Args:
-        teleoperator: that is to drive a robot afterwards.
+        teleoperator: the teleoperator that will drive a robot afterwards.
     """
     robot, cycle_s, around = teleoperator.robot, teleoperator.cycle_s, teleoperator.surroundings
     for mode in teleoperator.made_modes:

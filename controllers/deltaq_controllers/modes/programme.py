@@ -59,12 +59,12 @@ _LEAST_WAY_MM = 1e-3
 
 
 class Wanted(NamedTuple):
-    """What the tasks are to do in a cycle.
+    """The motion that is requested of the tasks in a cycle.
 
     Attributes:
         rows: (r, n) displacement of each task per joint displacement, turns as travel [m/rad].
-        way: (r,) displacement that is wanted [m].
-        back: (r,) older error that is to be corrected besides [m].
+        way: (r,) requested displacement [m].
+        back: (r,) earlier error to be corrected as well [m].
         most_pace: greatest pace along `way`.
     """
 
@@ -75,7 +75,7 @@ class Wanted(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """What the joints would do by themselves.
+    """The motion of the joints without tasks.
 
     Attributes:
         dq: (n,) increment [rad or m].

@@ -51,15 +51,15 @@ class Reflection:
         self.share = 1.0
 
     def take(self, share: float, is_asked: bool, is_limited: bool) -> None:
-        """A cycle in which a share of what is asked for, if anything is, was asked of the gate.
+        """A cycle in which a fraction of the requested motion, if there is any, was requested of the gate.
 
-        Speeding up is no limit: the share counts while something limits, in the mode or at the gate.
+        Acceleration is not a limit: the fraction counts while a limit binds, in the mode or at the gate.
         """
         is_reflected = is_asked and (is_limited or self._admitted < 1.0)
         now = share * self._admitted if is_reflected else 1.0
         self.share += self._follows * (now - self.share)
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """What the gate made of it."""
+        """Take the gate's verdict on it."""
         is_whole = verdict.outcome is Outcome.ADMITTED
         self._admitted = 1.0 if is_whole else max(0.0, min(1.0, verdict.scale))

@@ -69,7 +69,7 @@ class DrivenTasks(NamedTuple):
 
 
 class ResolvedMode(TeleoperationMode):
-    """What `decoupled`, `coupled` and `self-motion` have in common.
+    """The common part of `decoupled`, `coupled` and `self-motion`.
 
     Args:
         robot: the robot.
@@ -114,18 +114,18 @@ class ResolvedMode(TeleoperationMode):
         return np.zeros_like(q)
 
     def _ended(self, motion: Motion, conditioning: Conditioning) -> Limitation:
-        """What is told where the way ends for want of mobility."""
+        """The limitation that is reported when the way ends for lack of mobility."""
         del motion
         return of_conditioning(self._hands, conditioning)
 
     def enter(self, q: Array) -> None:
-        """The hands go from where they are."""
+        """The lines of the hands begin at their present poses."""
         self._line.forget()
         self._asked = np.zeros_like(q)
         self._going = self._motion = None
 
     def advance(self, instant: Instant, asked: Motion) -> Advance:
-        """The increment that goes on towards what is asked for."""
+        """The increment that continues towards the requested motion."""
         q, dq_last, limits = instant.q_cmd, instant.dq_last, instant.limits
         box = increment_box(
             limits,

@@ -42,7 +42,7 @@ class SelfMotionMode(ResolvedMode):
         self._driven = np.zeros(robot.n, dtype=np.bool_)
 
     def enter(self, q: Array) -> None:
-        """Keep the hands where they are."""
+        """Keep the hands at their present poses."""
         super().enter(q)
         self._hands.update(q)
         self._line.begin(self._hands)

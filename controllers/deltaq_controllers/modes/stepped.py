@@ -15,7 +15,7 @@ from deltaq_protocol.arrays import Array
 
 
 class SteppedMode(TeleoperationMode):
-    """What `joint` and `advisor` have in common.
+    """The common part of `joint` and `advisor`.
 
     Args:
         robot: the robot.
@@ -36,7 +36,7 @@ class SteppedMode(TeleoperationMode):
         return motion
 
     def limitation(self, q: Array, motion: Motion, /) -> Limitation | None:
-        """What of the mode's own keeps it from this motion at `q` (n,)."""
+        """The limit of the mode itself that keeps it from this motion at `q` (n,)."""
         del q, motion
         return None
 
@@ -45,7 +45,7 @@ class SteppedMode(TeleoperationMode):
         self._motion, self._dq = Motion.rest(*self._motion.shape), np.zeros_like(q)
 
     def advance(self, instant: Instant, asked: Motion) -> Advance:
-        """The increment of the motion that is nearest to what is asked for."""
+        """The increment that is nearest to the requested motion."""
         q, dq_last = instant.q_cmd, instant.dq_last
         wanted = self.bounded(q, asked) if asked else asked
         previous = self._motion.scaled(self._made(dq_last))

@@ -61,7 +61,7 @@ class Teleoperator:
         grip: whether hands move by themselves, or hold one object together.
         held: the object that they hold.
         limitation: what limits the operator in this cycle; None if nothing does.
-        reflection: how much of what is commanded goes through.
+        reflection: the fraction of the commanded motion that goes through.
 
     Raises:
         ControllerError: the robot cannot be driven in that mode.
@@ -178,7 +178,7 @@ class Teleoperator:
             )
 
     def let_go(self) -> None:
-        """Forget how the hands hold an object; while that grip is commanded they take it anew, at rest."""
+        """Forget how the hands hold an object; while grip `object` is commanded they take it anew at rest."""
         self.grip, self.held = Grip.FREE, None
 
     def check(self, command: OperatorCommand, mode: ModeName, grip: Grip = Grip.FREE) -> None:

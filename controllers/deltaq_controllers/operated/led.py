@@ -27,11 +27,11 @@ class WishedClutch:
         self.is_clutched = False
 
     def read(self, _time_s: float, /) -> OperatorCommand | None:
-        """Nothing is chosen by it but the coupling."""
+        """It chooses only the coupling."""
         return OperatorCommand()
 
     def reflect(self, share: float) -> None:
-        """What goes through is shown where the wishes come from."""
+        """Does nothing: the source of the wishes shows the fraction that goes through."""
         del share
 
     def __enter__(self) -> Self:
@@ -78,7 +78,7 @@ class LedByWishes:
         Args:
             now_s: time [s].
             is_coupled: whether a wish couples it now.
-            hand: that is led; None for all.
+            hand: the hand that is led; None for all.
         """
         self._clutch.is_clutched, self._clutch.hand = is_coupled, hand
         command = self._master.read(now_s)

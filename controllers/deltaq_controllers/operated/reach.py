@@ -37,7 +37,7 @@ _MEASURED = 12
 
 @dataclass(frozen=True)
 class PlannedReach:
-    """A way that can be driven, and what is told of it."""
+    """A way that can be driven, and its description for the operator."""
 
     teleoperator: Teleoperator
     way: Way
@@ -73,7 +73,7 @@ class ReachPlanner:
         position_m: tuple[float, float, float],
         quaternion_wxyz: tuple[float, float, float, float],
     ) -> PlannedReach:
-        """The way of a hand to a pose in the world; other hands stay where they are.
+        """The way of a hand to a pose in the world; other hands do not move.
 
         Args:
             q: (n,) setpoint at which the robot rests.
@@ -172,7 +172,7 @@ def _pose(
     w, x, y, z = quaternion_wxyz
     size = float(np.linalg.norm(quaternion_wxyz))
     if size < 1e-6:
-        raise ControllerError("quaternion_wxyz: is no rotation, all of it is zero")
+        raise ControllerError("quaternion_wxyz: is not a rotation, all elements are zero")
     T = np.eye(4)
     T[:3, :3] = pin.Quaternion(w / size, x / size, y / size, z / size).matrix()
     T[:3, 3] = position_m

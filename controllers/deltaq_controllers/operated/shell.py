@@ -45,7 +45,7 @@ _RESTS_WITHIN_S = 2.0
 
 
 class OperatedRobot:
-    """Drives one robot as it is asked to, line by line.
+    """Drives one robot by requests that come line by line.
 
     Args:
         cell: connection to the cell.

@@ -58,11 +58,11 @@ def search_of(mode: AdvisorMode) -> Search:
 
 
 def points(path: Array) -> tuple[tuple[float, ...], ...]:
-    """As many configurations of a path (P, n) as are told, the ends among them."""
+    """Configurations of a path (P, n), no more than are sent, including its ends."""
     count = min(len(path), MOST_WAY_POINTS)
     return tuple(joints(path[index]) for index in np.linspace(0, len(path) - 1, count).round().astype(int))
 
 
 def joints(q: Array) -> tuple[float, ...]:
-    """A configuration (n,), as it is drawn."""
+    """A configuration (n,), in the form in which it is drawn."""
     return tuple(np.round(q, _DECIMALS).tolist())

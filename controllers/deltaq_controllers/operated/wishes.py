@@ -65,14 +65,14 @@ class Wishes:
         """Have another robot lead a hand while wishes say so; none for an empty name. Any thread may.
 
         Raises:
-            ControllerError: there is no such robot, or it is the one that is driven.
+            ControllerError: there is no such robot, or it is the driven robot itself.
         """
         led = self._make_led(name, scale) if name else None
         self.rest()
         self.led = led
 
     def command(self, now_s: float) -> OperatorCommand | None:
-        """What is commanded in this cycle; None if nothing is wished for."""
+        """The command of this cycle; None if there is no wish."""
         lasts = now_s < self._until_s
         is_coupled = lasts and self._wish.led
         if self.led is not None:
@@ -118,7 +118,7 @@ def command_of(wish: Wish, teleoperator: Teleoperator) -> OperatorCommand:
 
 
 def axis_of(hand: str, axis: str) -> str:
-    """An axis of a hand, as it is commanded; of all hands without one."""
+    """The name of the commanded axis of a hand; without a hand, of all hands."""
     return f"{hand}.{axis}" if hand else axis
 
 
@@ -143,7 +143,7 @@ def check_trade_off(names: tuple[str, str] | None) -> None:
     """Check that these are two criteria, if any.
 
     Raises:
-        ControllerError: an unknown one, or the same twice.
+        ControllerError: an unknown criterion, or one criterion twice.
     """
     first, second = names or ("", "")
     for name in names or ():

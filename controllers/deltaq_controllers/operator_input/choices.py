@@ -15,7 +15,7 @@ _LEAST_SPEED_M_S, _GREATEST_SPEED_M_S = 0.005, 0.5
 def choices_help(
     *, mode: str, frame: str, hand: str, speed: str, end: str, outputs: str, on: str, off: str
 ) -> str:
-    """What every device lets choose, and by which of its keys or buttons."""
+    """The choices of every device, and the keys or buttons that make them."""
     return (
         f"{mode} next mode, {frame} world/tool, {hand} next hand, {speed} speed, {end} ends\n"
         f"outputs: {outputs} next, {on} on, {off} off"
@@ -46,14 +46,14 @@ def next_hand(teleoperator: Teleoperator, hand: str | None) -> str | None:
 
 
 def grip_of(teleoperator: Teleoperator, hand: str | None) -> Grip | None:
-    """The grip of a choice of hand; None for a robot that has one."""
+    """The grip of a choice of hand; None for a robot with one hand."""
     if len(teleoperator.hand_names) < 2:
         return None
     return Grip.OBJECT if hand == OBJECT else Grip.FREE
 
 
 def hand_axis(hand: str | None, axis: str) -> str:
-    """The axis of a choice of hand, as it is commanded."""
+    """The name of the commanded axis for a choice of hand."""
     return axis if hand in (None, OBJECT) else f"{hand}.{axis}"
 
 
@@ -71,10 +71,10 @@ def changed_speed(speed_m_s: float, is_faster: bool) -> float:
 class OutputChoice:
     """The digital output that is switched next.
 
-    On and off are commanded apart: what is pressed twice, or without knowing how the output stands, does no harm.
+    On and off are separate commands, so it does no harm to press one twice, or without knowing the output's value.
 
     Args:
-        teleoperator: of the robot that has them.
+        teleoperator: the teleoperator of the robot that has the outputs.
 
     Attributes:
         name: of the output; empty if the robot has none.

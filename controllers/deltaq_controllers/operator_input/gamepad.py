@@ -136,7 +136,7 @@ class Gamepad(OperatorInput):
         return OperatorCommand(self._rates(state), mode, frame, None, outputs, grip)
 
     def reflect(self, share: float) -> None:
-        """Let the hand feel which share of what it asks for goes through: the less, the stronger."""
+        """Let the hand feel which fraction of the requested motion goes through: the less, the stronger."""
         self._device.rumble(1.0 - share)
 
     def _choose(self, function: PadFunction) -> None:

@@ -12,7 +12,7 @@ class OperatorInput(Protocol):
     """Source of an operator's commands; a context manager, since some hold a device."""
 
     def read(self, time_s: float) -> OperatorCommand | None:
-        """The command at a time of the robot's clock [s]; empty while nobody touches anything, None when it is over."""
+        """The command at a time of the robot's clock [s]; empty while no input is touched, None at the end."""
         ...
 
     @property
@@ -21,7 +21,7 @@ class OperatorInput(Protocol):
         return ""
 
     def reflect(self, share: float) -> None:
-        """Tell the hand which share of what it asks for goes through, 0 to 1."""
+        """Let the operator's hand feel which fraction of the requested motion goes through, 0 to 1."""
         del share
 
     def __enter__(self) -> Self: ...

@@ -12,7 +12,7 @@ import pinocchio as pin
 from deltaq_protocol.arrays import Array
 
 PULL_1_S = 4.0
-"""What is left of the way is made up at this rate [1/s]."""
+"""Rate at which the rest of the way is made up [1/s]."""
 SLACK_M, SLACK_RAD = 0.05, 0.2
 """The hand is pulled by no more: where it could not follow, the master's way back moves it at once [m, rad]."""
 SMOOTHED_S = 0.05
@@ -22,7 +22,7 @@ JUMP_M, JUMP_RAD = 0.1, 0.5
 
 
 class PlacedTool(NamedTuple):
-    """Where a tool is.
+    """The pose of a tool.
 
     Attributes:
         rotation: (3, 3) its axes in the world.
@@ -49,7 +49,8 @@ class _Anchor:
 class LedPose:
     """Leads a hand by a master's tool: its way since they were coupled, scaled, is the hand's.
 
-    Travel is scaled, turns are not. Both are in world axes, or with `own_axes` each in those that its tool had then.
+    Displacements are scaled, rotations are not. Both are in world axes, or with `own_axes` each in those that its tool
+    had then.
 
     Args:
         scale: way of the hand for each metre of the master's.

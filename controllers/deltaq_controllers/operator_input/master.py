@@ -136,7 +136,7 @@ class Master(OperatorInput):
         self._must_release, self._trouble = True, trouble
 
     def _watch(self, time_s: float) -> tuple[RobotView, RobotView] | None:
-        """What is seen of both robots; None if the master's states have ceased."""
+        """The newest views of both robots; None if the master's states have ceased."""
         master, own = self._look()
         if master is None or own is None:
             return None

@@ -117,7 +117,7 @@ class PadDevice:
         return PadState(self._sticks(), *self._buttons(events), self._pulled())
 
     def rumble(self, strength: float) -> None:
-        """Have the pad rumble, 0 to 1, until it is told again; nothing on a pad that cannot."""
+        """Have the pad rumble, 0 to 1, until the next call; no effect on a pad that cannot rumble."""
         level = round(_LEVELS * strength) / _LEVELS
         if self._pad is None or not (level or self._is_rumbling):
             return

@@ -57,7 +57,7 @@ class SixAxis:
         self.forget()
 
     def forget(self) -> None:
-        """The device is gone: what it said last does not hold any more."""
+        """The device is gone: its last values are no longer valid."""
         self._raw: list[int | None] = [0] * len(HAND_AXES)
         self._held: frozenset[int] = frozenset()
         self._let_go: set[int] = set()

@@ -66,7 +66,7 @@ class SpaceMouse(OperatorInput):
         return self.moved(command, self._cap.look(reports, time_s))
 
     def moved(self, command: OperatorCommand | None, state: SixAxisState) -> OperatorCommand | None:
-        """A command of the keys with what the cap moves besides."""
+        """The keys' command together with the motion of the cap."""
         self._is_held = RUN in state.held
         for _ in range(state.pressed.count(NEXT_HAND)):
             self._keyboard.hand = next_hand(self._teleoperator, self._keyboard.hand)

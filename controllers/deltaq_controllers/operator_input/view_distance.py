@@ -20,7 +20,7 @@ def stepped(now_m: float, step_m: float) -> float:
 
 
 class AskedViewDistance:
-    """Asks whoever follows a robot for another view distance, beside the control loop.
+    """Asks a robot's follower for another view distance, outside the control loop.
 
     Args:
         cell: connection to the cell.

@@ -38,7 +38,7 @@ class BridgeUseError(DeltaqError):
 
 @dataclass(frozen=True)
 class RosSide:
-    """Where the bridge is to be found in ROS.
+    """The bridge's place in ROS.
 
     Attributes:
         endpoint: of the router.
@@ -86,7 +86,7 @@ class Bridge:
         self._counters: dict[str, Counter[str]] = {robot: Counter() for robot in ros.accepts}
 
     def summary(self) -> dict[str, Any]:
-        """What the bridge has done so far, by robot."""
+        """The bridge's counters so far, by robot."""
         robots = {
             robot: {"joint_states": count, "trajectories": dict(self._counters.get(robot, {}))}
             for robot, count in self._published.items()
@@ -98,7 +98,7 @@ class Bridge:
 
         Raises:
             ServiceUnreachableError: one of them is not there at the beginning.
-            BridgeUseError: the cell has no such robot, or two of one name as ROS has it.
+            BridgeUseError: the cell has no such robot, or two robots have one name in ROS.
         """
         has_begun = asyncio.Event()
         while True:

@@ -75,7 +75,7 @@ class CdrReader:
         message: with its encapsulation.
 
     Raises:
-        RefusedMessageError: from here and from every method, for what is no such field.
+        RefusedMessageError: from here and from every method, if the bytes are not such a field.
     """
 
     def __init__(self, message: bytes) -> None:
@@ -132,7 +132,7 @@ class CdrReader:
         return tuple(self.string(f"{field}[{k}]", most_bytes) for k in range(count))
 
     def float64s(self, field: str, most: int) -> tuple[float, ...]:
-        """A sequence of up to `most` doubles, whatever their values."""
+        """A sequence of up to `most` doubles of any value."""
         count = self.count(field, most, 8)
         if not count:
             return ()

@@ -192,7 +192,7 @@ class TrajectoryFollower:
 
 
 def _least(cost: Callable[[Array], Array], lower_s: float, upper_s: float) -> float:
-    """Where a cost is least that falls up to there and rises behind it."""
+    """The minimum of a cost that first falls and then rises."""
     for _ in range(_ROUNDS):
         places_s = np.linspace(lower_s, upper_s, _PARTS + 1)
         k = int(cost(places_s).argmin())

@@ -1,4 +1,4 @@
-"""What a robot's states are to ROS."""
+"""A robot's states as ROS messages."""
 
 from __future__ import annotations
 

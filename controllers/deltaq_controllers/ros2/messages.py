@@ -34,7 +34,7 @@ class RosTime:
 
     @classmethod
     def of_ns(cls, time_ns: int) -> Self:
-        """The same from nanoseconds."""
+        """A time or duration from nanoseconds."""
         return cls(*divmod(time_ns, _NANOSECONDS))
 
     @property

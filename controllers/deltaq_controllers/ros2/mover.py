@@ -1,4 +1,4 @@
-"""What becomes of the trajectories that ROS asks of a robot: one at a time, the newest goes first.
+"""The trajectories that ROS requests of a robot: one is driven at a time, and the newest goes first.
 
 Pure: messages, states and verdicts are handed in, with the time where it matters.
 """
@@ -34,14 +34,14 @@ class TrajectoryMover:
     """Moves one robot along the trajectories that come for it.
 
     A new one takes the place of the one that is driven: the robot comes to rest on its path and begins the new one
-    there. An empty one only brings it to rest. Whatever ends a trajectory ends what waits behind it too, unless the
-    robot has come to rest on the path for that.
+    there. An empty one only brings it to rest. What ends a trajectory also ends the one that waits behind it, unless
+    the robot has come to rest on the path for that.
 
     Args:
         name: of the robot.
         robot: its joints and limits.
         cycle_s: of the cell.
-        say: is told of everything that happens.
+        say: takes a text about every event.
         counters: trajectories and stops that were taken, refusals by kind, and endings are counted here.
     """
 
@@ -99,7 +99,7 @@ class TrajectoryMover:
 
         Args:
             state: the robot's newest.
-            view: the same with all that is in flight.
+            view: the robot's view, with all increments in flight.
         """
         if state.phase in _MAY_NOT_MOVE:
             self.lose(f"the robot is {state.phase}" + (f": {state.reason}" if state.reason else ""))
@@ -128,7 +128,7 @@ class TrajectoryMover:
             self._limited_by = verdict.reasons
 
     def lose(self, why: str) -> None:
-        """The robot cannot be moved any more: what is driven and what waits has ended; `why` for people."""
+        """The robot cannot be moved any more: the present and waiting trajectories have ended; `why` is for people."""
         if self.has_work:
             self._driven = self._waiting = None
             self.counters["ended_lost"] += 1

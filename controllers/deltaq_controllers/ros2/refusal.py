@@ -1,4 +1,4 @@
-"""What a ROS message is refused with: one line that names field, value and bound."""
+"""The refusal of a ROS message: one line that names field, value and bound."""
 
 from __future__ import annotations
 

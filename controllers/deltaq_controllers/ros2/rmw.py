@@ -102,7 +102,7 @@ class RosEndpoint:
 
 @dataclass(frozen=True, slots=True)
 class RosAttachment:
-    """What goes beside every message.
+    """The attachment of every message.
 
     Attributes:
         sequence: number of the message, from 1.

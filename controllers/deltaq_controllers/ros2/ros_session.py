@@ -21,7 +21,7 @@ _TRAJECTORIES_KEPT = 4
 
 
 class RosSession:
-    """A session of its own, to a router of ROS and to nobody else; it neither listens nor scouts.
+    """A separate session, only to a router of ROS; it neither listens nor scouts.
 
     Its mode is `client`: between two peers rmw_zenoh's router does not hand on what they send, between a client and
     others it does.
@@ -46,7 +46,7 @@ class RosSession:
         """Join the graph behind the router at `endpoint`, e.g. `tcp/127.0.0.1:7448`.
 
         Raises:
-            ServiceUnreachableError: nobody answers there.
+            ServiceUnreachableError: no router answers there.
         """
         return cls(await asyncio.to_thread(_opened, endpoint), domain_id, namespace, name)
 

@@ -50,7 +50,7 @@ class Trajectory:
 
 
 def read_trajectory(message: JointTrajectory, robot: RobotSummary, now_ns: int) -> Trajectory | None:
-    """What a message asks of a robot; None: to stop.
+    """The trajectory that a message requests of a robot; None: to stop.
 
     Args:
         message: as it came.

@@ -20,8 +20,9 @@ def page(sheet: Sheet, outcomes: Sequence[ClaimOutcome]) -> str:
     lines = [
         f"# {sheet.title}",
         "",
-        f"Written by `make figures`, `python -m deltaq_experiments.claims`. Each row has {runs}, from `--seed 0` on:",
-        "their median, the worst with its seed, and in how many of them the claim holds.",
+        "`make figures` writes this page (`python -m deltaq_experiments.claims`).",
+        f"Each row has {runs}, from `--seed 0` on. It gives the median and the worst of each figure, the worst",
+        "with its seed, and the number of runs in which the claim holds.",
         *sheet.about,
         "",
         "| run | claimed | median | worst (seed) | holds |",
@@ -30,7 +31,7 @@ def page(sheet: Sheet, outcomes: Sequence[ClaimOutcome]) -> str:
     if counts[0] < ENOUGH:
         lines[-3:-3] = [
             "",
-            f"Where a row has less than {ENOUGH} runs, there was no time for more; `make figures` makes {ENOUGH}.",
+            f"Where a row has fewer than {ENOUGH} runs, there was no time for more; `make figures` makes {ENOUGH}.",
         ]
     for outcome in outcomes:
         claim = outcome.claim

@@ -66,7 +66,7 @@ CLAIMS = (
     Claim(
         "tracking",
         Options(controller="qp", duration_s=LENGTH_S, aim_offset_m=BEFORE_THE_FINGERS_M),
-        "the same, aimed 4 cm before the fingers: seen by both eyes all the time",
+        "aimed 4 cm in front of the fingers: 0.1°, 0.3 cm, and both eyes see the point all the time",
         lambda r: _within(0.1, 0.003)(r) and bool(r["seen"]["by_all_eyes"] == 1.0),
         _TRACKING,
     ),
@@ -75,7 +75,7 @@ CLAIMS = (
     Claim(
         "zoom",
         Options(),
-        "Fig. 10: the distance is kept but where F_rep or a limit stands in the way; the angle is unaffected",
+        "Fig. 10: the distance is kept except where F_rep or a limit prevents it; the angle is unaffected",
         _plateaus,
         _ZOOM,
         "fig-10-paper",
@@ -83,14 +83,14 @@ CLAIMS = (
     Claim(
         "zoom",
         Options(controller="predictive"),
-        "the same, the focus carried ahead: within 1 cm and 1° where it can be reached",
+        "with an extrapolated focus: within 1 cm and 1° at distances in reach",
         _plateaus,
         _ZOOM,
     ),
     Claim(
         "zoom",
         Options(controller="qp"),
-        "within 1 cm where it can be reached, and said where not; within 1° on the way too",
+        "within 1 cm at distances in reach, and reported if out of reach; within 1° also on the way",
         _plateaus_and_view,
         _ZOOM,
         "fig-10-qp",

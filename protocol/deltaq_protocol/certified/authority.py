@@ -43,14 +43,14 @@ _EARLIER = timedelta(days=1)
 
 @dataclass(frozen=True)
 class Made:
-    """What `make_identities` did.
+    """The result of `make_identities`.
 
     Attributes:
         authority: its folder.
         is_new: the authority was made too.
         made: names of the identities that were made.
-        kept: names of those that it had made before.
-        valid_until: the end of what was made now.
+        kept: names of identities that it had made earlier.
+        valid_until: end of the validity of what was made now.
     """
 
     authority: Path
@@ -148,13 +148,13 @@ def make_identities(
         to: folder that gets one folder for each identity.
         services: names of the cell's services; each identity gets the certificates of all.
         people: names of its operators and controllers, as `names.name_of` has them.
-        now: from when they are valid.
-        authority: folder of the authority, where it is not `authority` in `to`.
+        now: beginning of their validity.
+        authority: folder of the authority, if it is not `authority` in `to`.
         lifetime: of a new certificate.
 
     Raises:
-        IdentityError: if the authority's key is not where it has to be or is of another cell, or somebody has an
-            identity already. Nothing is ever written over.
+        IdentityError: the authority's key is missing or of another cell, or one of the names has an identity
+            already. Nothing is ever overwritten.
     """
     place = to / FOLDER if authority is None else authority
     is_new = authority is None and not place.exists()

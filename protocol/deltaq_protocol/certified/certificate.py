@@ -42,7 +42,7 @@ def public_key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:
 
 
 def name_in(certificate: x509.Certificate) -> str:
-    """Whose it is: its common name."""
+    """Its owner: the common name."""
     return _subject(certificate, NameOID.COMMON_NAME)
 
 

@@ -40,7 +40,7 @@ class Identity:
     """Somebody of a cell, with the key that proves it.
 
     Attributes:
-        folder: that it was read from.
+        folder: folder from which it was read.
         key: its own.
         certificate: of that key.
         authority: certificate of who issued it.
@@ -75,7 +75,7 @@ class Identity:
 
     @property
     def kind(self) -> IdentityKind:
-        """What it is for."""
+        """The kind of its owner."""
         return kind_of(self.name)
 
     @property
@@ -84,7 +84,7 @@ class Identity:
         return cell_in(self.authority)
 
     def warning(self, now: datetime) -> str | None:
-        """What to say of a certificate that is soon out of date; None while there is time."""
+        """The notice about a certificate that expires soon; None while there is time."""
         left = days_left(self.certificate, now)
         if left >= RENEW_BEFORE.days:
             return None

@@ -23,7 +23,7 @@ class IdentityError(DeltaqError):
 
 
 class IdentityKind(StrEnum):
-    """What an identity is for."""
+    """The kind of an identity's owner."""
 
     SERVICE = "service"
     OPERATOR = "operator"
@@ -47,7 +47,7 @@ def name_of(kind: IdentityKind, name: str) -> str:
 
 
 def kind_of(full: str) -> IdentityKind:
-    """What the identity of this name is for."""
+    """The kind of the identity with this name."""
     for kind in (IdentityKind.OPERATOR, IdentityKind.CONTROLLER):
         if full.startswith(f"{kind}-"):
             return kind
@@ -55,5 +55,5 @@ def kind_of(full: str) -> IdentityKind:
 
 
 def person_named(full: str) -> str:
-    """The same name, if it is an operator's or a controller's; otherwise an empty one."""
+    """The name, if it is an operator's or a controller's; otherwise an empty text."""
     return "" if kind_of(full) is IdentityKind.SERVICE else full

@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def identity_prover(folder: Path) -> IdentityProver:
-    """What signs a client's requests.
+    """The signer of a client's requests.
 
     Raises:
-        IdentityError: if there is no identity, it is not valid or a service's, or nothing here reads it.
+        IdentityError: there is no identity, it is not valid or a service's, or `cryptography` is not installed.
     """
     try:
         from deltaq_protocol.certified.signed import IdentityProver

@@ -10,7 +10,7 @@ from deltaq_protocol.messages.base import PROTOCOL_VERSION, Joints, Message, Pos
 
 
 class Hello(Message):
-    """Who a TCP client is; nothing but a `challenge` and a stop may come before it.
+    """The name and role of a TCP client; only a `challenge` and a stop may come before it.
 
     `proof` shows the role of a token that is not sent: HMAC-SHA256 with the token over `deltaq hello ` and `challenge`,
     which the server gave on this connection or another, in hexadecimal digits. Over TLS `token` does as well.
@@ -54,10 +54,11 @@ class Welcome(Message):
 
 
 class JointPlacement(Message):
-    """Where a joint is on what carries it: the pose of what it moves is `T_world_parent T_parent_joint motion(q)`.
+    """The placement of a joint on its parent: the pose of the moved link is `T_world_parent T_parent_joint motion(q)`.
 
-    The motion is a turn by `q` about `axis`, or a displacement by `q` along it; the robot's summary tells by the unit
-    which. `parent` is another joint's place in the order, from 0; a joint of parent -1 is placed in the world.
+    The motion is a rotation by `q` about `axis`, or a displacement by `q` along it; the unit in the robot's summary
+    says which. `parent` is the index of another joint in the order, from 0; a joint of parent -1 is placed in the
+    world.
     """
 
     parent: int = Field(ge=-1)
@@ -85,10 +86,10 @@ class RobotKinematics(Message):
 class Description(Message):
     """Everything a client needs to model the cell: the YAML text, each robot's URDF text, and its hulls.
 
-    `kinematics` holds, by robot, what follows from both, for a client that reads neither. `hulls` holds what the gate
-    takes the collision meshes of a URDF for: by robot and body, the corners of a convex hull in the frame of the body
-    [m]. Visual meshes are not sent. `identity` is the cell's name and hash (`deltaq_protocol.identity`): one who has
-    a file of the cell sees by it whether the same is meant.
+    `kinematics` holds, by robot, what follows from YAML and URDF, for a client that reads neither. `hulls` holds the
+    hulls by which the gate replaces the collision meshes of a URDF: by robot and body, the corners of a convex hull in
+    the frame of the body [m]. Visual meshes are not sent. `identity` is the cell's name and hash
+    (`deltaq_protocol.identity`); a client that has a file of the cell compares it with its own.
     """
 
     type: Literal["description"] = "description"

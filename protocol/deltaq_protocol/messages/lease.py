@@ -12,7 +12,7 @@ from deltaq_protocol.reasons import ReasonCode
 
 
 class LeaseAction(StrEnum):
-    """What can be done with the lease of a robot; `take` is a hand-over against the holder's will."""
+    """Actions on the lease of a robot; `take` is a hand-over against the holder's will."""
 
     ACQUIRE = "acquire"
     RENEW = "renew"
@@ -40,9 +40,9 @@ class LeaseRequest(Message):
 
 
 class LeaseReply(Message):
-    """Whether the lease was granted, who holds it now, and the token: the secret that its holder proves to have.
+    """Whether the lease was granted, its present holder, and the token: the secret that the holder proves to have.
 
-    The token comes once, to whoever it was granted to, and never over TCP.
+    The token comes once, to the client that was granted the lease, and never over TCP.
     """
 
     type: Literal["lease"] = "lease"

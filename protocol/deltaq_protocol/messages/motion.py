@@ -86,13 +86,13 @@ class RobotState(Message):
     """State of one robot, published every cycle of its KRC.
 
     `q_cmd` is the setpoint just sent. In a cell with a lookahead an increment that answers this state goes into
-    `setpoint_cycle`, and is added to `q_ahead`: the setpoint at the end of what has been admitted so far, and of the
-    brake where nothing has. Both are null without a lookahead: it is the next cycle then, and `q_cmd`.
-    `playout` is there where the robot's lease asked for it. `sight` is how well the controller sees what it follows, as
-    its newest increment says; null if it says nothing. `view` is what its camera was asked to look at last; it outlives
-    leases, so that the next follower looks there too.
-    `gate` is the fingerprint of the gate that it passes: a hash of code and one of configuration; empty until
-    the gate has been heard.
+    `setpoint_cycle`, and is added to `q_ahead`: the setpoint after all increments admitted so far, and after the
+    brake in cycles without one. Without a lookahead both are null; they are then the next cycle and `q_cmd`.
+    `playout` is present if the robot's lease asked for a playout buffer. `sight` is how well the controller sees the
+    leader, as its newest increment says; null if it says nothing. `view` is the view last requested of its camera; it
+    outlives leases, so that the next follower uses the same view.
+    `gate` is the fingerprint of the gate: a hash of its code and one of its configuration; empty until the gate has
+    been heard.
     """
 
     type: Literal["state"] = "state"
@@ -128,11 +128,11 @@ class EarlierIncrement(Message):
 class Increment(Message):
     """A controller's request: move by `dq` in one cycle, in answer to the state of `cycle`.
 
-    `lease` is never sent, and not read if it is: the server fills in whose increment it is. Over zenoh a proof shows it
-    (`deltaq_protocol.proof`, with the token of the lease reply as the secret), over TCP the connection is the holder.
-    `sight` is for people: states tell it, and nothing depends on it.
-    `earlier` has those sent just before, the oldest first, for a link that loses messages. They are taken where the
-    lease has a playout buffer and they have not come themselves; elsewhere nobody looks at them.
+    `lease` is never sent, and is ignored if it is: the server fills in the lease. Over zenoh a proof shows the lease
+    (`deltaq_protocol.proof`, with the token of the lease reply as the secret); over TCP the connection is the holder.
+    `sight` is for people: states repeat it, and no decision depends on it.
+    `earlier` has the increments sent just before, the oldest first, for a link that loses messages. One of them is used
+    if the lease has a playout buffer and it has not come itself; without a playout buffer they are ignored.
     """
 
     type: Literal["increment"] = "increment"
@@ -148,10 +148,10 @@ class Increment(Message):
 class Verdict(Message):
     """The gate's answer to one increment.
 
-    `cycle` is that of the state that it was decided on; of an increment that was refused, the one that it answers.
-    `setpoint_cycle` is the cycle that it goes into, the first whose setpoint has `dq` in it; null if it goes into
-    none. Where its admission came too late for that cycle, the increment may be decided once more for the next one:
-    another verdict on the same `seq` says so, and the last one counts.
+    `cycle` is that of the state on which the increment was decided; for a refused increment, of the state that it
+    answers. `setpoint_cycle` is the cycle that the increment goes into, the first whose setpoint includes `dq`; null
+    if it goes into none. If its admission came too late for that cycle, the increment may be decided once more for
+    the next one: another verdict on the same `seq` says so, and the last one counts.
 
     `dq` is what was admitted; `scale` is s in `dq(s) = (1 - s) * brake + s * request`. `clearance_m` is the distance of
     `pair`, the two bodies with the least distance beyond their stop distance at the middle of the tube.

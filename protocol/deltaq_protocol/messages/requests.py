@@ -76,7 +76,7 @@ class Done(Message):
     """A stop, a reset or a change of contacts was carried out.
 
     After a stop every robot is held, or offline; after a reset the robot is not held any more: its state has shown it.
-    What is not confirmed in time is answered with an error, `unreachable`, that says so; it was asked for all the same.
+    If it is not confirmed in time, the answer is the error `unreachable`; the gate was asked nevertheless.
     """
 
     type: Literal["done"] = "done"

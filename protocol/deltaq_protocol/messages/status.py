@@ -28,7 +28,7 @@ class Proximity(Message):
 
 
 class LeaseStatus(Message):
-    """Who may write to a robot."""
+    """The holder of a robot's lease."""
 
     holder: str | None = None
     expires_s: FiniteFloat | None = None
@@ -50,8 +50,9 @@ class RobotStatus(Message):
 class Status(Message):
     """The running cell as `deltaq status` shows it.
 
-    `contacts` are those that are allowed now; `lagging` says which streams are silent, or slower than the table of
-    topics wants them. `identity` is the cell's name and hash, and `mismatches` tells which services have read another.
+    `contacts` has the contacts that are allowed now; `lagging` names the streams that are silent, or slower than the
+    table of topics requires. `identity` is the cell's name and hash, and `mismatches` names the services that have read
+    another cell.
     """
 
     type: Literal["status"] = "status"

@@ -17,8 +17,8 @@ TargetPoint = tuple[TargetCoordinate, TargetCoordinate, TargetCoordinate]
 class ViewWish(Message):
     """Requested target and distance of a robot's camera; the controller that follows with it reads them in its states.
 
-    The target is `aim_offset_m`, a point in the frame of the tool of `leader`, or `focus_m`, one that stands still in
-    the world. What is null stays as the follower was started with.
+    The target is `aim_offset_m`, a point in the frame of the tool of `leader`, or `focus_m`, a fixed point in the
+    world. A null value leaves the value with which the follower was started.
     """
 
     distance_m: CameraDistance | None = None
@@ -30,8 +30,8 @@ class ViewWish(Message):
 class ViewRequest(ViewWish):
     """Ask the controller that follows with a robot's camera for another view; states publish it (`RobotState.view`).
 
-    What is null stays as it is. A `leader` or `aim_offset_m` ends an earlier `focus_m`. It needs the right to have a
-    lease, and no lease: the follower holds it. `token` is never sent, as in `LeaseRequest`.
+    A null value changes nothing. A `leader` or `aim_offset_m` ends an earlier `focus_m`. The request needs the right to
+    have a lease, but not the lease itself, which the follower holds. `token` is never sent, as in `LeaseRequest`.
     """
 
     type: Literal["view"] = "view"
@@ -41,7 +41,7 @@ class ViewRequest(ViewWish):
 
 
 class ViewReply(Message):
-    """The view that results from all requests so far, and who holds the robot: null if no client follows."""
+    """The view that results from all requests so far, and the holder of the robot: null if no client follows."""
 
     type: Literal["view"] = "view"
     robot: Name

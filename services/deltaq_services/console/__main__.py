@@ -20,7 +20,9 @@ class NotInstalledError(DeltaqError):
 
 def main() -> None:
     """Serve the console until a signal ends the process."""
-    parser = argparse.ArgumentParser(description="Console: what an operator sees and holds, in a browser")
+    parser = argparse.ArgumentParser(
+        description="Console: the page in a browser from which an operator watches and drives the robots"
+    )
     parser.add_argument("--cell", default="lab", help="name or YAML file of the cell (default: lab)")
     parser.add_argument("--address", help="to be reached at (default: the cell's console_address)")
     parser.add_argument("--port", type=int, help="to be reached at (default: the cell's console_port)")

@@ -26,7 +26,7 @@ class Client:
         is_operator: it may command; one that may not looks, and stops.
         address: it connects from.
         clocks: its clock against this one.
-        rate: bounds what it sends.
+        rate: bounds the rate of its messages.
         shows_replay: it shows a recording, and commands nothing but a stop.
     """
 
@@ -41,7 +41,7 @@ class Client:
 
     @property
     def in_the_audit_log(self) -> str:
-        """What the HLI is told who asks: the console's word for it, and the name that the browser gave itself."""
+        """The name that the HLI gets for the sender: `console`, and the name that the browser gave itself."""
         return f"console: {self.name} at {self.address or 'no address'}"[:_LONGEST_NAME]
 
     def answered(self, command_id: str) -> Ack | None:

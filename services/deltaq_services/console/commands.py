@@ -80,7 +80,7 @@ class Reset(ConsoleCommand):
 
 
 class LeaseVerb(StrEnum):
-    """What can be done about a robot's lease: `ask` its holder for it, who answers with `grant` or `refuse`.
+    """Actions on a robot's lease: `ask` its holder for it, who answers with `grant` or `refuse`.
 
     A holder outside this console cannot be asked: `take_over` takes the lease from it, against its will.
     """
@@ -115,7 +115,7 @@ class SetMode(ConsoleCommand):
 
 
 class SetMaster(ConsoleCommand):
-    """Choose another robot of the cell, whose tool leads a hand while a `Jog` says `led`; an empty name is none."""
+    """Choose another robot of the cell, whose tool leads a hand while a `Jog` has `led`; an empty name means none."""
 
     type: Literal["master"]
     robot: Name

@@ -30,17 +30,17 @@ class BrowserConnection:
         self._something = asyncio.Event()
 
     def put_text(self, text: str) -> None:
-        """Send a message, after those that wait."""
+        """Send a message, after the messages that wait."""
         self._texts.append(text)
         self._something.set()
 
     def put_frame(self, frame: bytes) -> None:
-        """Send a frame, in place of one that still waits."""
+        """Send a frame, and drop a frame that still waits."""
         self._frame = frame
         self._something.set()
 
     async def serve(self, take: Callable[[str | bytes], None]) -> None:
-        """Hand over what the browser sends, until it has gone or does not take what it is sent."""
+        """Pass on the browser's messages, until it disconnects or stops taking messages."""
         receiving = asyncio.ensure_future(self._receive(take))
         sending = asyncio.ensure_future(self._send())
         try:

@@ -40,7 +40,7 @@ class ConsoleCore:
         has_recordings: whether it was given a folder for recordings.
 
     Attributes:
-        clients: who is connected, by the number of the connection.
+        clients: connected browsers, by the number of the connection.
         counters: of what browsers sent.
         robots: each robot's side.
         picture: what is seen of the cell.
@@ -91,7 +91,7 @@ class ConsoleCore:
         )
         self.clients[number] = client
         self.counters["clients"] += 1
-        self._log.add(now_s, "client", f"{client.name} has come")
+        self._log.add(now_s, "client", f"{client.name} has connected")
         hello = ConsoleHello(
             client=client.name,
             operator=is_operator,
@@ -102,14 +102,14 @@ class ConsoleCore:
         return client, [ToClient(number, message) for message in (hello, *self._log.kept, *ways)]
 
     def disconnect(self, client: Client, now_s: float) -> list[ConsoleOutput]:
-        """A browser has gone: what it drove comes to rest and is released."""
+        """A browser has disconnected: robots that it drove come to rest and are released."""
         del self.clients[client.number]
         self.board.forget(client)
-        self._log.add(now_s, "client", f"{client.name} has gone")
+        self._log.add(now_s, "client", f"{client.name} has disconnected")
         return self.drivers.leave(client)
 
     def take(self, client: Client, message: str | bytes, now_s: float) -> list[ConsoleOutput]:
-        """A browser has sent something; whatever it is, it is answered."""
+        """Take a message of a browser; every message is answered, also an invalid one."""
         self.counters["messages"] += 1
         allowed = client.rate.take(now_s)
         try:
@@ -174,16 +174,16 @@ class ConsoleCore:
         self.robots[robot].inputs |= inputs
 
     def tick(self, now_s: float) -> list[ConsoleOutput]:
-        """What browsers have to be told now, besides frames."""
+        """The messages that browsers must get now, in addition to frames."""
         self.stop.see({name: side.motion(now_s) for name, side in self.robots.items()})
         return self.board.tell(self.clients.values(), self.stop, now_s)
 
     def health(self) -> dict[str, object]:
         """The console's report on itself."""
-        looking = f"{len(self.clients)} browsers"
+        browsers = f"browsers: {len(self.clients)}"
         return {
             "healthy": self.board.hli,
-            "detail": looking if self.board.hli else f"{looking}; {self.board.text}",
+            "detail": browsers if self.board.hli else f"{browsers}; {self.board.text}",
             "counters": dict(self.counters),
         }
 

@@ -15,7 +15,7 @@ _BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "expe
 
 
 class InvalidCommandError(ProtocolError):
-    """A message that is no command; the text names field, value and bound.
+    """A message that is not a valid command; the text names field, value and bound.
 
     Attributes:
         id: of the command, as far as it had one.
@@ -43,7 +43,7 @@ def command_of(message: str | bytes) -> AnyCommand:
     except ValidationError as error:
         raise InvalidCommandError(_words(dict(error.errors(include_url=False)[0])), _id_in(message)) from None
     except UnicodeEncodeError:
-        raise InvalidCommandError("message: is no UTF-8 text") from None
+        raise InvalidCommandError("message: is not UTF-8 text") from None
 
 
 def _words(error: dict[str, Any]) -> str:
@@ -55,7 +55,7 @@ def _words(error: dict[str, Any]) -> str:
     elif error["type"] == "missing":
         return f"{field}: is missing"
     elif error["type"] == "extra_forbidden":
-        return f"{field}: is no field of a {error['loc'][0]}"
+        return f"{field}: is not a field of a {error['loc'][0]}"
     bound = next((context[name] for name in _BOUNDS if name in context), None)
     given = error["input"]
     if field == "type" and isinstance(given, dict):

@@ -13,7 +13,7 @@ from deltaq_services.tries import Tries
 
 
 class Entrance(Enum):
-    """What a token makes of who shows it."""
+    """The role that a token gives."""
 
     OPERATOR = auto()
     OBSERVER = auto()
@@ -37,7 +37,7 @@ class Door:
         self._tries = Tries()
 
     def look(self, token: str, address: str, time_s: float) -> Entrance:
-        """What a token from an address, or none (empty), makes of who shows it."""
+        """The role that a token from an address gives; an empty token is none."""
         if not token:
             return Entrance.OBSERVER if self._settings.token_needed else Entrance.OPERATOR
         if not self._tries.may_try(address, time_s):

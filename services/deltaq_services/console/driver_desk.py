@@ -31,8 +31,8 @@ class DriverDesk:
 
     Args:
         robots: each robot's side.
-        clients: who is connected, by the number of the connection.
-        pending: what is awaited of the HLI and of drivers.
+        clients: connected browsers, by the number of the connection.
+        pending: answers that are awaited from the HLI and from drivers.
         log: of events.
         counters: of what was refused.
     """
@@ -49,7 +49,7 @@ class DriverDesk:
         self._counters = counters
 
     def leave(self, client: Client) -> list[ConsoleOutput]:
-        """A client commands no more: what it drives comes to rest and is released."""
+        """A client commands no more: robots that it drives come to rest and are released."""
         outputs: list[ConsoleOutput] = []
         for side in self._robots.values():
             outputs += self._pending.send(side.seat.leave(client, self._pending.new_id), None, "")
@@ -79,7 +79,7 @@ class DriverDesk:
         return outputs
 
     def ended(self, robot: str, text: str, now_s: float) -> list[ConsoleOutput]:
-        """A robot's driver is gone: what it was asked for did not happen."""
+        """A robot's driver is gone: its open requests were not carried out."""
         side = self._robots[robot]
         side.seat.driver_ended()
         side.report = None

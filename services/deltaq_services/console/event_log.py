@@ -17,7 +17,7 @@ EventKind = Literal["verdict", "lease", "stop", "phase", "link", "client", "reco
 
 
 class EventLog:
-    """Lines of the log; whoever asks gets those that are new."""
+    """Lines of the log; each reader gets the lines that are new."""
 
     def __init__(self) -> None:
         self._kept: deque[ConsoleEvent] = deque(maxlen=KEPT)
@@ -29,7 +29,7 @@ class EventLog:
         self._tell(ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text))
 
     def repeat(self, now_s: float, kind: EventKind, group: str, text: str, robot: str = "") -> None:
-        """A line that may come every cycle: those of one group count as one while they keep coming."""
+        """A line that may come every cycle: lines of one group count as one line while they keep coming."""
         key = (kind, robot, group)
         event = ConsoleEvent(time_s=now_s, kind=kind, robot=robot, text=text)
         if key in self._quiet:

@@ -65,11 +65,11 @@ class RobotFrame:
         is_braking: it follows a brake.
         age_s: of the state.
         clearance_m: of the tightest pair of the last verdict.
-        pair: that pair's places in the scene's `bodies`.
+        pair: indices of this pair in the scene's `bodies`.
         admission: share of increments admitted whole in the last second.
         longest_cycle_s: longest time between two states in the last second.
         q: (n,) measured.
-        q_rest: (n,) where it would come to rest.
+        q_rest: (n,) configuration in which it would come to rest.
     """
 
     phase: Phase

@@ -27,7 +27,7 @@ _MOST_VERDICTS = 1000
 
 @dataclass
 class RobotNews:
-    """What came of one robot since it was read last.
+    """Messages about one robot that came since the last reading.
 
     Attributes:
         states: the newest two, as bytes; two following ones show how fast the setpoint moves.

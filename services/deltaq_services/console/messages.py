@@ -15,7 +15,7 @@ SignalState = Annotated[str, Field(min_length=1, max_length=64)]
 
 
 class ConsoleHello(Message):
-    """First message to a browser: who it is here, and what it may do.
+    """First message to a browser: its name here, and what it may do.
 
     `operator` is False for one that may only look and stop; `token_needed` says that a token would change this.
     """
@@ -67,9 +67,9 @@ class StopPhase(StrEnum):
 
 
 class LeaseView(Message):
-    """Who holds a robot's lease; `mine` is True for the client that is told, `wanted_by` asks for it.
+    """The holder of a robot's lease; `mine` is True for the client that gets this, `wanted_by` asks for the lease.
 
-    `outside` says that its holder is no browser at this console, and so cannot be asked for it.
+    `outside`: its holder is not a browser at this console, and so cannot be asked for it.
     """
 
     holder: str | None = None
@@ -90,7 +90,7 @@ class Bound(Message):
 
 
 class RobotStatusView(Message):
-    """One robot as a browser is told about it. `driving` is what its driver says of itself, in words.
+    """One robot's status for a browser. `driving` is the status of its driver in words.
 
     `grip` is the one that was chosen; with an object, `hands_off` is there once the hands hold it. `master` leads a
     hand when a wish says so, `master_scale` times its way; it is empty where none was chosen. `search` is there in
@@ -117,7 +117,7 @@ class RobotStatusView(Message):
 
 
 class WaysView(Message):
-    """The ways that a robot's driver offers now, whenever that has changed."""
+    """The ways that a robot's driver offers now, sent when they have changed."""
 
     type: Literal["ways"] = "ways"
     robot: str
@@ -154,7 +154,7 @@ class ConsoleStatus(Message):
 
 
 class ConsoleEvent(Message):
-    """A line of the log; `count` is how often it has come since it was told last."""
+    """A line of the log; `count` is how often it has come since it was sent last."""
 
     type: Literal["event"] = "event"
     time_s: FiniteFloat

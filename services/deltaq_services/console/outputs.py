@@ -19,7 +19,7 @@ class ToClient:
 
 @dataclass(frozen=True, slots=True)
 class AskHli:
-    """Ask the HLI, and tell the core its answer to `request`; `client` is who asks, as the audit log names it."""
+    """Ask the HLI, and give the core its answer to `request`; `client` is the sender's name for the audit log."""
 
     request: str
     kind: Literal["stop", "reset", "dry_run", "view"]

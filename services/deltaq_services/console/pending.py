@@ -27,7 +27,7 @@ class PendingRequests:
         return f"r{next(self._numbers)}"
 
     def ask(self, client: Client, command: str, asked: AskHli) -> list[ConsoleOutput]:
-        """Ask the HLI; the client is told that it was asked."""
+        """Ask the HLI, and tell the client so."""
         asked = replace(asked, client=client.in_the_audit_log)
         self._asked[asked.request] = (client, command, asked)
         return [asked, acknowledged(client, command, AckOutcome.ASKED, "asked")]

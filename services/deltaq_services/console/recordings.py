@@ -20,7 +20,7 @@ _MOST_LISTED = 500
 
 
 class NoSuchRecordingError(ValueError):
-    """A name that is no recording of the folder."""
+    """A name that is not the name of a recording in the folder."""
 
 
 class RecordingFolder:
@@ -75,7 +75,7 @@ class RecordingDesk:
 
     @property
     def view(self) -> RecordingView | None:
-        """What browsers are told; None without a folder."""
+        """The status for browsers; None without a folder."""
         return self._view if self._has_folder else None
 
     def handle(self, command: Record, now_s: float) -> ToRecorder:

@@ -22,8 +22,8 @@ def add_recordings(app: FastAPI, console: Console, enter: Callable[[HTTPConnecti
 
     Args:
         app: to add them to.
-        console: whose they are.
-        enter: what the token that a request shows makes of who sends it.
+        console: the console whose recordings are served.
+        enter: the role that a request's token gives.
     """
 
     def must_be_operators(request: Request) -> None:

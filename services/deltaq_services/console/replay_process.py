@@ -35,7 +35,7 @@ class ReplayReader:
 
         Raises:
             BusyError: another one is being read.
-            UnreadableError: it is no recording of this cell, or takes too long.
+            UnreadableError: the file is not a recording of this cell, or reading it takes too long.
         """
         if self._is_reading:
             raise BusyError("another recording is being read; try again in a moment")

@@ -44,10 +44,10 @@ class RobotSide:
 
     Attributes:
         feed: what is heard of it.
-        seat: who drives it.
-        report: the newest of its driver; None while there is no driver.
-        ways: that its driver offers now.
-        outside_holder: who holds its lease as the HLI says.
+        seat: the seat of its operator.
+        report: the newest report of its driver; None while there is no driver.
+        ways: the ways that its driver offers now.
+        outside_holder: the holder of its lease according to the HLI.
         bound: what bound the newest verdict that was not admitted whole.
     """
 
@@ -161,7 +161,7 @@ class RobotSide:
             )
         names = tuple(self.outputs)
         if command.index >= len(names):
-            raise ValueError(f"index: {self.name} has {len(names)} outputs, got {command.index}")
+            raise ValueError(f"index: outputs of {self.name}: {len(names)}, got {command.index}")
         return driving.Switch(id=request, outputs={names[command.index]: command.value})
 
     def view_distance_of(self, command: ViewDistance) -> float:
@@ -245,7 +245,7 @@ class RobotSide:
         return None if self.report is None else self.report.distance_m
 
     def seen_by(self, client: Client, view: RobotStatusView) -> RobotStatusView:
-        """The same view for one client."""
+        """The view of the robot for one client."""
         if not self.seat.is_held_by(client):
             return view
         return view.model_copy(update={"lease": view.lease.model_copy(update={"mine": True})})

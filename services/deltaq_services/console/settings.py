@@ -1,4 +1,4 @@
-"""What a console is told when it is started."""
+"""The settings with which a console is started."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEAST_CHARACTERS = 16
 
 
 class NoTokenError(DeltaqError):
-    """Nothing tells the console's operators from strangers, who can reach it."""
+    """Strangers can reach the console, and nothing distinguishes its operators from them."""
 
 
 class NoFolderError(DeltaqError):
@@ -30,15 +30,15 @@ class NoFolderError(DeltaqError):
 
 @dataclass(frozen=True)
 class Settings:
-    """What a console is told when it is started.
+    """The settings with which a console is started.
 
     Attributes:
         cell: name of the cell.
         emulated: no robot of it is real.
         address: it is bound to.
         port: it is bound to.
-        token: makes an operator of whoever knows it; empty: whoever is on this machine is one.
-        operator_token: the HLI's, which resets and drivers need where it was given one.
+        token: a client that shows it is an operator; empty: every client on this machine is one.
+        operator_token: the HLI's, which resets and drivers need if the HLI was given one.
         has_role: the environment has a token or an identity that the console's drivers show to the HLI.
         recordings: folder in which recordings are written and opened; None for none.
 

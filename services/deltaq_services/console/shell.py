@@ -71,7 +71,7 @@ class Console:
         cell: the cell's model.
         emulated: no robot of it is real.
         token_needed: whether a client without the token is an observer.
-        operator_token: the HLI's, which resets and drivers need where it was given one.
+        operator_token: the HLI's, which resets and drivers need if the HLI was given one.
         cell_name: name or file of the cell, for the recorder.
         recordings: folder of recordings; None for none.
 

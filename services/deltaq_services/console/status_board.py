@@ -17,12 +17,12 @@ STATUS_S = 1.0
 
 
 class StatusBoard:
-    """The status of one cell, and what of it each browser has been told.
+    """The status of one cell, and the part of it that each browser has got.
 
     Args:
         robots: each robot's side.
         desk: the recording that is being written.
-        log: whose lines are told too.
+        log: the event log, whose lines are sent too.
 
     Attributes:
         hli: whether the HLI is heard.
@@ -35,7 +35,7 @@ class StatusBoard:
         self._told: dict[int, tuple[float, ConsoleStatus]] = {}
 
     def heard(self, holders: Mapping[str, str | None], now_s: float) -> None:
-        """The HLI has said who holds which lease."""
+        """The HLI has reported the holders of all leases."""
         if not self.hli:
             self._log.add(now_s, "link", "the HLI is heard")
         self.hli, self.text = True, ""
@@ -54,7 +54,7 @@ class StatusBoard:
         self._told.pop(client.number, None)
 
     def tell(self, clients: Collection[Client], stop: StopProgress, now_s: float) -> list[ConsoleOutput]:
-        """What is to be sent now."""
+        """The messages to send now."""
         news = self._log.news(now_s)
         views = {name: side.view(now_s) for name, side in self._robots.items()}
         outputs: list[ConsoleOutput] = []

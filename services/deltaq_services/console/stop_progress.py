@@ -26,7 +26,7 @@ class RobotMotion:
 
 
 class StopProgress:
-    """The newest stop, whoever asked for it.
+    """The newest stop of any sender.
 
     Attributes:
         phase: how far it is.

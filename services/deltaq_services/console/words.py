@@ -17,18 +17,18 @@ _PHASES = {
     Phase.HELD: "held",
 }
 _SIGHTS: dict[Sight | None, str] = {
-    Sight.STALE: ", and sees what it follows late (view_stale)",
-    Sight.LOST: ", and sees what it follows no more (view_lost)",
+    Sight.STALE: ", and its view of the leader is stale (view_stale)",
+    Sight.LOST: ", and its view of the leader is lost (view_lost)",
 }
 _REMEDIES = {
     ReasonCode.OPERATOR_STOP: "Reset it when the cell is clear.",
     ReasonCode.CONTROLLER_LOST: "Reset it, then drive on.",
-    ReasonCode.HLI_LOST: "See that the HLI runs, then reset it.",
-    ReasonCode.GATE_LOST: "See that the gate runs, then reset it.",
+    ReasonCode.HLI_LOST: "Make sure that the HLI runs, then reset it.",
+    ReasonCode.GATE_LOST: "Make sure that the gate runs, then reset it.",
     ReasonCode.KRC_LOST: "Start the robot program on the KRC again, then reset it.",
-    ReasonCode.TRACKING_ERROR: "See what holds the robot up, then reset it.",
+    ReasonCode.TRACKING_ERROR: "Find what obstructs the robot, then reset it.",
     ReasonCode.REPLY_REFUSED: "Keep the Robot Server's log, then reset it.",
-    ReasonCode.RSI_MODE: "Let the KRC's program begin RSI with RSI_ON(#ABSOLUTE), then reset it.",
+    ReasonCode.RSI_MODE: "Change the KRC's program to begin RSI with RSI_ON(#ABSOLUTE), then reset it.",
 }
 _NEAR = (ReasonCode.CLEARANCE, ReasonCode.RETREAT, ReasonCode.SLOW_DOWN)
 _OF_JOINT = {
@@ -41,11 +41,11 @@ _OF_JOINT = {
 def phase_words(state: RobotState | None, is_stale: bool) -> tuple[str, str]:
     """What the state of a robot means, and what to do about it; empty if nothing is to be done."""
     if state is None:
-        return "not heard yet", "See that its Robot Server and the HLI run: deltaq status."
+        return "not heard yet", "Check that its Robot Server and the HLI run: deltaq status."
     if is_stale:
         return (
             "no state comes: what is shown is old",
-            "See that its Robot Server and the HLI run: deltaq status.",
+            "Check that its Robot Server and the HLI run: deltaq status.",
         )
     text = _PHASES[state.phase] + _SIGHTS.get(state.sight, "")
     if state.reason is None:

@@ -25,9 +25,9 @@ class Audit:
     """Takes deeds.
 
     Args:
-        file: to write to; None: nothing is written, and entries are published all the same.
+        file: the log's file; None: nothing is written, but entries are still published.
         publish: sends an entry to recorders.
-        secrets: texts that no entry may hold, as they are now.
+        secrets: returns the texts that no entry may contain at present.
         now: monotonic time [s].
 
     Attributes:
@@ -60,7 +60,7 @@ class Audit:
             self._say(self._groups.add(deed, self._now(), count))
 
     def tick(self) -> None:
-        """Tell those that were counted for long enough; to be called often."""
+        """Write and publish the deeds that were counted for long enough; to be called often."""
         now_s = self._now()
         if self._pace.due(now_s):
             self._say(self._groups.due(now_s))

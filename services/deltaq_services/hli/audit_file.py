@@ -37,12 +37,12 @@ class AuditFile:
     """Appends lines.
 
     Args:
-        path: of the file; its folder must be there. A new one has mode 0600.
-        most_bytes: of one file, at most.
-        most_files: that are kept, the one that is written included.
+        path: path of the file; its folder must exist. A new file has mode 0600.
+        most_bytes: largest size of one file [bytes].
+        most_files: number of files that are kept, including the one that is being written.
 
     Raises:
-        AuditFileError: if it cannot be opened for writing, or others may read it.
+        AuditFileError: the file cannot be opened for writing, or others may read it.
     """
 
     def __init__(self, path: Path, most_bytes: int = MOST_BYTES, most_files: int = MOST_FILES) -> None:

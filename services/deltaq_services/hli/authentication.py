@@ -34,10 +34,10 @@ class Authentication:
     """Checks proofs.
 
     Args:
-        leases: whose secrets may have proven something.
-        roles: whose tokens may have proven something.
-        secret: that challenges are made with, different each time.
-        identities: whose certificates may have proven something; None: nobody's.
+        leases: the leases, whose secrets proofs are made with.
+        roles: the roles, whose tokens proofs are made with.
+        secret: the secret of this process's challenges, new for each process.
+        identities: judges certificates and their signatures; None: certificates prove nothing.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class Authentication:
         self._counts: dict[str, tuple[str, int]] = {}
 
     def holder_of_increment(self, robot: str, key: str, message: bytes, proof: bytes) -> Proven | None:
-        """Under which lease an increment was sent: the present one, or the one before it; any thread may ask.
+        """The lease under which an increment was sent: the present one or the one before it; any thread may ask.
 
-        One of the lease before comes from a holder that has not heard of its loss yet, and is to be told.
+        An increment under the earlier lease comes from a holder that has not heard of its loss yet, and must be told.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             return None
@@ -81,9 +81,9 @@ class Authentication:
         return lease.token
 
     def goes_first(self, key: str, message: bytes, proof: bytes, time_s: float) -> bool:
-        """Whether a holder, or who has a role, made a request that was not heard before; one thread at a time may ask.
+        """Whether a holder, or a client with a role, made a request that is no duplicate; one thread at a time may ask.
 
-        A proof that was overheard is nobody's the second time, and waits among those of strangers.
+        A proof that comes a second time, because it was overheard, proves nothing and waits among strangers' requests.
         """
         if len(message) > MAX_MESSAGE_BYTES:
             return False

@@ -40,7 +40,7 @@ class CarriedMemory:
 
 
 class CarriedMotion:
-    """What one robot was asked for and has not been sent, and what it moved unasked.
+    """The motion that was requested of one robot and not sent yet, and the motion that it made unasked.
 
     Args:
         max_dq: (n,) largest increment [rad or m].
@@ -71,7 +71,7 @@ class CarriedMotion:
         self._unasked, self._unasked_cycles = dq, cycles
 
     def settle(self, missing: int) -> None:
-        """An increment has its turn again: what was moved unasked is owed back.
+        """An increment has its turn again: motion that was made unasked is owed back.
 
         It is not for as many cycles as increments are missing that will never come.
         """
@@ -85,15 +85,15 @@ class CarriedMotion:
         self._unasked, self._unasked_cycles = np.zeros_like(self._max_dq), 0
 
     def add_to(self, dq: Sequence[float], last_dq: Sequence[float] | None) -> tuple[float, ...]:
-        """The increment whose turn it is, and a part of what is owed; as it is where nothing is owed.
+        """The increment whose turn it is, plus a part of the owed motion; unchanged if no motion is owed.
 
-        A robot that has braked comes back to its speed as fast as it may, and what that costs is owed too. Whatever is
-        owed in the end goes to the gate, which scales it if it is too much, and says so. An increment that no cycle can
-        have goes there by itself.
+        A robot that has braked returns to its speed as fast as its limits allow, and the motion missed meanwhile is
+        owed too. All owed motion finally goes to the gate, which scales a sum that is too large, and reports this. An
+        increment that is too large for any cycle goes to the gate by itself.
 
         Args:
             dq: (n,) the increment [rad or m].
-            last_dq: (n,) the one sent before; None where that is not known.
+            last_dq: (n,) the increment sent before [rad or m]; None if it is not known.
 
         Returns:
             (n,) what to ask the gate for.

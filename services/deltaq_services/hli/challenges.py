@@ -44,7 +44,7 @@ class Challenges:
         return True
 
     def is_new(self, challenge: bytes, time_s: float) -> bool:
-        """The same, without accepting it; any thread may ask."""
+        """Whether `accept` would accept a challenge; nothing is accepted, and any thread may ask."""
         made = challenge[: _MADE.size]
         is_own = len(made) == _MADE.size and compare_digest(self._mac(made), challenge[_MADE.size :])
         return is_own and time_s <= _until_s(challenge) and challenge not in self._used

@@ -35,7 +35,7 @@ class ClientIdentities:
         return b"" if signed is None else signed.nonce
 
     def name(self, key: str, message: bytes, proof: bytes) -> str:
-        """Who signed a message under a zenoh key, e.g. `operator-desk`; empty if nobody did who may.
+        """The identity that signed a message under a zenoh key, e.g. `operator-desk`; empty if no permitted one did.
 
         Any thread may ask. Whether the challenge is new is another question.
         """

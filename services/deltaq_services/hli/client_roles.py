@@ -31,7 +31,7 @@ class ClientRoles:
     controller_token: str | None = None
 
     def of(self, token: str | None, identity: str = "") -> ClientRole:
-        """The role of who gives this token, compared in constant time, or has proven this identity."""
+        """The role of a client that gives this token, compared in constant time, or has proven this identity."""
         return max(self._by_token(token), _ROLES[kind_of(identity)])
 
     def _by_token(self, token: str | None) -> ClientRole:
@@ -43,13 +43,13 @@ class ClientRoles:
         )
 
     def is_wrong(self, token: str) -> bool:
-        """Whether a token was given and is none of these."""
+        """Whether a token was given that is neither of the two."""
         known = [wanted for wanted in (self.operator_token, self.controller_token) if wanted is not None]
         return bool(known) and not any(_is(wanted, token) for wanted in known)
 
     @property
     def tokens(self) -> tuple[str, ...]:
-        """Those that are set."""
+        """The tokens that are set."""
         return tuple(token for token in (self.operator_token, self.controller_token) if token is not None)
 
 

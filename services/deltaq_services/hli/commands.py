@@ -87,8 +87,8 @@ class CommandsMemory:
 class Commands:
     """The commands that are in flight.
 
-    Of the gate's epoch and of the ids of an earlier process this one hears by the gate's heartbeats, so that the
-    first command is good; or, when the gate began anew since, as it refuses a command for them.
+    The gate's heartbeats tell its epoch and the ids that an earlier process used, so that the first command is valid.
+    If the gate began anew since, it refuses the command, and the refusal tells them.
 
     Args:
         first_id: greater than any id used before, as far as that can be known.
@@ -144,7 +144,7 @@ class Commands:
         return None
 
     def stops_again(self, time_s: float) -> list[Output]:
-        """The stops that the gate still has not answered, whatever their senders have been told since."""
+        """The stops that the gate has not answered yet, even if their senders were told an outcome meanwhile."""
         again = [stop for stop in self._stops.values() if time_s >= stop.again_s]
         for stop in again:
             self._stops[stop.command.robot] = replace(stop, again_s=time_s + STOP_PERIOD_S)

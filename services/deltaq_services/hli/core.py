@@ -101,15 +101,15 @@ class HliCore:
     def take(
         self, message: Message | InvalidMessageError, time_s: float, sender: Sender | None = None
     ) -> list[Output]:
-        """Take what has come, from a service or from a client.
+        """Take a message from a service or from a client.
 
         Args:
             message: a message, or why an increment is none.
             time_s: when it came.
-            sender: whom to answer; only an increment may have none, whose verdict every watcher gets.
+            sender: the client to answer; only an increment may have none: every watcher gets its verdict.
 
         Raises:
-            TypeError: for a message that nobody sends here.
+            TypeError: for a message of a type that is not sent here.
         """
         match message:
             case ServerState():
@@ -314,7 +314,7 @@ class HliCore:
         return tuple(self._state.mismatches.values())
 
     def lagging(self, time_s: float) -> tuple[str, ...]:
-        """What is silent, or comes more slowly than the table of topics says; for people."""
+        """Streams that are silent, or slower than the table of topics requires; for people."""
         faults = (stream.fault(time_s) for stream in self._streams())
         return tuple(fault for fault in faults if fault is not None)
 

@@ -73,7 +73,7 @@ class DeedGroups:
         self._told_apart: Counter[_Kind] = Counter()
 
     def add(self, deed: Deed, now_s: float, count: int = 1) -> list[CountedDeed]:
-        """Take a deed, or several equal ones; returns what is to be told at once."""
+        """Take a deed, or several equal ones; returns the deeds to report at once."""
         group = self._groups.get(_key(deed))
         if group is None and not self._may_begin(deed, now_s):
             others = ClientOrigin(client=MANY, role=deed.origin.role)
@@ -88,7 +88,7 @@ class DeedGroups:
         return []
 
     def due(self, now_s: float) -> list[CountedDeed]:
-        """Those that were counted for long enough."""
+        """The groups that were counted for long enough, as deeds with their counts."""
         told: list[CountedDeed] = []
         for key, group in list(self._groups.items()):
             if now_s < group.until_s:
@@ -104,7 +104,7 @@ class DeedGroups:
         return told
 
     def rest(self) -> list[CountedDeed]:
-        """Those that are counted and were not told yet; nothing is kept."""
+        """The counted deeds that were not reported yet; all groups are forgotten."""
         groups, self._groups = self._groups, {}
         self._told_apart.clear()
         return [group.counted() for group in groups.values() if group.count]

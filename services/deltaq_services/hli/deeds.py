@@ -18,8 +18,8 @@ class Deed:
     Attributes:
         what: it was.
         outcome: how it ended, so far.
-        origin: whose it was.
-        robot: that it concerned; None where it was none, or all of them.
+        origin: the client that did it.
+        robot: the robot that it concerned; None for no robot or all robots.
         code: why it was refused.
         text: what the client was told.
     """
@@ -47,7 +47,7 @@ KIND_OF_REQUEST = {
 
 
 def told_to_nobody(_deed: Deed) -> None:
-    """For a core that nobody audits."""
+    """Takes the deeds of a core without an audit log, and forgets them."""
 
 
 def deed_of(
@@ -57,7 +57,7 @@ def deed_of(
     text: str = "",
     code: ReasonCode | None = None,
 ) -> Deed:
-    """What became of a command to the gate; without a text, what it asks for."""
+    """The outcome of a command to the gate; without a text, the command's request."""
     kind = KIND_OF_REQUEST[command.kind]
     return Deed(kind, outcome, origin, command.robot, code, text or _asked_for(command))
 

@@ -14,14 +14,14 @@ HANDSHAKE_S = 5.0
 
 
 class Handshake(asyncio.Protocol):
-    """Begins as a connection's protocol, and hands the encrypted connection on.
+    """Begins as a connection's protocol, and passes the encrypted connection on.
 
     Args:
-        loop: that serves it.
-        encryption: with the certificate.
+        loop: the event loop that serves it.
+        encryption: context with the certificate.
         begin: makes the protocol of an encrypted connection.
-        failed: takes the transport, and why nothing was agreed on.
-        places: of those that have not agreed yet.
+        failed: takes the transport, and the reason why no encryption was agreed on.
+        places: places of connections that have not agreed on encryption yet.
     """
 
     def __init__(

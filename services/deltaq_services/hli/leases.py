@@ -21,7 +21,7 @@ class Lease:
         sequence: sequence numbers seen under this lease.
         brought: those of increments that came with a later one, and have not come themselves.
         used: True once an increment was accepted; then losing the holder is a reason to stop.
-        connection: the holder's connection, where it has one.
+        connection: the holder's connection, if it has one.
         origin: of the holder, for the audit log.
     """
 
@@ -83,7 +83,7 @@ class Leases:
         self._ended = dict(memory.ended)
 
     def of(self, robot: str) -> Lease | None:
-        """The lease of a robot, whoever holds it."""
+        """The lease of a robot, with any holder."""
         return self._leases.get(robot)
 
     def held_with(self, robot: str, token: str | None) -> Lease | None:

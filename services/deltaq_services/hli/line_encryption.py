@@ -29,7 +29,7 @@ def line_encryption(
     Args:
         cell: the cell.
         environment: where the files are named.
-        authority: certificate of the cell's authority (PEM), whose clients' certificates are believed; empty: none is.
+        authority: certificate of the cell's authority (PEM), which signs clients' certificates; empty: none is valid.
 
     Raises:
         LineEncryptionError: if the certificate or its key cannot be used, or tokens would cross a network unencrypted.

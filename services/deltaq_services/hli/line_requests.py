@@ -67,7 +67,7 @@ def hello_of(data: dict[str, Any]) -> Hello:
 
 
 def of_client(request: Message, client: Hello, leases: Mapping[str, str]) -> Message:
-    """A request with what the connection knows of its client, whatever the line itself says of that.
+    """A request with the name, token and lease that the connection has for its client; the line's own are replaced.
 
     Args:
         request: as the line has it.

@@ -21,11 +21,11 @@ MOST_TOGETHER_S = 2000.0
 
 
 class LineTurns(Generic[C]):
-    """The connections that have a line waiting, and what each may still send.
+    """The connections that have a line waiting, and how many lines each may still send.
 
     Args:
-        most_lines_s: of one connection.
-        most_together_s: of all that hold no lease.
+        most_lines_s: lines a second of one connection.
+        most_together_s: lines a second of all connections without a lease together.
     """
 
     def __init__(self, most_lines_s: float = MOST_LINES_S, most_together_s: float = MOST_TOGETHER_S) -> None:
@@ -53,7 +53,7 @@ class LineTurns(Generic[C]):
         self._rates.pop(connection, None)
 
     def next(self, time_s: float) -> C | None:
-        """Whose line is served now; None if none may be yet. It waits again only when `wait` says so."""
+        """The connection whose line is served now; None if none may be yet. It waits again only after `wait`."""
         for connection in self._holders:
             if self._rate(connection).take(time_s):
                 del self._holders[connection]

@@ -47,8 +47,8 @@ class QuerySender(Sender):
     """A zenoh query; it takes one answer.
 
     Attributes:
-        key: that the answer goes out on.
-        origin: whom it is from, once that is known.
+        key: zenoh key of the answer.
+        origin: the sender, once it is known.
     """
 
     def __init__(self, query: zenoh.Query, key: str) -> None:

@@ -10,7 +10,7 @@ _STOPS_LOOKED_FOR = 4
 
 
 class ReceivedLines:
-    """What has come and was not served yet."""
+    """Bytes that were received and not served yet."""
 
     def __init__(self) -> None:
         self._received = bytearray()
@@ -40,7 +40,7 @@ class ReceivedLines:
         return line
 
     def take_stop(self, begin: int) -> bool:
-        """Take out a stop that has come whole, whatever came before it and waits.
+        """Take out a stop that has come whole, even if other lines wait before it.
 
         Args:
             begin: bytes that were looked at before.

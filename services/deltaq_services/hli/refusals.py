@@ -37,7 +37,7 @@ def refusal(
 
 
 def answered_by_error(data: Mapping[str, object]) -> dict[str, Any]:
-    """The fields of an `Error` that name what it answers, from a request whatever its fields hold."""
+    """The fields of an `Error` that name the request which it answers; the request's fields may hold any values."""
     kind, robot, seq = data.get("type"), data.get("robot"), data.get("seq")
     return {
         "request": _text(kind) if isinstance(kind, str) else None,

@@ -40,11 +40,11 @@ _GIVE_IT = f"over lines in the hello; to `deltaq` and in Python by {OPERATOR_TOK
 
 
 class Requests:
-    """Answers requests; those that the gate must carry out are answered when it has.
+    """Answers requests. Requests that the gate must carry out are answered when it has carried them out.
 
     Args:
         state: of the HLI.
-        roles: who may `take`, `reset` and switch contacts, and who may have a lease at all.
+        roles: determines who may `take`, `reset` and switch contacts, and who may have a lease at all.
     """
 
     def __init__(self, state: HliState, roles: ClientRoles) -> None:
@@ -159,7 +159,7 @@ class Requests:
         return self._state.command(command, sender, Done(what=what), time_s)
 
     def on_view(self, request: ViewRequest, sender: Sender) -> list[Output]:
-        """Wish for another view of a robot's camera: its states tell it to whoever follows."""
+        """Request another view of a robot's camera; its states publish it for the follower."""
         link = self._state.links.get(request.robot)
         if link is None:
             return self._error(sender, request, ReasonCode.UNKNOWN_ROBOT, *self._robots_are(request.robot))

@@ -34,7 +34,7 @@ class LinkMemory:
         state, received_s: of the robot, and when it came.
         asked_cycle: cycle in which an increment was passed on last.
         answered_cycle: cycle of the state that it answered.
-        awaited: who awaits which verdict.
+        awaited: the senders that await verdicts.
         waiting: the increment that waits.
         admitted: what is known of the setpoints to come.
         playout: the increments of a controller far away.
@@ -61,15 +61,15 @@ class RobotLink:
         joints: number of joints, n.
         max_age_cycles: an increment that answers a cycle older than this is stale.
         max_state_age_s: a robot whose newest state is older than this is taken for offline.
-        max_playout_cycles: the same where the lease has a playout buffer, with the time in there.
-        carried: takes the motion of increments that come after their turn there.
-        admitted: what is known of the setpoints to come; None without a lookahead.
+        max_playout_cycles: this bound under a lease with a playout buffer, including the time in the buffer.
+        carried: takes the motion of increments that come after their turn in the buffer.
+        admitted: what is known of future setpoints; None without a lookahead.
 
     Attributes:
         joints: as given.
-        playout: keeps the increments of the lease until their turn; None where it did not ask for that.
-        sight: how well the controller sees what it follows; None where it says nothing.
-        view: what its camera is to look at; None while nobody has asked.
+        playout: keeps the increments of the lease until their turn; None if the lease did not ask for it.
+        sight: how well the controller sees the leader; None if it says nothing.
+        view: the requested view of its camera; None before the first request.
         state, received_s: newest state of the robot, and when it came [s].
     """
 

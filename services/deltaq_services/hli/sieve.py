@@ -41,7 +41,7 @@ class Sifted(NamedTuple):
 
 
 class Sieve:
-    """Keeps increments that nobody proves, or that are too many, from the loop.
+    """Keeps increments without a proof, and increments that are too many, from the loop.
 
     Args:
         keys: zenoh key of each robot's increments, by robot.
@@ -68,7 +68,7 @@ class Sieve:
         self._counters: Counter[str] = Counter()
 
     def sift(self, sample: zenoh.Sample) -> Sifted | None:
-        """An increment that the loop shall hear of; None: it is counted and forgotten."""
+        """An increment to pass on to the loop; None: it is counted and dropped."""
         key = str(sample.key_expr)
         robot, proof = self._robots.get(key), sample.attachment
         if robot is None or proof is None:
@@ -91,11 +91,11 @@ class Sieve:
 
     @property
     def unproven(self) -> int:
-        """Increments that nobody proved."""
+        """Number of increments without a valid proof."""
         return self._counters["increments_unproven"]
 
     def counters(self) -> Counter[str]:
-        """What was forgotten."""
+        """Counts of increments that were not passed on."""
         with self._lock:
             return self._counters.copy()
 

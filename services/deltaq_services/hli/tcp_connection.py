@@ -306,7 +306,7 @@ class TcpConnection(asyncio.Protocol, Sender):
 
 
 def address_of(transport: asyncio.BaseTransport) -> str:
-    """HOST:PORT of whoever is at the other end."""
+    """HOST:PORT of the other end."""
     peer = transport.get_extra_info("peername")
     if not peer:
         return ""

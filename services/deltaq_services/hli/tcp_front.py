@@ -81,7 +81,7 @@ class TcpFront:
                 same.listen(_WAITING_CONNECTIONS)
 
     def admit(self, connection: TcpConnection, address: str) -> bool:
-        """Take up a connection: as a client's, or, where there is no place, for a stop alone."""
+        """Accept a connection: as a client's or, if no place is left, only for a stop."""
         self.counters["tcp_connections"] += 1
         place, gives_way = self._places.take(connection, address)
         if gives_way is not None:
@@ -120,7 +120,7 @@ class TcpFront:
         return None
 
     def leave(self, connection: TcpConnection) -> None:
-        """Forget a connection that broke, and tell the core what it held."""
+        """Forget a connection that broke, and tell the core which leases it held."""
         self._turns.leave(connection)
         if self._places.leave(connection):
             if connection.is_welcome:
@@ -135,7 +135,7 @@ class TcpFront:
             self._serve()
 
     def publish_state(self, state: RobotState) -> None:
-        """Send a state to everybody who has said hello."""
+        """Send a state to every client that has said hello."""
         if self._places.clients:
             line = to_line(state)
             for connection in self.connections:

@@ -7,7 +7,7 @@ from deltaq_protocol.messages import ViewRequest, ViewWish
 
 
 def problem_of(request: ViewRequest, cell: CellDescription) -> tuple[str, str] | None:
-    """Why nobody can look there, and what to do about it; None if somebody can. The robot is one of the cell's."""
+    """Why no follower can use this view, and the remedy; None if one can. The robot is one of the cell's."""
     robot = request.robot
     if cell.robots[robot].camera is None:
         having = [name for name, other in cell.robots.items() if other.camera is not None]

@@ -56,7 +56,7 @@ class LoopSession:
     def subscribe_sifted(
         self, topic: Topic, sift: Callable[[zenoh.Sample], T | None], take: Callable[[T], None]
     ) -> None:
-        """The same, with what `sift` makes of a sample in zenoh's thread; None: the loop does not hear of it."""
+        """As `subscribe`, but `take` gets what `sift` returns for a sample in zenoh's thread; None is not passed on."""
         inbox = self._inbox(topic, take)
 
         def put(sample: zenoh.Sample) -> None:
@@ -67,7 +67,7 @@ class LoopSession:
         self._served.subscribe(topic.key(self._cell), put)
 
     def answer_at_once(self, topic: Topic, take: Callable[[zenoh.Query], None]) -> None:
-        """Call `take` in zenoh's thread with every query of a topic; for answers that take no thought."""
+        """Call `take` in zenoh's thread with every query of a topic; for answers that need no decision."""
         flood = FloodWait(_QUERIES_S)
 
         def answer(query: zenoh.Query) -> None:
@@ -84,8 +84,8 @@ class LoopSession:
     ) -> None:
         """Call `take` in the loop with every query of a topic, of any robot.
 
-        Those that `goes_first` names, which zenoh's thread asks, wait apart from the others. Whoever asks too much has
-        to wait, among those who go first too, but only when its query was put: so no stop waits for a flood of others.
+        Queries for which `goes_first` is true, as asked in zenoh's thread, wait in a queue of their own. A client that
+        asks too much has to wait, in either queue, but only after its query was queued: so no stop waits for a flood.
         """
         inbox, flood = self._inbox(topic, take, _QUERIES_A_TURN), FloodWait(_QUERIES_S)
         if goes_first is None:
@@ -116,7 +116,7 @@ class LoopSession:
         self._session.put(topic.key(self._cell, **fields), pack(message), **sending(topic.priority))
 
     def counters(self) -> Counter[str]:
-        """Counts of messages that were dropped because they came too fast, and of those that could not be served."""
+        """Counts of messages that were dropped because they came too fast, and of messages that could not be served."""
         counters = Counter({f"{name}_dropped": inbox.dropped for name, inbox in self._inboxes.items()})
         counters["failed"] = sum(inbox.failed for inbox in (*self._inboxes.values(), *self._first))
         return counters

@@ -22,7 +22,7 @@ def families(status: Status | None) -> Iterator[Metric]:
     """Families of a status.
 
     Args:
-        status: of the cell; None if nobody answered, which is told as well.
+        status: status of the cell; None if no answer came, which the metrics show too.
     """
     yield _gauge("deltaq_up", "1 if the HLI answered", (), [((), float(status is not None))])
     if status is None:

@@ -38,7 +38,7 @@ _SCALARS = {
 
 
 class SchemaError(DeltaqError):
-    """A model has a field of a type that has no counterpart in protobuf."""
+    """A model has a field whose type has no counterpart in protobuf."""
 
 
 @dataclass(frozen=True)

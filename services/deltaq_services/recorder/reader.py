@@ -165,7 +165,7 @@ class Recording:
                     continue
                 yield Recorded(topic, message, record.log_time, record.sequence, position)
         if left_out:
-            self.notices.append(f"{left_out} messages are none of this version and were left out")
+            self.notices.append(f"messages left out because they are not of this version: {left_out}")
 
     def _repeated(self) -> Iterator[tuple[McapRecord, int]]:
         """Schemas and channels as a complete file repeats them at its end: the chunk that has them may be damaged."""

@@ -48,10 +48,10 @@ def replayed(path: Path, identity: str, most_ticks: int = MOST_TICKS) -> dict[st
     Args:
         path: the file.
         identity: of the cell in whose scene it is shown.
-        most_ticks: times at which it is told at most; the step is doubled until they suffice.
+        most_ticks: greatest number of times in the result; the step is doubled until they suffice.
 
     Raises:
-        UnreadableRecordingError: it is no recording.
+        UnreadableRecordingError: the file is not a recording.
         OtherCellRecordedError: it is of another cell.
         EmptyReplayError: no robot has a state in it.
     """

@@ -98,7 +98,7 @@ class RecordingWriter:
             time_ns: when it was seen [ns].
 
         Raises:
-            RecordingError: if the file cannot be written to; what was written before stays.
+            RecordingError: the file cannot be written to; earlier messages stay in it.
         """
         self._carefully(self._put, topic, message, time_ns, 0)
         if topic is STATE and isinstance(message, RobotState):

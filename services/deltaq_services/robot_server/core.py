@@ -79,14 +79,14 @@ class RobotServer:
 
     @property
     def state(self) -> ServerState | None:
-        """What is published after each cycle; None before the first. Made when it is asked for: after the reply."""
+        """The state to publish after each cycle; None before the first. It is made when asked for: after the reply."""
         if self._state is None and self._told is not None:
             self._state = self._publishable(*self._told)
         return self._state
 
     @property
     def motion(self) -> SetpointMotion:
-        """What was sent last, and the brake that follows it."""
+        """The setpoint that was sent last, and the brake that follows it."""
         return self._motion
 
     @property
@@ -96,7 +96,7 @@ class RobotServer:
 
     @property
     def detail(self) -> str:
-        """What is amiss with the session's mode, for people; empty if nothing is."""
+        """The fault of the session's mode, for people; empty if there is none."""
         return self._mode.detail
 
     def cycle(
@@ -109,9 +109,9 @@ class RobotServer:
         """Answer one telegram.
 
         Args:
-            measured: what the KRC reported.
+            measured: the values that the KRC reported.
             time_s: time of arrival, for the published state only.
-            admission: one that has come since the last cycle, if any; `take` takes more of them.
+            admission: an admission that has come since the last cycle, if any; `take` takes further ones.
             supervision: the newest heartbeat of the gate since the last cycle, if any.
 
         Returns:
@@ -153,7 +153,7 @@ class RobotServer:
             What to send to the robot. The `state` is made when it is asked for, after that.
 
         Raises:
-            TypeError: for a message that nobody sends here.
+            TypeError: for a message of a type that is not sent here.
         """
         if isinstance(message, Admission):
             self._keep(message)

@@ -23,7 +23,7 @@ class CycleStamps:
         stamps: where to.
         session: of the Robot Server.
         key: of its admissions.
-        seal: that they come under; it is only read with.
+        seal: the seal of the messages, with which they are only read.
     """
 
     def __init__(self, stamps: Stamps, session: Any, key: str, seal: Seal) -> None:

@@ -18,7 +18,7 @@ class Ending:
         server: brings the robot to rest.
 
     Attributes:
-        stop: the KRC has to end the motion: nobody will answer it any more.
+        stop: whether the KRC has to end the motion, because no process will answer it any more.
         over: the process may end.
     """
 

@@ -51,7 +51,7 @@ class KrcSocket:
         patience_s: to wait for the address: the brake after a Robot Server's death holds it until its robot rests.
 
     Attributes:
-        peer: who is answered.
+        peer: the sender that is answered.
         newest: the datagram that was read last; empty if none was valid.
         came_s: when it came, on the monotonic clock.
         watch: where a record of every setpoint is left before it is sent; None if none is.
@@ -89,7 +89,7 @@ class KrcSocket:
 
     @property
     def socket(self) -> socket.socket:
-        """The socket itself, for who shall answer the KRC after this process."""
+        """The socket itself, for the process that answers the KRC after this one."""
         return self._sock
 
     def wait(self, seconds: float) -> bool:

@@ -51,7 +51,7 @@ class ProbeMemory:
 
 
 class KinematicMode:
-    """The mode of a robot that is no KUKA: it is where it was sent, and nobody needs to find out."""
+    """The mode of a robot that is not a KUKA: it is always where it was sent, so no probe is needed."""
 
     mode = Mode.ABSOLUTE
     known = idle = True
@@ -59,20 +59,20 @@ class KinematicMode:
     detail = ""
 
     def cycle(self, q: Array, ipoc: int, missed_last: bool) -> None:
-        """Nothing is to be learned."""
+        """Does nothing: there is nothing to measure."""
 
     def added_to(self, setpoint: Array) -> Array:
-        """The setpoint as it is."""
+        """The setpoint, unchanged."""
         return setpoint
 
     def end(self) -> None:
-        """Nothing is to be undone."""
+        """Does nothing: there is no pulse to undo."""
 
     def snapshot(self) -> None:
-        """It remembers nothing."""
+        """None: there is no state."""
 
     def restore(self, memory: ProbeMemory) -> None:
-        """It has nothing to remember."""
+        """Does nothing: there is no state."""
 
 
 class ModeProbe:
@@ -132,7 +132,7 @@ class ModeProbe:
 
     @property
     def detail(self) -> str:
-        """What is amiss and what helps, for people; empty if nothing is."""
+        """The fault and its remedy, for people; empty if there is none."""
         if self.known:
             return ""
         if self.mode is Mode.RELATIVE:
@@ -176,7 +176,7 @@ class ModeProbe:
         return setpoint + self._offset if self.mode is Mode.UNKNOWN else setpoint
 
     def end(self) -> None:
-        """Undo what was added, and add nothing more."""
+        """Undo the pulse that was added, and add no further one."""
         self._ended = True
 
     def snapshot(self) -> ProbeMemory:

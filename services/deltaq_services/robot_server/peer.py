@@ -29,12 +29,12 @@ class PeerMemory:
 class Peer:
     """The sender whose telegrams are read.
 
-    Its port is no configuration: a KRC, and an emulator, choose one when they start. That of the first valid telegram
-    is kept until the KRC has been silent for `silence_s`; from then on the next valid telegram names it anew.
+    Its port is not configured: a KRC, and an emulator, choose one when they start. The port of the first valid telegram
+    is kept until the KRC has been silent for `silence_s`; then the next valid telegram determines it.
 
     Args:
-        krc_address: the KRC's own; None on a loopback, where any sender may be the first.
-        silence_s: after which the KRC may come from another port.
+        krc_address: the KRC's address; None on the loopback, where any sender may be the first.
+        silence_s: time of silence after which the KRC may send from another port [s].
 
     Attributes:
         address: of the KRC; None while it is not known.

@@ -39,7 +39,7 @@ class PositionFault:
 
 @dataclass(frozen=True, slots=True)
 class Plausibility:
-    """Bounds of what can be true of one robot's joints, each (n,) [rad or m].
+    """Bounds of plausible positions and motions of one robot's joints, each (n,) [rad or m].
 
     Attributes:
         joints: names, for messages.

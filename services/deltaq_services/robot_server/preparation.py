@@ -40,11 +40,11 @@ class Preparation:
 
     Args:
         cell: the cell.
-        server: its core, which is only looked at.
-        rsi: its driver, which is only asked what it would send.
-        telegrams: of its KRC.
+        server: its core, which is only read.
+        rsi: its driver, which only computes what it would send.
+        telegrams: reads the telegrams of its KRC.
         axes: its joints.
-        records: makes those that are left before replies; None if none are.
+        records: makes the records that are written before replies; None if there are none.
     """
 
     def __init__(
@@ -73,11 +73,11 @@ class Preparation:
 
         Args:
             datagram: the telegram answered last, with a setpoint.
-            stop: the reply has to end the motion, whatever is decided.
-            time_s: on a monotonic clock.
+            stop: whether the reply has to end the motion in any case.
+            time_s: time on a monotonic clock [s].
 
         Returns:
-            None if the reply may depend on where the robot is, or nothing is expected.
+            The reply; None if it may depend on the robot's position, or no telegram is expected.
         """
         session, telegrams = self._rsi.session, self._telegrams
         last, step = session.last, session.step

@@ -54,15 +54,15 @@ class Mode(StrEnum):
 
 
 def joint_modes(samples: Array, window: int) -> list[Mode]:
-    """What each joint tells of its KRC.
+    """The mode of the KRC that each joint's motion shows.
 
     Args:
         samples: (3 + 2 window + 1, n) measured in each cycle of a trial, in units of the pulses' sums. The first value
             of the pulse was sent in reply to sample 3, that of its negative a window later.
-        window: samples from the beginning of one pulse to that of the next.
+        window: number of samples from the beginning of one pulse to the beginning of the next.
 
     Returns:
-        n modes, UNKNOWN where a joint agrees with neither.
+        n modes, UNKNOWN for a joint that agrees with neither.
     """
     begins = (AT_REST + 1, AT_REST + 1 + window)
     rest = [samples[end - AT_REST : end].mean(axis=0) for end in (*begins, begins[1] + window)]

@@ -17,8 +17,8 @@ class Settling:
     Attributes:
         tolerance: (n,) how far the robot may be from where it was sent [rad or m].
         lag_cycles: cycles within which the drives are where they were sent.
-        cycles_at_rest: that the setpoint has rested, counted up to one more than those.
-        q_settled: (n,) where the robot was measured when they had passed; None before.
+        cycles_at_rest: cycles for which the setpoint has rested, counted up to one more than the lag.
+        q_settled: (n,) measured configuration when the lag had passed [rad or m]; None before.
     """
 
     tolerance: Array

@@ -26,7 +26,7 @@ class ServerMemory:
         state: what is published; None before the first cycle.
         mode: of the session; None for that of a robot that is no KUKA.
         pulses: of its probe, and of those that other sessions cut short.
-        admissions: that are due in a later cycle.
+        admissions: admissions that are due in a later cycle.
         supervision: the newest that no cycle has had yet.
     """
 

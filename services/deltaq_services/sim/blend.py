@@ -19,7 +19,7 @@ class Blend:
     """Courses of one robot, each by its share of the request.
 
     Attributes:
-        robot: that is to move.
+        robot: the robot that shall move.
         limits: of it.
         brake: (n,) next increment of its brake [rad or m].
         request: (n,) increment asked for.

@@ -25,7 +25,7 @@ class CommandOrder:
         Args:
             command: any but a stop, which is obeyed whenever it comes.
             epoch: of this gate.
-            robots: that the command concerns.
+            robots: names of the robots that the command concerns.
         """
         if command.epoch != epoch:
             return self._refused(

@@ -61,8 +61,8 @@ class Sim:
         robots: its state of each robot.
         counters: outcomes and reasons so far.
         fingerprint: of the gate's code and configuration.
-        contacts: which bodies may touch now.
-        violations: which bodies are too near now, and the distances that they have to keep.
+        contacts: the contacts that are allowed now.
+        violations: the pairs that are too near now, and the distances that they have to keep.
         taken: messages taken so far.
         disbelieved: the last that a robot told and this gate cannot have caused, for people; empty if none has.
     """

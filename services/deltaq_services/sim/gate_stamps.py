@@ -19,7 +19,7 @@ class GateStamps:
 
     Args:
         stamps: where to.
-        sim: whose gate is watched; it decides as before.
+        sim: the SIM whose gate is watched; its decisions do not change.
     """
 
     def __init__(self, stamps: Stamps, sim: Sim) -> None:

@@ -25,7 +25,8 @@ class GatedRobot:
         tracker: its motion.
         orders: stop, reset and outputs.
         inbox: the requests for it.
-        longest_gap_cycles: that may pass unheard while it may move; a Robot Server that hears no gate holds it before.
+        longest_gap_cycles: cycles that may be missed while it may move; a Robot Server that hears no gate holds it
+            before.
         dry_run_cycle: cycle of the state for which a dry run was answered last.
     """
 

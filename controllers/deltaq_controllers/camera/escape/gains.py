@@ -13,14 +13,14 @@ class EscapeGains(NamedTuple):
         steps: how many of them are looked ahead.
         rivals: new courses that are tried in each cycle; each costs the same time at most.
         range_m: clearance from the attacker from which on it costs nothing [m].
-        near: cost at no clearance; it grows with the square of what is missing to `range_m`.
+        near: cost at zero clearance; it grows with the square of the shortfall to `range_m`.
         close_m: clearance below which it costs `close` more, in proportion [m].
         close: at no clearance.
         contact: of a contact.
         view_rad: view angle error from which on it costs [rad].
         askew: per rad of a greater error, and no more than for half a rad.
         own_m: distance that the arm keeps from itself and from the structure [m].
-        own: where it touches them, in proportion to what is missing.
+        own: where it touches them, in proportion to the shortfall.
         margin: part of a joint's range within which its limit costs at the end.
         limit: of a joint that ends at its limit, once.
         distance: per squared m of the view distance's error at the end, once.

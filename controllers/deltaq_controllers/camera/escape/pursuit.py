@@ -31,7 +31,7 @@ class Pursuit:
     """The leader as an attacker.
 
     Args:
-        scene: who is who.
+        scene: the cell and the roles of its robots.
     """
 
     def __init__(self, scene: Scene) -> None:

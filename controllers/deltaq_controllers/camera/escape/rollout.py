@@ -45,7 +45,7 @@ class Attacker(NamedTuple):
         radii: (m,) [m].
         tip: (3,) its tool [m].
         velocity: (3,) of the tool [m/s].
-        speed: that it may reach [m/s].
+        speed: greatest speed that it may reach [m/s].
         target: number of the joint whose origin it is after; or `LENS`, or `NOTHING`.
     """
 

@@ -77,14 +77,14 @@ class CrashBrake:
     """The replies to one KRC.
 
     Args:
-        plan: of the robot.
-        found: what its Robot Server left.
-        telegrams: reads them; made beforehand, since that takes most of a cycle.
+        plan: the robot's plan.
+        found: the record that its Robot Server left.
+        telegrams: reads telegrams; made in advance, since that takes most of a cycle.
 
     Attributes:
-        over: nobody needs an answer any more.
-        correction: (n,) that was sent last [rad or m].
-        replies: sent so far.
+        over: whether no further answer is needed.
+        correction: (n,) the correction that was sent last [rad or m].
+        replies: number of replies sent so far.
         at_rest: whether the brake has been sent to its end.
     """
 

@@ -68,7 +68,7 @@ class CrashMemory:
         SENT.pack_into(self._file, self._records.sent_at, self._number)
 
     def clear(self) -> None:
-        """Leave nothing: what is sent now cannot be gone on from."""
+        """Leave no record: no brake can follow the reply that is sent now."""
         self._file[: self._records.sent_at] = bytes(self._records.sent_at)
 
     def newest(self) -> LastReply | None:

@@ -18,7 +18,7 @@ _MOST_LATE = 2**62
 
 
 class PlainTelegram(NamedTuple):
-    """What such a telegram tells.
+    """The contents of such a telegram.
 
     Attributes:
         ipoc: time stamp.

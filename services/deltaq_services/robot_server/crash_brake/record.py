@@ -61,7 +61,7 @@ class LastReply(NamedTuple):
 
     Attributes:
         record: of its last reply.
-        peer: who was answered.
+        peer: address of the KRC that was answered.
         time_s: when its telegram came, on the monotonic clock.
         was_sent: whether the reply is known to have been handed to the network; it may have been if not.
     """
@@ -111,7 +111,7 @@ class CrashRecords:
         Args:
             body: of the record.
             number: one more than that of the record before.
-            peer: who is answered.
+            peer: address of the KRC that is answered.
             time_s: when the telegram came.
         """
         host, port = peer

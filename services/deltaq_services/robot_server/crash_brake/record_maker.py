@@ -41,10 +41,10 @@ class CrashRecordMaker:
             ipoc: of the telegram that is answered.
             correction: (n,) of the reply [rad or m].
             outputs: of the reply, by name.
-            motion: that the reply belongs to.
+            motion: the motion that the reply belongs to.
 
         Returns:
-            None if nobody could go on from it: the telegram has not the usual layout.
+            None if no process could continue from it, because the telegram does not have the usual layout.
         """
         telegram, ipoc_step = self._telegrams.read(datagram), self._rsi.session.step
         if telegram is None or ipoc_step is None:

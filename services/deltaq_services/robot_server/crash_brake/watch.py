@@ -85,7 +85,7 @@ class CrashWatch:
 
     @property
     def detail(self) -> str:
-        """What is amiss, for people; empty if nothing is."""
+        """The fault, for people; empty if there is none."""
         if self._process.poll() is not None:
             return "the process that would brake the robot if this one died has ended: restart this service"
         return (
@@ -95,7 +95,7 @@ class CrashWatch:
         )
 
     def write(self, body: bytes | None, peer: Address, time_s: float) -> None:
-        """Leave a record of the reply that is about to be sent; None: nobody could go on from it."""
+        """Leave a record of the reply that is about to be sent; None: no process could continue from it."""
         if body is None:
             self._memory.clear()
         else:

@@ -7,8 +7,8 @@ const TITLES = {
   travel: "joint travel", clearance: "clearance", obstacle_clearance: "from obstacles", robot_clearance: "from other robots",
   self_clearance: "from itself", limits: "joint limits", speed: "hand speed", manipulability: "manipulability",
   condition: "condition", smallest_singular_value: "least singular value", effective_mass: "effective mass",
-  effective_mass_rate: "its change", acceleration: "hand acceleration", torque: "joint torques", compliance: "compliance", potential_energy_partition: "share of springs",
-  kinetic_energy: "kinetic energy", kinetic_energy_partition: "share of inertia",
+  effective_mass_rate: "effective mass rate", acceleration: "hand acceleration", torque: "joint torques", compliance: "compliance", potential_energy_partition: "potential energy partition",
+  kinetic_energy: "kinetic energy", kinetic_energy_partition: "kinetic energy partition",
   relative_load: "load between hands", relative_energy: "energy between hands", relative_compliance: "compliance between hands",
   force: "hand force", deformation: "deformation", dexterity: "dexterity",
 };
@@ -45,7 +45,7 @@ export function tradeOffChoice() {
 }
 
 /** What options are, where two criteria are weighed against one another. */
-export const frontOf = ([first, second]) => `of none is ${TITLES[first] ?? first} better without ${TITLES[second] ?? second} being worse`;
+export const frontOf = ([first, second]) => `Pareto front of “${TITLES[first] ?? first}” and “${TITLES[second] ?? second}”`;
 
 function near(name, { distance_m, pair }) {
   return el("p", { class: "doing" }, `${(100 * distance_m).toFixed(1)} cm to ${name}: ${pair.join(" and ")}`);
@@ -90,7 +90,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
       thumbnails.of(views.find(({ name }) => name === driven.name), way.q),
       el("ul", { class: "scores" }, ...first.filter((name) => name in way.costs).map((name) => bar(name, way.costs[name]))),
       ...Object.entries(KINDS).filter(([kind]) => kind in way.near).map(([kind, name]) => near(name, way.near[kind])),
-      el("p", { class: "why", hidden: !way.hands_leave }, "The hand leaves its place on the way, and comes back."),
+      el("p", { class: "why", hidden: !way.hands_leave }, "The hand leaves its pose on the way and returns to it."),
       el("details", {}, el("summary", {}, "All criteria"), el("ul", { class: "scores" }, ...rest.map(([name, cost]) => bar(name, cost)))),
       el("p", { class: "why", hidden: !way.why_not }, way.why_not),
       go, driven_,
@@ -123,7 +123,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
     const { search, lease } = robot;
     const cannot = live.cannotDrive(driven.name);
     const front = search?.trade_off && !search.is_busy ? `; ${frontOf(search.trade_off)}` : "";
-    say(doing, search?.is_busy ? `${search.doing || "thinking"}, ${search.trials} configurations tried` : robot.driving + front);
+    say(doing, search?.is_busy ? `${search.doing || "searching"}, ${search.trials} configuration${search.trials === 1 ? "" : "s"} tried` : robot.driving + front);
     bar_.hidden = !search?.is_busy;
     bar_.value = search?.done ?? 0;
     again.disabled = cancel.disabled = !!cannot || !lease.mine;
@@ -131,7 +131,7 @@ export function advisorCards({ live, driven, wish, ways, picture, thumbnails, vi
       const isOn = search?.way === rank;
       if (!wish.isActive) delete go.dataset.held;
       go.disabled = !!cannot || !has || (isOn && search.arrived);
-      say(go, !has ? "No way there" : isOn && search.arrived ? "The robot is here" : isOn && search.driven > 0 ? "Hold to go on" : "Hold to go");
+      say(go, !has ? "No way there" : isOn && search.arrived ? "The robot is here" : isOn && search.driven > 0 ? "Hold to continue" : "Hold to go");
       progress.hidden = !isOn;
       progress.value = isOn ? (search.arrived ? 1 : search.driven) : 0;
     }

@@ -28,9 +28,9 @@ export function say(element, text) {
 /** What the console serves at `url`; throws where it serves nothing. */
 export async function fetched(url) {
   const answer = await fetch(url).catch(() => {
-    throw new Error(`${url} did not come: there is no connection to the console. Load the page again once it runs.`);
+    throw new Error(`${url} could not be loaded: there is no connection to the console. Load the page again once the console runs.`);
   });
-  if (!answer.ok) throw new Error(`${url} did not come: the console answers ${answer.status}. Its log says why.`);
+  if (!answer.ok) throw new Error(`${url} could not be loaded: the console answers ${answer.status}. Its log says why.`);
   return answer;
 }
 

@@ -11,12 +11,12 @@ import { posePanel } from "./pose_panel.js";
 const TAKE_OVER_MS = 1000;
 
 export const MODES = [
-  ["joint", "Joint", "each joint by itself; leads out of any limit"],
-  ["decoupled", "Decoupled", "the hand by the arm alone, the base stands"],
-  ["coupled", "Coupled", "the hand by all joints"],
-  ["self-motion", "Self-motion", "any joint, the hand stays"],
-  ["advisor", "Advisor", "to an option of the advisor, the hand stays"],
-  ["pose", "Pose", "to a pose of the hand that is dragged in the picture and shown first"],
+  ["joint", "Joint", "move each joint by itself; leads out of any limit"],
+  ["decoupled", "Decoupled", "move the hand with the arm alone; the base stands still"],
+  ["coupled", "Coupled", "move the hand with all joints"],
+  ["self-motion", "Self-motion", "move any joint; the hand keeps its pose"],
+  ["advisor", "Advisor", "drive to an option of the advisor; the hand keeps its pose"],
+  ["pose", "Pose", "drag the hand to a pose in the picture; the way is shown first"],
   ["follow", "Follow", "the camera keeps the leader's hand in view"],
 ];
 
@@ -140,7 +140,7 @@ export function drivingPanel(context) {
     grant: ["Hand over", "primary"], refuse: ["Keep it", ""],
   };
   // against the will of a holder who cannot be asked from here: held, so that it is meant
-  const takeOver = el("button", { class: "slow" }, "Take it over: hold");
+  const takeOver = el("button", { class: "slow" }, "Hold to take over");
   holdsFor(takeOver, TAKE_OVER_MS, () => ask("lease", { action: "take_over" }));
   const verbs = Object.fromEntries(
     Object.entries(buttons).map(([verb, [text, look]]) => [
@@ -192,7 +192,7 @@ export function drivingPanel(context) {
     say(remedy, robot.remedy);
     reset.hidden = robot.phase !== "held";
     reset.disabled = !!locked;
-    const elsewhere = outside ? " It is no browser at this console: wait until it lets go, or take the robot over, which brings it to rest." : "";
+    const elsewhere = outside ? " It is not a browser at this console. Wait until it releases the robot, or take the robot over, which brings it to rest." : "";
     const whose = mine ? "You have control." : holder ? `${holder} has control.${elsewhere}` : "Nobody has control.";
     const me = live.hello?.client;
     say(lease, wantedBy ? `${whose} ${wantedBy === me ? "You have asked for it." : `${wantedBy} asks for it.`}` : text ? `${whose} ${text}` : whose);

@@ -25,14 +25,14 @@ export function keepsGrip(mode, grip) {
 /** How hands hold, in words. */
 export function gripWords(grip, off, choice) {
   if (grip !== OBJECT) return choice === ALL ? "Both get the same command, each about its own point." : "";
-  if (!off) return "The object is taken as soon as the hands rest.";
-  return `Object held. Hands off by ${(1000 * off.distance_m).toFixed(1)} mm, ${degrees(off.angle_rad).toFixed(2)}° from how they took it.`;
+  if (!off) return "The object is taken as soon as the hands are at rest.";
+  return `Object held. The hands are off their grasp by ${(1000 * off.distance_m).toFixed(1)} mm, ${degrees(off.angle_rad).toFixed(2)}°.`;
 }
 
 /** @param ask(type, fields) sends a command. */
 export function handsPanel({ live, driven, wish }, ask) {
   const words = el("p", { class: "doing grip", role: "status" });
-  const choices = el("div", { class: "frames", role: "radiogroup", "aria-label": "What is moved" });
+  const choices = el("div", { class: "frames", role: "radiogroup", "aria-label": "What to move" });
   const box = el("section", { class: "hands" }, el("h2", {}, "Hands"), choices, words);
   let shown = "";
 
@@ -49,7 +49,7 @@ export function handsPanel({ live, driven, wish }, ask) {
     if (shown === driven.name) return;
     shown = driven.name;
     const titles = { [ALL]: "both", [OBJECT]: "object" };
-    const told = { [ALL]: "every hand by itself, with the same command", [OBJECT]: "all hands hold one object, and move it as one" };
+    const told = { [ALL]: "each hand about its own point, with the same command", [OBJECT]: "both hands hold one object and move together" };
     choices.replaceChildren(...handChoices(driven.hands).map((choice) =>
       el("button", { role: "radio", "data-hand": choice, title: told[choice] ?? `the ${choice} hand alone`, onclick: () => choose(choice) }, titles[choice] ?? choice)));
   }

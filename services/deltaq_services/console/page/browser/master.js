@@ -8,7 +8,7 @@ const SCALE = { min: 0.01, max: 5, step: 0.01, value: 0.5 };
 /** @param ask(type, fields) sends a command. */
 export function masterPanel({ live, scene, driven, wish }, ask) {
   const select = el("select", { "aria-label": "Master" });
-  const scale = el("input", { type: "number", ...SCALE, "aria-label": "Way of the hand for each metre of the master's" });
+  const scale = el("input", { type: "number", ...SCALE, "aria-label": "Motion of the hand for each metre of the master's motion" });
   const couple = el("button", { class: "primary hold-to-go" }, "Hold to be led");
   const box = el("section", { class: "master" },
     el("h2", {}, "Master"),

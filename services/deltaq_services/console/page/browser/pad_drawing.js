@@ -39,8 +39,8 @@ export function padDrawing(layout, driven) {
   const box = el("section", { class: "pad" }, el("h2", {}, "Gamepad"), drawing, doing, list);
 
   function sticksWords(gamepad) {
-    if (driven.mode === "advisor") return `Left stick ahead: to option ${gamepad.option}`;
-    if (driven.mode === "pose") return "Left stick ahead: to the pose";
+    if (driven.mode === "advisor") return `Left stick forward: to option ${gamepad.option}`;
+    if (driven.mode === "pose") return "Left stick forward: to the pose";
     if (driven.isByJoints) return `Left stick: ${driven.scenery.joints[driven.joint].name.toUpperCase()}`;
     return "Left stick x, y; right stick z";
   }
@@ -48,7 +48,7 @@ export function padDrawing(layout, driven) {
   function show(pad, gamepad) {
     box.dataset.plugged = String(!!pad);
     if (!pad) {
-      say(doing, "No gamepad. Press one of its buttons.");
+      say(doing, "No gamepad. Connect one and press one of its buttons.");
       return;
     }
     for (const { name, standard } of layout.controls) shapes[name].toggleAttribute("data-lit", !!pad.buttons[standard]?.pressed);

@@ -31,7 +31,7 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
   });
   const box = el("section", { class: "pose" },
     el("h2", {}, "Pose"),
-    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or write where it is to be [mm]. Nothing moves yet."),
+    el("p", { class: "doing" }, "Drag the arrows and rings at the hand, or enter its position [mm]. Nothing moves yet."),
     tools,
     el("div", { class: "coordinates" }, ...AXES.flatMap((axis, k) => [el("label", {}, axis), fields[k]])),
     words, share, gate, el("div", { class: "row" }, go, back),
@@ -96,7 +96,7 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
     say(gate, "");
     live.send("dry_run", { robot: driven.name, dq: way.first }, (ack) => {
       if (dryRunOf !== way || ack.outcome === "asked") return;
-      say(gate, ack.verdict ? `The gate, asked for its first step: ${ack.verdict}${ack.text ? `, ${ack.text}` : ""}.` : ack.text);
+      say(gate, ack.verdict ? `Dry run of the first step: ${ack.verdict}${ack.text ? `, ${ack.text}` : ""}.` : ack.text);
     });
   }
 
@@ -123,13 +123,13 @@ export function posePanel({ live, driven, wish, stage, views, ways, picture }, a
     const isThere = !!search?.arrived;
     if (isThere && !refusal && !wish.isActive && asked.isDragged && !asked.isBusy && !gizmo.isHeld) reset();
     picture.show(driven.name, refusal || !asked.isDragged ? null : (way ?? null), false);
-    say(words, refusal || (way ? `Forecast: ${way.text}.` : asked.isDragged ? "Looking for a way …" : ""));
+    say(words, refusal || (way ? `Forecast: ${way.text}.` : asked.isDragged ? "Planning a way …" : ""));
     words.dataset.clear = String(!refusal && (way?.clear ?? 1) === 1);
     share.hidden = !way || !!refusal;
     share.value = way?.clear ?? 0;
     if (!wish.isActive) delete go.dataset.held;
     go.disabled = !!cannot || !way || !!refusal;
-    say(go, search?.driven > 0 && !isThere ? `Hold to go on, ${Math.round(100 * search.driven)} % done` : "Hold to go");
+    say(go, search?.driven > 0 && !isThere ? `Hold to continue, ${Math.round(100 * search.driven)} % done` : "Hold to go");
     if (way && !refusal) dryRun(way);
     else say(gate, "");
   }

@@ -14,7 +14,7 @@ export function recordings(live, scene, open) {
   const list = el("ol");
   box.append(
     el("header", {}, el("h2", {}, "Recordings"), el("button", { class: "plain", "aria-label": "Close the list", onclick: () => show(false) }, "✕")),
-    el("div", { class: "row" }, record, el("button", { onclick: () => look() }, "Look again")), state, answer, list,
+    el("div", { class: "row" }, record, el("button", { onclick: () => look() }, "Refresh")), state, answer, list,
   );
   let reading = "";
 

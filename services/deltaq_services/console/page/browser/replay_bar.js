@@ -23,7 +23,7 @@ export function replayBar(live, scene) {
   box.append(banner, el("div", { class: "transport" }, play, time, slide, speed, next));
   const list = el("ol", { class: "verdicts" });
   const none = el("p", { class: "doing" }, "Every increment was admitted as requested.");
-  const side = el("section", { class: "replay-side", hidden: true }, el("h2", {}, "Verdicts that were not admitted"), none, list);
+  const side = el("section", { class: "replay-side", hidden: true }, el("h2", {}, "Verdicts other than admitted"), none, list);
   part("figures").prepend(side);
 
   const open = { replay: null, player: null };

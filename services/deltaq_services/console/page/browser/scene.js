@@ -13,7 +13,7 @@ const STILL_FINENESS = 2; // drawn twice as fine as the page, and so without jag
 /** Whether WebGL is computed by the processor; throws where the browser has none. */
 export function softwareRendered() {
   const gl = document.createElement("canvas").getContext("webgl2");
-  if (!gl) throw new Error("This browser has no WebGL 2, by which the cell is drawn. Switch on its graphics acceleration, or take another browser.");
+  if (!gl) throw new Error("This browser has no WebGL 2, which draws the cell. Switch on its graphics acceleration, or use another browser.");
   const told = gl.getExtension("WEBGL_debug_renderer_info");
   return /swiftshader|llvmpipe|software/i.test(told ? gl.getParameter(told.UNMASKED_RENDERER_WEBGL) : "");
 }

@@ -45,7 +45,7 @@ export function showBar(live) {
     else if (!Number.isFinite(seconds)) say(age, "no data");
     else say(age, seconds < 1 ? `data ${Math.max(10, Math.round(seconds * 100) * 10)} ms` : `data ${seconds.toFixed(1)} s`);
     const hello = live.hello;
-    say(who, hello ? (hello.operator ? hello.client : `${hello.client} · looking on`) : "");
+    say(who, hello ? (hello.operator ? hello.client : `${hello.client} · watching only`) : "");
   }
   setInterval(show, 200);
   live.addEventListener("status", show);
@@ -89,6 +89,6 @@ export function coverStale(live) {
     if (!isStale) return;
     if (!live.connection.isUp) say(words, "No connection to the console. What you see is old; nothing can be driven from here.");
     else if (!live.frame) say(words, "Waiting for the cell …");
-    else say(words, `No news of a robot for ${live.age_s().toFixed(1)} s. What you see is old; nothing can be driven from here.`);
+    else say(words, `No state of a robot has come for ${live.age_s().toFixed(1)} s. What you see is old; nothing can be driven from here.`);
   }, 150);
 }
