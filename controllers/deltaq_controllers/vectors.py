@@ -30,6 +30,23 @@ def components(rotation: Array, v: Array) -> Array:
 
 
 @compiled
+def turn_between(one: Array, other: Array) -> tuple[float, float, float]:
+    """The rotation vector, in world axes, that turns axes (3, 3) to others; of larger matrices 3 x 3 count [rad]."""
+    x = y = z = trace = 0.0
+    for k in range(3):
+        x += 0.5 * (one[1, k] * other[2, k] - one[2, k] * other[1, k])
+        y += 0.5 * (one[2, k] * other[0, k] - one[0, k] * other[2, k])
+        z += 0.5 * (one[0, k] * other[1, k] - one[1, k] * other[0, k])
+        trace += one[0, k] * other[0, k] + one[1, k] * other[1, k] + one[2, k] * other[2, k]
+    sine = math.sqrt(x * x + y * y + z * z)
+    angle = math.atan2(sine, 0.5 * (trace - 1.0))
+    if sine > 1e-9:
+        return x * angle / sine, y * angle / sine, z * angle / sine
+    # none, or half a turn about an axis that rounding hides: any axis leads away from there
+    return (x, y, z) if angle < 1.0 else (angle, 0.0, 0.0)
+
+
+@compiled
 def solved(square: Array, right: Array) -> Array:
     """(m,) x of `square x = right` for a few equations; `square` (m, m) is symmetric and positive definite."""
     left, x = square.copy(), right.copy()

@@ -156,6 +156,8 @@ class QuietCell(Cell):
         self.places = {name: np.array(model.home) for name, model in self.models.items()}
 
     def state(self, robot: str) -> RobotState:
+        if self.leased is not None and robot == self.leased.robot:
+            return self.leased.state()
         still = Leased(robot, self.places[robot], self)
         still.cycle = self.leased.cycle if self.leased is not None else 0
         return still.state()
@@ -327,6 +329,7 @@ CASES: dict[str, tuple[str, Callable[[QuietCell], Coroutine[Any, Any, None]]]] =
     "criteria-panda": ("arms", partial(by_hand, robot="panda", modes=(ModeName.COUPLED,), weights=ALL)),
     "modes-dawm": ("dawm", partial(by_hand, robot="dawm", modes=MODES)),
     **{name: ("lab", partial(by_camera, name=name)) for name in NAMES},
+    "operated-fr": ("lab", partial(by_lines, robot="fr")),
     "operated-gr": ("lab", partial(by_lines, robot="gr", master="fr")),
     "operated-dawm": ("dawm", partial(by_lines, robot="dawm")),
     "master-gr": ("lab", partial(by_master, robot="gr", master="fr")),

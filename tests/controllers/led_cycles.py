@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
+import sys
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any, Self
 
+import pinocchio as pin
+
+from deltaq_cell.robot import RobotModel
 from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.motion import HAND_AXES, ModeName, OperatorCommand
-from deltaq_controllers.operated.__main__ import drive_by_lines
+from deltaq_controllers.operated.__main__ import FOLLOWS, drive_by_lines
 from deltaq_controllers.operator_input.interface import OperatorInput
 from deltaq_controllers.operator_input.master import Master, looking_at
 from deltaq_controllers.statistics import ControlStatistics
@@ -18,7 +23,7 @@ from deltaq_controllers.teleoperation import teleoperate
 from deltaq_protocol.driving import DriverMessage
 
 if TYPE_CHECKING:
-    from first_cycles import QuietCell
+    from first_cycles import Leased, QuietCell
 
 CYCLES = 20
 """Cycles of each wish; then as many again to come to rest."""
@@ -33,12 +38,15 @@ class Lines:
         self._cell, self._master = cell, master
         self.reader = asyncio.StreamReader()
         self.answers: dict[str, dict[str, Any]] = {}
+        self.report: dict[str, Any] = {}
 
     def say(self, told: DriverMessage) -> None:
         """What the process says."""
         line = told.model_dump(mode="json")
         if line["type"] == "answer":
             self.answers[line["id"]] = line
+        elif line["type"] == "report":
+            self.report = line
 
     def send(self, kind: str, **fields: Any) -> None:
         self.reader.feed_data(json.dumps({"type": kind, **fields}).encode() + b"\n")
@@ -65,6 +73,11 @@ class Lines:
                 while leased.cycle == seen:
                     await asyncio.sleep(0)
 
+    async def go(self, mode: str) -> None:
+        """Wish to go along the first way that a mode offers, until the robot is on it."""
+        while self.report["mode"] != mode or not (self.report["search"] or {"driven": 0.0})["driven"]:
+            await self.wish(option=1)
+
 
 @asynccontextmanager
 async def driven(cell: QuietCell, robot: str, master: str | None) -> AsyncIterator[Lines]:
@@ -79,12 +92,25 @@ async def driven(cell: QuietCell, robot: str, master: str | None) -> AsyncIterat
 
 
 async def by_lines(cell: QuietCell, robot: str, master: str | None = None) -> None:
-    """Everything that the console may ask for of a leased robot but ways, which are planned at rest."""
+    """Everything that the console may ask for of a leased robot: each mode for the first time while it is held."""
     model = cell.models[robot]
+    has_camera = model.description.camera is not None
+    if has_camera:  # as a start of the cell does
+        subprocess.run([sys.executable, "-m", "deltaq_controllers.camera", FOLLOWS], check=True)
     hands = model.hands if len(model.hands) > 1 else ("",)
     async with driven(cell, robot, master) as lines:
         await lines.ask("take", client="operator")
-        for mode in ("joint", "decoupled", "self-motion", "coupled"):
+        is_redundant = model.n > 6 * len(hands)
+        if is_redundant:  # from home, where there are options with a way to them
+            await lines.ask("mode", mode="advisor")
+            await lines.go("advisor")
+        await lines.ask("mode", mode="pose")
+        await lines.ask("reach", hand=hands[-1], **beside(model, cell.leased))
+        await lines.go("pose")
+        if has_camera:
+            await lines.ask("mode", mode="follow")
+            await lines.wish()
+        for mode in ("joint", "decoupled", *(["self-motion"] if is_redundant else []), "coupled"):
             for frame in ("world", "tool"):
                 await lines.ask("mode", mode=mode, frame=frame)
                 if mode in ("joint", "self-motion"):
@@ -102,6 +128,16 @@ async def by_lines(cell: QuietCell, robot: str, master: str | None = None) -> No
             assert cell.leased is not None
             assert abs(model.forward(cell.leased.q)[:3, 3] - before).max() > 1e-3, "the master leads"
         await lines.ask("release")
+
+
+def beside(model: RobotModel, leased: Leased | None) -> dict[str, Any]:
+    """A pose of the last hand that takes a little motion of its arm."""
+    assert leased is not None
+    q = leased.q.copy()
+    q[-1] += 0.1 if q[-1] < 0.0 else -0.1
+    T = model.forward(q, model.hands[-1])
+    turn = pin.Quaternion(T[:3, :3])
+    return {"position_m": T[:3, 3].tolist(), "quaternion_wxyz": (turn.w, turn.x, turn.y, turn.z)}
 
 
 class Coupled(OperatorInput):

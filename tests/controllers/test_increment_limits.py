@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.limits import IncrementLimits
+from deltaq_controllers.modes.increment_bounds import admits
 from deltaq_protocol.brake import brake_cycles, brake_travel
 
 ROBOTS = list(lab().robots.values())
@@ -41,6 +42,24 @@ def test_an_increment_within_limits_passes_unchanged(robot: RobotModel) -> None:
     dq = 0.5 * CYCLE_S**2 * robot.max_acceleration
     q = 0.5 * (robot.lower + robot.upper)
     np.testing.assert_array_equal(limits.admissible(dq, q, np.zeros(robot.n)), dq)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_what_is_admitted_at_a_glance_is_given_back_as_it_is(robot: RobotModel) -> None:
+    random, limits = np.random.default_rng(5), IncrementLimits.of(robot, CYCLE_S)
+    count = {True: 0, False: 0}
+    for _ in range(400):
+        near = random.uniform(0.0, 1.0, robot.n) ** 4  # often near a limit
+        q = np.where(random.random(robot.n) < 0.5, robot.lower, robot.upper)
+        q = q + near * (0.5 * (robot.lower + robot.upper) - q)
+        last = limits.admissible(random.normal(size=robot.n) * limits.max_dq, q, np.zeros(robot.n))
+        wanted = last + random.normal(size=robot.n) * limits.max_ddq
+        for dq in (wanted, limits.admissible(wanted, q, last)):
+            is_admitted = admits(limits, q, dq, last)
+            count[is_admitted] += 1
+            if is_admitted:
+                np.testing.assert_array_equal(limits.admissible(dq, q, last), dq)
+    assert min(count.values()) > 50
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -44,8 +44,12 @@ class Bench:
 
     def __init__(self, make_follower=no_camera, teleoperator=None, make_led=no_master):
         self.robot = CellModel.load("lab").robots["fr"] if teleoperator is None else teleoperator.robot
-        self.pilot = Pilot(teleoperator or Teleoperator(self.robot, CYCLE_S), make_follower, make_led)
+        teleoperator = teleoperator or Teleoperator(self.robot, CYCLE_S)
+        self.pilot = Pilot(teleoperator, make_follower, make_led, self.planner)
         self.q, self.before, self.cycle = self.robot.home.copy(), None, 0
+
+    def planner(self):
+        return ReachPlanner(CellModel.load("lab"), self.robot.name)
 
     @property
     def now_s(self):

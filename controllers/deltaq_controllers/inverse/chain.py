@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from deltaq_cell.compiled import compiled
 from deltaq_controllers.inverse.small_matrices import LEAST_DAMPING, damped_step, determinant_of, product_of
+from deltaq_controllers.vectors import turn_between
 from deltaq_protocol.arrays import Array, Flags
 
 JOINTS = 6
@@ -113,21 +114,9 @@ def placed(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
 def error(R: Array, p: Array, T: Array) -> Array:
     """(6,) what leads from a pose to `T` (4, 4): a displacement [m] over a rotation vector [rad], base axes."""
     off = np.empty(6)
-    x = y = z = trace = 0.0
     for k in range(3):
         off[k] = T[k, 3] - p[k]
-        # columns of the rotation as it is, and as it should be
-        x += 0.5 * (R[1, k] * T[2, k] - R[2, k] * T[1, k])
-        y += 0.5 * (R[2, k] * T[0, k] - R[0, k] * T[2, k])
-        z += 0.5 * (R[0, k] * T[1, k] - R[1, k] * T[0, k])
-        trace += R[0, k] * T[0, k] + R[1, k] * T[1, k] + R[2, k] * T[2, k]
-    sine = math.sqrt(x * x + y * y + z * z)
-    angle = math.atan2(sine, 0.5 * (trace - 1.0))
-    if sine > 1e-9:
-        off[3], off[4], off[5] = x * angle / sine, y * angle / sine, z * angle / sine
-    else:
-        # none, or half a turn about an axis that rounding hides: any axis leads away from there
-        off[3], off[4], off[5] = (x, y, z) if angle < 1.0 else (angle, 0.0, 0.0)
+    off[3], off[4], off[5] = turn_between(R, T)
     return off
 
 

@@ -29,9 +29,9 @@ def binding(robot: RobotModel, instant: Instant, found: Solution, box: Box, near
         _PRESSES, np.abs(found.joint_forces).max()
     ):
         assert instant.surroundings is not None  # they have barriers
-        place = int(np.argmax(found.barrier_forces))
-        pair, kept_m = instant.surroundings.kept(int(near.pairs[place]))
-        return of_pair(pair, float(near.distances[place]), kept_m)
+        place = int(near.barriers.places[np.argmax(found.barrier_forces)])
+        pair, kept_m = instant.surroundings.kept(int(near.pairs.pairs[place]))
+        return of_pair(pair, float(near.pairs.distance[place]), kept_m)
     names = robot.joint_names
     for joint in np.argsort(-np.abs(found.joint_forces)).tolist():
         force = found.joint_forces[joint]

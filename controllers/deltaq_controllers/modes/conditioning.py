@@ -166,3 +166,43 @@ def ramp_share(bend: Array, change: Array, most: Array, max_jerk: Array) -> floa
         one, other = (bound - bend[joint]) / size, (-bound - bend[joint]) / size
         least, largest = max(least, min(one, other)), min(largest, max(one, other))
     return min(max(least, largest, 0.0), 1.0)
+
+
+class Ramped(NamedTuple):
+    """What one cycle makes of a change of the tasks.
+
+    Attributes:
+        rates: (r,) of the tasks [m/s].
+        motion: (n,) of the joints that do it with the least motion [rad/s or m/s].
+    """
+
+    rates: Array
+    motion: Array
+
+
+@compiled
+def ramped(
+    motions: Motions,
+    before: Array,
+    asked: Array,
+    made: Array,
+    share: float,
+    most: Array,
+    max_jerk: Array,
+    cycle_s: float,
+) -> Ramped:
+    """The tasks as near to what is asked for as one cycle may take them (`ramp_share`).
+
+    Args:
+        motions: of the joints.
+        before: (n,) motion that was made in the cycle before [rad/s or m/s].
+        asked: (r,) rates that are asked for [m/s].
+        made: (r,) rates that are made [m/s].
+        share: of what is asked for that is allowed.
+        most: (n,) change of the increments that one cycle may make [rad or m].
+        max_jerk: (n,) of the increments [rad or m].
+        cycle_s: the cycle [s].
+    """
+    change = share * motions.asked - motions.made
+    ramp = ramp_share(cycle_s * (motions.made - before), cycle_s * change, most, max_jerk)
+    return Ramped(made + ramp * (share * asked - made), motions.made + ramp * change)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.criteria.normalised import Normalised
 from deltaq_controllers.criteria.postures import Postures, RobotData
@@ -84,9 +86,17 @@ class CoupledMode(ResolvedMode):
         descent = np.zeros_like(q)
         for criterion in self._criteria:
             descent -= criterion.weight * criterion.gradient(q)
-        # shared out as the tasks are: only then does what the tasks leave of the descent still descend
-        rates = self._shares * descent
-        fastest = float(np.max(np.abs(rates) / self._max_velocity))
-        allowed = DRIFT_SHARE_S_M * float(np.linalg.norm(made.reshape(-1, 3), axis=1).max())
-        drift: Array = rates * allowed / max(fastest, FULL_DESCENT_S)
-        return drift
+        return _shared_out(descent, self._shares, self._max_velocity, made)
+
+
+@compiled
+def _shared_out(descent: Array, shares: Array, max_velocity: Array, made: Array) -> Array:
+    """(n,) joint rates of a descent, in proportion to the speed of the fastest hand; they go at `made` (r,)."""
+    # shared out as the tasks are: only then does what the tasks leave of the descent still descend
+    rates = shares * descent
+    fastest, square = FULL_DESCENT_S, 0.0
+    for joint in range(len(rates)):
+        fastest = max(fastest, abs(rates[joint]) / max_velocity[joint])
+    for first in range(0, len(made), 3):
+        square = max(square, made[first] ** 2 + made[first + 1] ** 2 + made[first + 2] ** 2)
+    return rates * (DRIFT_SHARE_S_M * math.sqrt(square) / fastest)

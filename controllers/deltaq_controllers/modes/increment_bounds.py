@@ -11,6 +11,7 @@ is to change by no more than the jerk. Both are wishes within the box: where onl
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -121,6 +122,31 @@ def next_brake(limits: IncrementLimits, q: Array, brake: Array, cycles: int) -> 
         if has_room:
             return most
     return cycles - 1
+
+
+@compiled
+def admits(limits: IncrementLimits, q: Array, dq: Array, dq_last: Array) -> bool:
+    """Whether an increment is admissible as it is: `IncrementLimits.admissible` would give it back.
+
+    Args:
+        limits: of the increments.
+        q: (n,) setpoint that it is added to [rad or m].
+        dq: (n,) increment [rad or m].
+        dq_last: (n,) increment that led to the setpoint [rad or m].
+    """
+    longest = 1.0
+    for joint in range(len(q)):
+        slowest = max(dq_last[joint] - limits.max_ddq[joint], -limits.max_dq[joint])
+        fastest = min(dq_last[joint] + limits.max_ddq[joint], limits.max_dq[joint])
+        if dq[joint] < min(slowest, fastest) or dq[joint] > max(slowest, fastest):
+            return False
+        longest = max(longest, abs(dq[joint]) / limits.max_ddq[joint])
+    reach = 0.5 * (math.ceil(longest) + 1)
+    for joint in range(len(q)):
+        end = q[joint] + reach * dq[joint]
+        if end > limits.upper[joint] or end < limits.lower[joint]:
+            return False
+    return True
 
 
 @compiled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from deltaq_cell.compiled import compiled
 from deltaq_protocol.arrays import Array
 
 
@@ -12,7 +13,11 @@ def travel(q: Array, lower: Array, upper: Array) -> float:
     return float(np.mean(((2.0 * q - lower - upper) / (upper - lower)) ** 2))
 
 
+@compiled
 def travel_gradient(q: Array, lower: Array, upper: Array) -> Array:
     """(n,) gradient of `travel` [1/rad or 1/m]."""
-    gradient: Array = 4.0 * (2.0 * q - lower - upper) / (upper - lower) ** 2 / len(q)
+    gradient = np.empty_like(q)
+    for joint in range(len(q)):
+        width = upper[joint] - lower[joint]
+        gradient[joint] = 4.0 * (2.0 * q[joint] - lower[joint] - upper[joint]) / width**2 / len(q)
     return gradient

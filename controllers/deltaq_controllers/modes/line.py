@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from deltaq_controllers.modes.hands import Hands, turned
+from deltaq_cell.compiled import compiled
+from deltaq_controllers.modes.hand_kinematics import displacement, turned
+from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_protocol.arrays import Array
 
@@ -44,15 +48,37 @@ class Line:
     def back(self, hands: Hands, time_s: float) -> Array:
         """(h, 6) displacement that takes the hands back to it, clipped to what is corrected within a time [m, rad]."""
         assert self._rotations is not None  # begun
-        error = hands.error(self._rotations, self._positions).reshape(-1, 6)
-        for part, rate in ((slice(0, 3), TAKEN_BACK_M_S), (slice(3, 6), TAKEN_BACK_RAD_S)):
-            sizes = np.linalg.norm(error[:, part], axis=1)
-            error[:, part] *= np.minimum(1.0, time_s * rate / np.maximum(sizes, 1e-15))[:, None]
-        return error
+        most_m, most_rad = time_s * TAKEN_BACK_M_S, time_s * TAKEN_BACK_RAD_S
+        return _back(hands.rotations, hands.positions, self._rotations, self._positions, most_m, most_rad)
 
-    def go(self, displacement: Array, held: HeldObject | None = None) -> None:
+    def go(self, way: Array, held: HeldObject | None = None) -> None:
         """The hands are to go on by displacements (h, 6) [m, rad], and to keep the object that they hold."""
         assert self._rotations is not None  # begun
-        self._rotations = turned(self._rotations, displacement[:, 3:])
-        self._positions = self._positions + displacement[:, :3]
+        self._rotations, self._positions = _gone(self._rotations, self._positions, way)
         self._keep(held)
+
+
+@compiled
+def _back(
+    rotations: Array,
+    positions: Array,
+    to_rotations: Array,
+    to_positions: Array,
+    most_m: float,
+    most_rad: float,
+) -> Array:
+    """`Line.back`."""
+    error = displacement(rotations, positions, to_rotations, to_positions)
+    for hand in range(len(error)):
+        for first, most in ((0, most_m), (3, most_rad)):
+            x, y, z = error[hand, first], error[hand, first + 1], error[hand, first + 2]
+            share = min(1.0, most / max(math.sqrt(x * x + y * y + z * z), 1e-15))
+            for axis in range(first, first + 3):
+                error[hand, axis] *= share
+    return error
+
+
+@compiled
+def _gone(rotations: Array, positions: Array, way: Array) -> tuple[Array, Array]:
+    """Poses after a way (h, 6)."""
+    return turned(rotations, way[:, 3:]), positions + way[:, :3]

@@ -19,6 +19,7 @@ view gives the same increment, bit for bit.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import daqp
@@ -57,21 +58,26 @@ _EQUATION = 5
 _LEAST_WAY_MM = 1e-3
 """A task that goes by less in a cycle is weighed as if it went by so much."""
 
+_NO_RATE_M_S = 1e-12
+"""Tasks that go no faster stand."""
+
 
 class Wanted(NamedTuple):
     """The motion that is requested of the tasks in a cycle.
 
     Attributes:
         rows: (r, n) displacement of each task per joint displacement, turns as travel [m/rad].
-        way: (r,) requested displacement [m].
+        rates: (r,) requested rate of each task [m/s].
+        made: (r,) rate in the last cycle, at which a task may go on though less is requested [m/s].
         back: (r,) earlier error to be corrected as well [m].
-        most_pace: greatest pace along `way`.
+        cycle_s: sampling time [s].
     """
 
     rows: Array
-    way: Array
+    rates: Array
+    made: Array
     back: Array
-    most_pace: float
+    cycle_s: float
 
 
 class Drift(NamedTuple):
@@ -106,21 +112,35 @@ class Solution(NamedTuple):
 
 def solve(wanted: Wanted, box: Box, drift: Drift, barriers: Barriers) -> Solution | None:
     """Solve the programme; None if the solver found no answer."""
-    tasks, n = wanted.rows.shape
-    approaching, senses = _approaching(box)
-    hessian, linear, rows, low, high, kinds = _written(wanted, box, drift, barriers, approaching, senses)
+    written = _written(wanted, box, drift, barriers)
+    hessian, linear, rows, low, high, kinds, approaching, senses = written
     solution, _, found, told = daqp.solve(hessian, linear, rows, high, low, kinds)
-    solution = np.asarray(solution)
-    if found != 1 or not np.isfinite(solution).all():  # rounding made it inconsistent
+    if found != 1:
         return None
-    dq = np.minimum(np.maximum(solution[:n] / _MILLI, box.slowest), box.fastest)
-    off_line = float(np.linalg.norm(solution[n + 1 : n + 1 + tasks])) / _MILLI
     forces = np.asarray(told["lam"])
+    pairs = len(barriers.least)
+    answer = _answered(np.asarray(solution), forces, box, approaching, senses, len(wanted.rates), pairs)
+    # rounding may make it inconsistent
+    return answer if math.isfinite(answer.off_line) else None
+
+
+@compiled
+def _answered(
+    solution: Array, forces: Array, box: Box, approaching: Indices, senses: Array, tasks: int, pairs: int
+) -> Solution:
+    """The answer that the solver's numbers stand for; `off_line` is not finite if one of them is not."""
+    n = len(box.slowest)
+    dq, joint_forces = np.empty(n), forces[:n].copy()
+    for joint in range(n):
+        dq[joint] = min(max(solution[joint] / _MILLI, box.slowest[joint]), box.fastest[joint])
     first = len(solution) + tasks
-    behind = first + len(barriers.least)
-    joint_forces = forces[:n].copy()
-    joint_forces[approaching] += np.abs(forces[behind:]) * senses
-    return Solution(dq, float(solution[n]), off_line, joint_forces, np.abs(forces[first:behind]))
+    for wish in range(len(approaching)):
+        joint_forces[approaching[wish]] += abs(forces[first + pairs + wish]) * senses[wish]
+    square = 0.0
+    for error in solution[n + 1 : n + 1 + tasks]:
+        square += error * error
+    off_line = math.sqrt(square) / _MILLI if np.isfinite(solution).all() else math.nan
+    return Solution(dq, solution[n], off_line, joint_forces, np.abs(forces[first : first + pairs]))
 
 
 @compiled
@@ -140,10 +160,15 @@ def _approaching(box: Box) -> tuple[Indices, Array]:
 
 @compiled
 def _written(
-    wanted: Wanted, box: Box, drift: Drift, barriers: Barriers, approaching: Indices, senses: Array
-) -> tuple[Array, Array, Array, Array, Array, NDArray[np.int32]]:
-    """The programme as the solver takes it: over the increment, the pace, the tasks' errors and the slacks."""
+    wanted: Wanted, box: Box, drift: Drift, barriers: Barriers
+) -> tuple[Array, Array, Array, Array, Array, NDArray[np.int32], Indices, Array]:
+    """The programme as the solver takes it: over the increment, the pace, the tasks' errors and the slacks.
+
+    Returns:
+        Cost, its linear part, rows, lower and upper bounds, kinds of the constraints, and what `_approaching` says.
+    """
     tasks, n = wanted.rows.shape
+    approaching, senses = _approaching(box)
     pairs, wishes = len(barriers.least), len(approaching)
     slacks = n + 1 + tasks
     count = slacks + _SLACKS + wishes
@@ -156,14 +181,16 @@ def _written(
         hessian[joint, joint] = REST * drift.weights[joint]
         linear[joint] = -REST * drift.weights[joint] * _MILLI * drift.dq[joint]
         low[joint], high[joint] = _MILLI * box.slowest[joint], _MILLI * box.fastest[joint]
-    way = _MILLI * np.sqrt((wanted.way * wanted.way).sum())
-    hessian[n, n] = max(way, _LEAST_WAY_MM) ** 2
+    size = math.sqrt((wanted.rates * wanted.rates).sum())
+    hessian[n, n] = max(_MILLI * wanted.cycle_s * size, _LEAST_WAY_MM) ** 2
     linear[n] = -hessian[n, n]
-    low[n], high[n] = 0.0, wanted.most_pace
+    low[n], high[n] = 0.0, 1.0
+    if size > _NO_RATE_M_S:
+        high[n] = max(1.0, math.sqrt((wanted.made * wanted.made).sum()) / size)
     for task in range(tasks):
         hessian[n + 1 + task, n + 1 + task] = LINE
         rows[task, :n] = wanted.rows[task]
-        rows[task, n] = -_MILLI * wanted.way[task]
+        rows[task, n] = -_MILLI * wanted.cycle_s * wanted.rates[task]
         rows[task, n + 1 + task] = -1.0
         low[count + task] = high[count + task] = _MILLI * wanted.back[task]
         kinds[count + task] = _EQUATION
@@ -182,4 +209,4 @@ def _written(
         rows[row, slacks + _SLACKS + wish] = 1.0
         bound = box.approach_up[joint] if senses[wish] > 0.0 else box.approach_down[joint]
         low[count + row] = -_MILLI * senses[wish] * bound
-    return hessian, linear, rows, low, high, kinds
+    return hessian, linear, rows, low, high, kinds, approaching, senses

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from deltaq_controllers.modes.conditioning import LENGTH_M
+from deltaq_cell.compiled import compiled
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.motion import Motion
 from deltaq_protocol.arrays import Array
@@ -26,13 +24,25 @@ def share_of(asked: Motion, rates: Array, hands: Hands) -> float:
     """
     if asked.along:
         return float(rates.any())
-    wanted, made = asked.joints, rates
-    if asked.hands.any():
-        units = np.tile(np.repeat([1.0, LENGTH_M], 3), len(hands.names))
-        wanted = np.concatenate([wanted, units * asked.hands.ravel()])
-        made = np.concatenate([made, units * (hands.jacobian @ rates)])
-    size = float(wanted @ wanted)
-    return min(1.0, max(0.0, float(wanted @ made) / size)) if size > 0.0 else 1.0
+    return _share(asked.joints, asked.hands, rates, hands.units, hands.jacobian)
+
+
+@compiled
+def _share(joints: Array, twists: Array, rates: Array, units: Array, jacobian: Array) -> float:
+    """`share_of` for rates of joints (n,) and twists of hands (h, 6)."""
+    square, along = 0.0, 0.0
+    for joint in range(len(joints)):
+        square += joints[joint] ** 2
+        along += joints[joint] * rates[joint]
+    for row in range(len(units)):
+        wanted = units[row] * twists[row // 6, row % 6]
+        if wanted != 0.0:
+            made = 0.0
+            for joint in range(len(rates)):
+                made += jacobian[row, joint] * rates[joint]
+            square += wanted**2
+            along += wanted * units[row] * made
+    return min(1.0, max(0.0, along / square)) if square > 0.0 else 1.0
 
 
 class Reflection:

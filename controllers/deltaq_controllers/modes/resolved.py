@@ -17,21 +17,21 @@ from deltaq_controllers.modes.binding import binding
 from deltaq_controllers.modes.brake_margin import kept_together_while_braked
 from deltaq_controllers.modes.conditioning import (
     GLANCE,
-    LENGTH_M,
     LOST,
     WATCHED_M,
     kept_share,
     least_motions,
-    ramp_share,
+    ramped,
 )
 from deltaq_controllers.modes.hands import Hands
 from deltaq_controllers.modes.held_object import HeldObject
-from deltaq_controllers.modes.increment_bounds import Box, can_rest, increment_box
+from deltaq_controllers.modes.increment_bounds import Box, admits, can_rest, increment_box
 from deltaq_controllers.modes.interface import Advance, Instant, TeleoperationMode
 from deltaq_controllers.modes.limitation import Conditioning, Limitation, of_conditioning
 from deltaq_controllers.modes.line import Line
 from deltaq_controllers.modes.motion import Motion
 from deltaq_controllers.surroundings.barriers import Barriers
+from deltaq_controllers.surroundings.neighbours import NearPairs
 from deltaq_controllers.surroundings.surroundings import Near
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.brake import brake_cycles
@@ -80,14 +80,15 @@ class ResolvedMode(TeleoperationMode):
         self._hands = Hands(robot)
         swift = np.clip(robot.max_acceleration / SWIFT_RAD_S2, LEAST_SHARE, 1.0)
         self._shares = np.where(robot.revolute, REVOLUTE_SHARE * swift, 1.0)
-        self._units = np.tile(np.repeat([1.0, LENGTH_M], 3), len(robot.hands))
+        self._weights = 1.0 / self._shares
+        self._units = self._hands.units
         self._line = Line()
         self._asked: Array = np.zeros(robot.n)
         self._going: Array | None = None
         self._motion: Array | None = None
-        empty = np.zeros(0, dtype=np.intp)
+        none, no_index, no_rows = np.zeros(0), np.zeros(0, dtype=np.intp), np.zeros((0, robot.n))
         self._nothing_near = Near(
-            Barriers(np.zeros((0, robot.n)), np.zeros(0), empty, empty), empty, np.zeros(0)
+            Barriers(no_rows, none, no_index, no_index), NearPairs(no_index, none, no_rows, no_rows)
         )
 
     @abstractmethod
@@ -101,8 +102,10 @@ class ResolvedMode(TeleoperationMode):
 
     def _kept_together(self, instant: Instant, made: Array, rates: Array) -> float:
         """The share of `rates` (r,) up to which the gate can brake hands that go at `made` and hold an object."""
+        if instant.held is None:
+            return 1.0
         asked, going = float(np.linalg.norm(rates)), float(np.linalg.norm(made))
-        if instant.held is None or not asked or not going:
+        if not asked or not going:
             return 1.0
         joints, most = instant.dq_last / instant.cycle_s, self._robot.max_acceleration
         allowed = kept_together_while_braked(self._hands, instant.held, instant.q_cmd, joints, most)
@@ -127,15 +130,8 @@ class ResolvedMode(TeleoperationMode):
     def advance(self, instant: Instant, asked: Motion) -> Advance:
         """The increment that continues towards the requested motion."""
         q, dq_last, limits = instant.q_cmd, instant.dq_last, instant.limits
-        box = increment_box(
-            limits,
-            q,
-            dq_last,
-            instant.dq_before,
-            brake_cycles(dq_last, limits.max_ddq),
-            instant.max_jerk,
-            instant.cycle_s,
-        )
+        cycles = brake_cycles(dq_last, limits.max_ddq)
+        box = increment_box(limits, q, dq_last, instant.dq_before, cycles, instant.max_jerk, instant.cycle_s)
         if not asked and can_rest(box, dq_last, instant.max_jerk):
             self._rest()
             self._going = self._motion = None
@@ -144,8 +140,9 @@ class ResolvedMode(TeleoperationMode):
         if np.abs(dq_last - self._asked).max() > _AS_ASKED:
             self._going = self._motion = None
             self._intervened()
-        found = self._towards(instant, asked, box)
-        self._asked = limits.admissible(found.dq, q, dq_last)
+        found = self._towards(instant, asked, box, cycles)
+        is_whole = admits(limits, q, found.dq, dq_last)
+        self._asked = found.dq if is_whole else limits.admissible(found.dq, q, dq_last)
         return Advance(self._asked, found.limitation)
 
     def _rest(self) -> None:
@@ -156,7 +153,7 @@ class ResolvedMode(TeleoperationMode):
         """The gate did not admit all that was asked for: the line goes on from where the hands are."""
         self._line.forget()
 
-    def _towards(self, instant: Instant, asked: Motion, box: Box) -> Advance:
+    def _towards(self, instant: Instant, asked: Motion, box: Box, cycles: int) -> Advance:
         q, dq_last, limits, cycle_s = instant.q_cmd, instant.dq_last, instant.limits, instant.cycle_s
         hands, line = self._hands, self._line
         hands.place(q)
@@ -189,37 +186,29 @@ class ResolvedMode(TeleoperationMode):
                     asked, Conditioning(tasks.rates, direction, curved, motions.mobility, motions.lost)
                 )
             share = min(share, kept)
-        bend = motions.made - (motions.made if self._motion is None else self._motion)
-        ramp = ramp_share(
-            cycle_s * bend,
-            cycle_s * (share * motions.asked - motions.made),
-            RAMP_SHARE * limits.max_ddq,
-            instant.max_jerk,
-        )
-        way = self._way(made, made + ramp * (share * tasks.rates - made))
-        motion = motions.made + ramp * (share * motions.asked - motions.made)
-        near = self._near(instant, box)
-        drift = programme.Drift(cycle_s * self._drift(q, made), 1.0 / self._shares)
+        before = motions.made if self._motion is None else self._motion
+        most, max_jerk = RAMP_SHARE * limits.max_ddq, instant.max_jerk
+        rates, motion = ramped(motions, before, tasks.rates, made, share, most, max_jerk, cycle_s)
+        rates, near = self._way(rates), self._near(instant, box)
+        drift = programme.Drift(cycle_s * self._drift(q, made), self._weights)
 
-        def solved(way: Array) -> programme.Solution | None:
-            size = float(np.linalg.norm(way))
-            most_pace = max(1.0, float(np.linalg.norm(made)) / size) if size > 1e-12 else 1.0
-            wanted = programme.Wanted(tasks.rows, cycle_s * way, back, most_pace)
+        def solved(rates: Array) -> programme.Solution | None:
+            wanted = programme.Wanted(tasks.rows, rates, made, back, cycle_s)
             return programme.solve(wanted, box, drift, near.barriers)
 
-        found, cycles = solved(way), brake_cycles(dq_last, limits.max_ddq)
+        found = solved(rates)
         if found is not None and found.off_line > OFF_LINE_M:
             # the joints cannot take the turn: a brake along the line that the tasks are on is always within bounds
             remains = (cycles - 1) / cycles
-            straight = self._way(made, remains * made)
+            straight = self._way(remains * made)
             braked = solved(straight)
             if braked is not None and braked.off_line < found.off_line:
-                found, way, motion = braked, straight, remains * motions.made
+                found, rates, motion = braked, straight, remains * motions.made
         if found is None:
             line.forget()
             self._going = self._motion = None
             return Advance(dq_last * ((cycles - 1) / cycles))
-        self._going = found.pace * way
+        self._going = found.pace * rates
         self._motion = found.pace * motion
         line.go((cycle_s * self._going[: len(error)] / self._units).reshape(-1, 6), instant.held)
         if not asked or ended is not None or found.pace >= SLOWED:
@@ -234,10 +223,9 @@ class ResolvedMode(TeleoperationMode):
         rates[:hands] = held.together(self._hands.positions, rates[:hands])
         return DrivenTasks(tasks.rows, rates)
 
-    def _way(self, made: Array, way: Array) -> Array:
-        """(r,) rates of the tasks in this cycle, from those that were made."""
-        del made
-        return way
+    def _way(self, rates: Array) -> Array:
+        """(r,) rates of the tasks in this cycle, of those that the ramp leads to."""
+        return rates
 
     def _near(self, instant: Instant, box: Box) -> Near:
         if instant.surroundings is None:

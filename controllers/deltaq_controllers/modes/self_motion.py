@@ -72,10 +72,9 @@ class SelfMotionMode(ResolvedMode):
         rates = np.concatenate([np.zeros(len(hands)), motion.joints[driven]])
         return DrivenTasks(np.vstack([hands, self._joints[driven]]), rates)
 
-    def _way(self, made: Array, way: Array) -> Array:
-        del made
-        way[: len(self._units)] = 0.0
-        return way
+    def _way(self, rates: Array) -> Array:
+        rates[: len(self._units)] = 0.0
+        return rates
 
     def _ended(self, motion: Motion, conditioning: Conditioning) -> Limitation:
         del conditioning

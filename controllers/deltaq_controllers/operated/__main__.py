@@ -12,7 +12,10 @@ from asyncio.subprocess import DEVNULL
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 
+from deltaq_cell.machine_code import folder, is_complete
+from deltaq_cell.robot import RobotModel
 from deltaq_cell.roles import camera_roles
 from deltaq_controllers.camera.controllers import camera_controller_named
 from deltaq_controllers.camera.in_use import CameraInUse
@@ -26,22 +29,21 @@ from deltaq_controllers.live import (
     control_loop,
     model_of,
     robot_models,
-    where_others_are,
 )
 from deltaq_controllers.live_teleoperator import teleoperator_for
 from deltaq_controllers.modes.practice import practise
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.led import LedByWishes
 from deltaq_controllers.operated.pilot import Pilot
-from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner
+from deltaq_controllers.operated.reach import ReachPlanner
 from deltaq_controllers.operated.shell import OperatedRobot
 from deltaq_controllers.operator_input.master import looking_at
 from deltaq_protocol import connect
-from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import DEFAULT_ADDRESS, Cell
-from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode, Reach
+from deltaq_protocol.driving import DriverMessage, DriverReport, DriverStage, DrivingMode
 from deltaq_protocol.errors import DeltaqError, RefusedError, ServiceUnreachableError
 
+_PACKAGE = Path(__file__).parents[1]
 FOLLOWS = "paper"
 """The camera's law."""
 _PATIENT = 10
@@ -81,19 +83,16 @@ async def drive_by_lines(
     """
     with ExitStack() as stack:
         teleoperator = teleoperator_for(cell, robot, stack)
-        has_camera = teleoperator.robot.description.camera is not None
-        compiling = asyncio.ensure_future(_compiled_camera() if has_camera else asyncio.sleep(0))
+        is_to_compile = teleoperator.robot.description.camera is not None and not _is_camera_compiled()
+        compiling = asyncio.ensure_future(_compiled_camera() if is_to_compile else asyncio.sleep(0))
         pilot = Pilot(
-            teleoperator, partial(_follower, cell, robot, compiling), partial(_led, cell, teleoperator)
+            teleoperator,
+            partial(_follower, cell, teleoperator.robot, compiling),
+            partial(_led, cell, teleoperator),
+            lambda: ReachPlanner(cell_model(cell.description), robot),
         )
-        for mode in DrivingMode:
-            # the advisor is a process of its own, for who asks for it
-            if mode not in (DrivingMode.ADVISOR, DrivingMode.FOLLOW, DrivingMode.POSE):
-                _prepare(pilot, mode)
-        await asyncio.to_thread(practise, teleoperator)
-        if compiling.done():
-            _prepare(pilot, DrivingMode.FOLLOW)
-        operated = OperatedRobot(cell, robot, pilot, say, _planning(cell, robot))
+        await asyncio.to_thread(_make_ready, pilot, teleoperator)
+        operated = OperatedRobot(cell, robot, pilot, say)
         listening = asyncio.ensure_future(operated.listen(lines))
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, listening.cancel)
@@ -105,11 +104,17 @@ async def drive_by_lines(
             await asyncio.gather(compiling, return_exceptions=True)
 
 
-def _prepare(pilot: Pilot, mode: DrivingMode) -> None:
-    with contextlib.suppress(
-        DeltaqError
-    ):  # the robot cannot be driven in that mode, and says so when it is asked to
-        pilot.prepare(mode)
+def _make_ready(pilot: Pilot, teleoperator: Teleoperator) -> None:
+    """Prepare every mode: one that is chosen while the lease is held costs no cycle."""
+    for mode in DrivingMode:
+        # the robot cannot be driven in some, and says so when it is asked to
+        with contextlib.suppress(DeltaqError):
+            pilot.prepare(mode)
+    practise(teleoperator)
+
+
+def _is_camera_compiled() -> bool:
+    return is_complete(folder(_PACKAGE), FOLLOWS, _PACKAGE)
 
 
 async def _compiled_camera() -> None:
@@ -127,22 +132,24 @@ async def _compiled_camera() -> None:
         raise
 
 
-def _follower(cell: Cell, robot: str, compiling: asyncio.Future[None]) -> CameraInUse:
+def _follower(cell: Cell, robot: RobotModel, compiling: asyncio.Future[None]) -> CameraInUse:
     """The paper's follower of the robot that the cell says, which can be told to follow any other.
 
     Raises:
         ControllerError: there is no other robot, this one carries no camera, or its law is still being compiled.
     """
+    others = [name for name in cell.robots if name != robot.name]
+    if not others or robot.description.camera is None:
+        raise ControllerError(f"{robot.name} carries no camera, or has nobody to follow")
     if not compiling.done():
         raise ControllerError(
-            "the camera controller is being compiled, which takes a minute, once; try again then"
+            "the camera controller is being compiled, which takes a minute, once; "
+            "release the robot then, and take it again"
         )
-    others = [name for name in cell.robots if name != robot]
     model = cell_model(cell.description)
-    if not others or model.robots[robot].description.camera is None:
-        raise ControllerError(f"{robot} carries no camera, or has nobody to follow")
-    cameras = {name: camera_controller_named(FOLLOWS, Scene(model, robot, name), VIEW_M) for name in others}
-    return CameraInUse(cameras, camera_roles(model.description, robot).leader)
+    scenes = {name: Scene(model, robot.name, name) for name in others}
+    cameras = {name: camera_controller_named(FOLLOWS, scene, VIEW_M) for name, scene in scenes.items()}
+    return CameraInUse(cameras, camera_roles(model.description, robot.name).leader)
 
 
 def _led(cell: Cell, teleoperator: Teleoperator, master: str, scale: float) -> LedByWishes:
@@ -153,19 +160,6 @@ def _led(cell: Cell, teleoperator: Teleoperator, master: str, scale: float) -> L
     """
     model = model_of(robot_models(cell.description), master)
     return LedByWishes(teleoperator, model, looking_at(cell, master, teleoperator.robot.name), scale)
-
-
-def _planning(cell: Cell, robot: str) -> Callable[[Reach, Array], PlannedReach]:
-    """Plans ways to poses; the planner is made when it is first needed."""
-    others = where_others_are(cell, robot)
-    planners: list[ReachPlanner] = []
-
-    def plan(reach: Reach, q: Array) -> PlannedReach:
-        if not planners:
-            planners.append(ReachPlanner(cell_model(cell.description), robot))
-        return planners[0].plan(q, others(), reach.hand, reach.position_m, reach.quaternion_wxyz)
-
-    return plan
 
 
 def main() -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +13,13 @@ from deltaq_controllers.modes.advisor import AdvisorMode
 from deltaq_controllers.modes.motion import Frame, Grip, ModeName, OperatorCommand
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.led import LedByWishes
-from deltaq_controllers.operated.reach import PlannedReach
+from deltaq_controllers.operated.reach import PlannedReach, ReachPlanner
 from deltaq_controllers.operated.ways import advisor_of, option_way, search_of
 from deltaq_controllers.operated.wishes import Wishes, check_grip, check_trade_off, is_rest
 from deltaq_protocol import driving
 from deltaq_protocol.arrays import Array
-from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Way, Wish
+from deltaq_protocol.driving import DriverReport, DriverStage, DriverWays, DrivingMode, Reach, Way, Wish
+from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.messages import Outcome, Verdict, ViewWish
 
 
@@ -31,6 +32,7 @@ class Pilot:
         teleoperator: of the robot.
         make_follower: makes the camera controller, or raises `ControllerError` where there can be none.
         make_led: makes what has a master of that name lead a hand, scaled, or raises `ControllerError`.
+        make_planner: makes the planner of ways to poses, or raises `ControllerError` where there can be none.
 
     Attributes:
         is_following: the camera controller drives.
@@ -42,9 +44,12 @@ class Pilot:
         teleoperator: Teleoperator,
         make_follower: Callable[[], CameraInUse],
         make_led: Callable[[str, float], LedByWishes],
+        make_planner: Callable[[], ReachPlanner],
     ) -> None:
         self._teleoperator = teleoperator
-        self._make_follower = make_follower
+        self._make_follower, self._make_planner = make_follower, make_planner
+        self._planner: ReachPlanner | None = None
+        self._why_not: dict[DrivingMode, str] = {}
         self.wishes = Wishes(teleoperator, make_led)
         self._takes_anew = False
         self._q = teleoperator.robot.home
@@ -60,17 +65,30 @@ class Pilot:
         self._limit = ""
 
     def prepare(self, mode: DrivingMode) -> None:
-        """Make what a mode needs, which may take seconds; any thread may.
+        """Make what a mode needs, which may take seconds; any thread may, while no lease is held.
 
         Raises:
             ControllerError: the robot cannot be driven in it.
         """
+        try:
+            self._make(mode)
+        except DeltaqError as error:
+            self._why_not[mode] = str(error)
+            raise
+        self._why_not.pop(mode, None)
+
+    def _make(self, mode: DrivingMode) -> None:
         if mode is DrivingMode.FOLLOW:
             if self._follower is None:
                 follower = self._make_follower()
                 follower.take(self._view)
                 self._follower = follower
-        elif mode is not DrivingMode.POSE:
+        elif mode is DrivingMode.POSE:
+            if self._planner is None:
+                planner = self._make_planner()
+                planner.practise()
+                self._planner = planner
+        else:
             self._teleoperator.mode_named(ModeName(mode.value))
 
     def change_mode(
@@ -79,8 +97,11 @@ class Pilot:
         """Drive in a mode that was prepared and with a grip, None for the present one, from the next rest on.
 
         Raises:
-            ControllerError: the robot has one hand, or the mode would part hands that hold an object; nothing changes.
+            ControllerError: the mode could not be prepared, the robot has one hand, or the mode would part hands that
+                hold an object; nothing changes.
         """
+        if mode in self._why_not:
+            raise ControllerError(self._why_not[mode])
         wanted = self.wishes.grip if grip is None else Grip(grip)
         check_grip(self._teleoperator, wanted, mode)
         self.rest()
@@ -119,6 +140,20 @@ class Pilot:
             raise ControllerError("a pose is reached in mode pose: choose it first")
         if not self._is_still:
             raise ControllerError("the robot moves: let it come to rest, and choose the pose then")
+
+    def plan(self, reach: Reach, q: Array, others: Mapping[str, Array]) -> PlannedReach:
+        """The way to a pose, in mode pose; any thread may.
+
+        Args:
+            reach: the pose.
+            q: (n,) setpoint at which the robot rests.
+            others: (n,) setpoint of each other robot.
+
+        Raises:
+            ControllerError: the hand cannot be brought there.
+        """
+        assert self._planner is not None  # prepared before the mode was changed
+        return self._planner.plan(q, others, reach.hand, reach.position_m, reach.quaternion_wxyz)
 
     def take_reach(self, reach: PlannedReach) -> None:
         """Offer a way to a pose.

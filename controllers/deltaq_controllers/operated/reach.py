@@ -15,10 +15,11 @@ from deltaq_controllers.advisor.answered import Answered
 from deltaq_controllers.advisor.exact import ExactClearance
 from deltaq_controllers.advisor.time_parameterisation import timed
 from deltaq_controllers.criteria.near_bodies import Clearance
-from deltaq_controllers.interface import ControllerError
+from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.inverse.tracking import ConstraintTracker, TrackingError
 from deltaq_controllers.modes.advisor import AdvisorMode
-from deltaq_controllers.modes.motion import ModeName
+from deltaq_controllers.modes.motion import ModeName, OperatorCommand
+from deltaq_controllers.modes.practice import CYCLES
 from deltaq_controllers.modes.teleoperator import Teleoperator
 from deltaq_controllers.operated.ways import joints, points
 from deltaq_protocol.arrays import Array
@@ -31,6 +32,8 @@ _SHARES = (0.1, 0.3, 1.0)
 """How far the base goes towards each sample of its range."""
 _TRIED = 6
 """Ends whose ways are looked at, the quickest first."""
+PRACTISED_RAD = 0.05
+"""How far each joint of an arm goes on the way that is practised."""
 _MEASURED = 12
 """Configurations of a way whose least distance is told."""
 
@@ -64,6 +67,24 @@ class ReachPlanner:
         self._exact = ExactClearance(cell, robot)
         # the same samples every time: a pose that is dragged a little leads to a way that differs a little
         self._samples = np.random.default_rng(0).uniform(size=(_SAMPLES, len(self._tracker.base)))
+
+    def practise(self) -> None:
+        """Plan a short way from home, and drive its beginning on the model: the first real one waits for nothing."""
+        robot, (arm, *_) = self._robot, self._tracker.arms
+        end = robot.home.copy()
+        inwards = np.sign(robot.lower + robot.upper - 2.0 * end)[arm.joints]
+        end[arm.joints] += PRACTISED_RAD * inwards
+        T = self._tracker.hands(end)[0]
+        turn = pin.Quaternion(T[:3, :3])
+        x, y, z = T[:3, 3].tolist()
+        try:
+            planned = self.plan(robot.home, {}, robot.hands[0], (x, y, z), (turn.w, turn.x, turn.y, turn.z))
+        except ControllerError:
+            return  # not even this can be reached from home: there is nothing to be ready for
+        teleoperator, q = planned.teleoperator, robot.home
+        for cycle in range(CYCLES):
+            teleoperator.command = OperatorCommand(option=1)
+            q = q + teleoperator.increment(View(RobotView(cycle, cycle * self._cycle_s, q, q)))
 
     def plan(
         self,

@@ -12,9 +12,8 @@ from pydantic import ValidationError
 
 from deltaq_controllers.answers import Answers
 from deltaq_controllers.interface import ControllerError, RobotView
+from deltaq_controllers.live import where_others_are
 from deltaq_controllers.operated.pilot import Pilot
-from deltaq_controllers.operated.reach import PlannedReach
-from deltaq_protocol.arrays import Array
 from deltaq_protocol.client import Cell
 from deltaq_protocol.driving import (
     REQUESTS,
@@ -27,6 +26,7 @@ from deltaq_protocol.driving import (
     DriverRequest,
     DriverStage,
     DriverWays,
+    DrivingMode,
     Reach,
     Release,
     Switch,
@@ -52,24 +52,17 @@ class OperatedRobot:
         robot: its name.
         pilot: makes the increments.
         say: sends a line.
-        plan: plans ways to poses.
     """
 
-    def __init__(
-        self,
-        cell: Cell,
-        robot: str,
-        pilot: Pilot,
-        say: Callable[[DriverMessage], None],
-        plan: Callable[[Reach, Array], PlannedReach],
-    ) -> None:
-        self._cell, self._robot, self._pilot, self._say, self._plan = cell, robot, pilot, say, plan
+    def __init__(self, cell: Cell, robot: str, pilot: Pilot, say: Callable[[DriverMessage], None]) -> None:
+        self._cell, self._robot, self._pilot, self._say = cell, robot, pilot, say
+        self._others = where_others_are(cell, robot)
         self._told_ways: DriverWays | None = None
         self._wanted: asyncio.Queue[Take | None] = asyncio.Queue()
         self._leased: LeasedRobot | None = None
         self._leaving = asyncio.Event()
         self._release: Release | None = None
-        self._is_over = False
+        self._is_over = self._is_serving = False
         self._longest_s = 0.0
         self._told: tuple[float, DriverReport | None] = (0.0, None)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -105,7 +98,7 @@ class OperatedRobot:
             case Take():
                 self._wanted.put_nowait(request)
             case Release():
-                if self._leased is None and self._wanted.empty():
+                if not self._is_serving and self._wanted.empty():
                     self._say(DriverAnswer(id=request.id, done=True))
                 else:
                     self._release = request
@@ -120,7 +113,6 @@ class OperatedRobot:
         try:
             match request:
                 case ChangeMode():
-                    await asyncio.to_thread(self._pilot.prepare, request.mode)
                     self._pilot.change_mode(request.mode, request.frame, request.grip)
                 case ChooseMaster():
                     await asyncio.to_thread(self._pilot.wishes.choose_master, request.master, request.scale)
@@ -143,12 +135,17 @@ class OperatedRobot:
         if state is None:
             raise ControllerError(f"no state of {self._robot} has come yet")
         async with self._planning:
-            planned = await asyncio.to_thread(self._plan, request, np.array(state.q_cmd))
+            planned = await asyncio.to_thread(
+                self._pilot.plan, request, np.array(state.q_cmd), self._others()
+            )
         self._pilot.take_reach(planned)
 
     async def _serve(self, take: Take) -> None:
         """Hold the lease until it is given back, or lost."""
+        self._is_serving = True
         self._pilot.begin()
+        with contextlib.suppress(DeltaqError):  # its law may have been compiled since
+            await asyncio.to_thread(self._pilot.prepare, DrivingMode.FOLLOW)
         answered = False
         trouble = ""
         try:
@@ -165,6 +162,7 @@ class OperatedRobot:
             self._say(DriverAnswer(id=take.id, done=False, text=trouble))
         elif trouble:
             self._say(self._pilot.report(DriverStage.FREE).model_copy(update={"doing": trouble}))
+        self._is_serving = False
         if not self._is_over:
             self._leaving.clear()
         if self._release is not None:

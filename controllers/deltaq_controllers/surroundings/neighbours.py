@@ -12,8 +12,9 @@ A body travels no farther than its sphere's centre, plus the sphere's radius tim
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,14 +22,14 @@ import pinocchio as pin
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.composite_model import WORLD, composite_model
 from deltaq_cell.group import make_reproducible
-from deltaq_controllers.kinematics import placement_views
+from deltaq_controllers.joint_frames import joint_tree
 from deltaq_controllers.spheres import Spheres, local_box
 from deltaq_controllers.surroundings.pairs import (
     TOUCHING_M,
     candidates,
+    go_to,
     nearest,
-    note_travel,
-    ranges_of_nearer,
+    note_distances,
     rows_of,
 )
 from deltaq_protocol.arrays import Array, Indices
@@ -99,7 +100,7 @@ class Neighbours:
         self._results = list(self._geometry_data.distanceResults)
         carriers = np.array([body.parentJoint for body in self._geometry.geometryObjects])
         self._moves = self._moves_of(carriers.tolist())
-        self._columns: Array = self._data.J
+        self._tree = joint_tree(self._model)
         self._surround(carriers)
         revolute = np.concatenate([model.revolute for model in cell.robots.values()])
         self._turned_by = self._moves[self._moving] * revolute
@@ -121,12 +122,11 @@ class Neighbours:
         self._place(q)
         reported = self._reported
         distances = self._measure(reported)
-        # those returned last time bound how near a pair has to be to be returned now
-        others = self._candidates(ranges_of_nearer(ranges, reported, distances, self._most))
-        pairs, distances = (
-            np.concatenate([reported, others]),
-            np.concatenate([distances, self._measure(others)]),
-        )
+        others = self._candidates(ranges, distances)
+        pairs = reported
+        if len(others):
+            pairs = np.concatenate([reported, others])
+            distances = np.concatenate([distances, self._measure(others)])
         chosen = nearest(ranges, pairs, distances, self._most)
         self._reported, distances = pairs[chosen], distances[chosen]
         own, rows = self._rows(self._reported, distances)
@@ -144,25 +144,31 @@ class Neighbours:
         self._spheres = Spheres(
             carriers[self._moving], self._centres[self._moving], self._radii[self._moving]
         )
-        self._placements = placement_views(self._data)
 
     def _place(self, q: Array) -> None:
         """Place the robots, and note how far their bodies can have travelled."""
-        pin.computeJointJacobians(self._model, self._data, q)
+        pin.forwardKinematics(self._model, self._data, q)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
-        placements = np.concatenate(self._placements)
-        turned = np.abs(q - self._q)
-        note_travel(
-            self._spheres, placements, self._moving, self._turned_by, turned, self._centres, self._travel
+        self._columns = go_to(
+            self._tree,
+            q,
+            self._spheres,
+            self._moving,
+            self._turned_by,
+            self._q,
+            self._centres,
+            self._travel,
         )
         self._q = q
 
-    def _candidates(self, ranges: Array) -> Indices:
-        """Pairs other than those returned last time that can be within (p,) ranges."""
+    def _candidates(self, ranges: Array, distances: Array) -> Indices:
+        """Pairs other than those returned last time, at distances (k,) now, that can be among the nearest."""
         return candidates(
             self._one,
             self._other,
             self._reported,
+            distances,
+            self._most,
             ranges,
             self._travel,
             self._centres,
@@ -176,23 +182,25 @@ class Neighbours:
         for place, pair in enumerate(pairs.tolist()):
             pin.computeDistance(self._geometry, self._geometry_data, pair)
             distances[place] = self._results[pair].min_distance
-        self._at_least[pairs] = distances + self._travel[self._one[pairs]] + self._travel[self._other[pairs]]
+        note_distances(pairs, distances, self._one, self._other, self._travel, self._at_least)
         return distances
 
     def _rows(self, pairs: Indices, distances: Array) -> tuple[Array, Array]:
         """Change of each distance, as it was measured, per increment of the own joints (k, n) and of others (k, m)."""
-        contacts = np.empty((len(pairs), 3, 3))
-        for contact, pair, distance_m in zip(contacts, pairs.tolist(), distances.tolist(), strict=True):
-            result = self._results[pair]
-            contact[0], contact[1] = result.getNearestPoint1(), result.getNearestPoint2()
+        results = [self._results[pair] for pair in pairs.tolist()]
+        normals = np.zeros((len(pairs), 3))
+        for place, distance_m in enumerate(distances.tolist()):
             if distance_m < TOUCHING_M:
-                contact[2] = result.normal
+                normals[place] = results[place].normal
         return rows_of(
-            contacts,
+            pairs,
+            _points(results),
+            normals,
             distances,
             self._columns,
-            self._moves[self._one[pairs]],
-            self._moves[self._other[pairs]],
+            self._one,
+            self._other,
+            self._moves,
             self._own_joints.start,
             self._own_joints.stop,
         )
@@ -205,3 +213,11 @@ class Neighbours:
                 if joint != WORLD:
                     moves[row, joint - 1] = 1.0
         return moves
+
+
+def _points(results: Sequence[Any]) -> Array:
+    """(k, 2, 3) nearest points, as coal has measured them [m]."""
+    if not results:
+        return np.empty((0, 2, 3))
+    points = [point for one in results for point in (one.getNearestPoint1(), one.getNearestPoint2())]
+    return np.concatenate(points).reshape(-1, 2, 3)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.interface import View
 from deltaq_controllers.surroundings.barriers import Barriers, Braking, Keeping, barriers_of
-from deltaq_controllers.surroundings.neighbours import Neighbours
+from deltaq_controllers.surroundings.neighbours import NearPairs, Neighbours
 from deltaq_controllers.surroundings.others import OtherRobots
-from deltaq_protocol.arrays import Array, Indices
+from deltaq_protocol.arrays import Array
 
 MOST_PAIRS = 16
 """Pairs of bodies that are taken into account: the nearest in proportion to their range."""
@@ -35,13 +35,11 @@ class Near(NamedTuple):
 
     Attributes:
         barriers: for the next increment.
-        pairs: (k,) pair of bodies of each, for `RobotSurroundings.kept`.
-        distances: (k,) of each pair [m].
+        pairs: of bodies, of which `barriers.places` tells.
     """
 
     barriers: Barriers
-    pairs: Indices
-    distances: Array
+    pairs: NearPairs
 
 
 class RobotSurroundings:
@@ -59,6 +57,7 @@ class RobotSurroundings:
         self._cycle_s = cell.description.cycle_s
         self._neighbours = Neighbours(cell, robot, MOST_PAIRS)
         self._others = OtherRobots(cell, robot)
+        self._here = Braking(np.zeros(cell.robots[robot].n), 1.0)
         pairs, gate = self._neighbours, cell.description.gate
         stop = np.where(pairs.same, gate.self_stop_distance_m, gate.stop_distance_m)
         beyond = np.where(pairs.same, CLEAR_OF_SELF_M, CLEAR_OF_STRUCTURE_M)
@@ -92,11 +91,10 @@ class RobotSurroundings:
             fastest: (n,) greatest increment [rad or m].
         """
         near = self._neighbours.near(self._others.joined(q, self._others.ahead()), self._ranges)
-        here = Braking(np.zeros_like(q), 1.0)
         barriers = barriers_of(
-            near, self._keeping, here, self._others.rates(), slowest, fastest, self._cycle_s
+            near, self._keeping, self._here, self._others.rates(), slowest, fastest, self._cycle_s
         )
-        return Near(barriers, near.pairs[barriers.places], near.distance[barriers.places])
+        return Near(barriers, near)
 
 
 def _may_touch(cell: CellModel, names: tuple[tuple[str, str], ...]) -> NDArray[np.bool_]:
