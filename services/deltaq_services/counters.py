@@ -67,6 +67,12 @@ COUNTERS: tuple[Counted, ...] = (
         "sealed messages from the guarded realm that were not made for this process: it has just begun, or they were "
         "recorded before",
     ),
+    Counted(
+        HLI,
+        "newcomers_passed_over",
+        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
+        "them are heard than start, so recordings of many are repeated",
+    ),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
     Counted(
         HLI,
@@ -159,6 +165,12 @@ COUNTERS: tuple[Counted, ...] = (
         "unbound_messages",
         "sealed messages that were not made for this process: it has just begun, or they were recorded before",
     ),
+    Counted(
+        SIM,
+        "newcomers_passed_over",
+        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
+        "them are heard than start, so recordings of many are repeated",
+    ),
     Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
     Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by reason, e.g. `admission_late`"),
@@ -212,6 +224,12 @@ COUNTERS: tuple[Counted, ...] = (
         "unbound_{message}",
         "sealed messages of this type that were not made for this process: it has just begun, or they were recorded "
         "before",
+    ),
+    Counted(
+        ROBOT_SERVER,
+        "newcomers_passed_over",
+        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
+        "them are heard than start, so recordings of many are repeated",
     ),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
     Counted(CONSOLE, "clients", "browsers that were let in"),
