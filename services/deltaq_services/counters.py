@@ -93,6 +93,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
     Counted(HLI, "commands_too_many", "commands refused because clients sent too many in a second"),
     Counted(HLI, "stops_sent_again", "stops sent once more because the gate had not answered them"),
+    Counted(HLI, "zenoh_sessions_open", "zenoh sessions of clients that are open now"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
@@ -127,6 +128,11 @@ COUNTERS: tuple[Counted, ...] = (
     ),
     Counted(
         HLI, "failed", "messages that could not be served because of a fault of the HLI; its log has each"
+    ),
+    Counted(
+        HLI,
+        "attempts_refused_{what}_{code}",
+        "attempts of clients that were refused for this reason, as the audit log names both",
     ),
     Counted(HLI, "audit_lines", "entries of the audit log that were handed to its file"),
     Counted(
@@ -179,7 +185,13 @@ COUNTERS: tuple[Counted, ...] = (
         "admission_while_not_ready",
         "admissions that came in a phase in which the robot must not move",
     ),
-    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, because no admission had come"),
+    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, because no admission was taken"),
+    Counted(
+        ROBOT_SERVER,
+        "braked_cycles_{cause}",
+        "the same by what caused them: `no_admission`, since none had come by then; one that was not taken, e.g. "
+        "`admission_unchained`; or the reason for which the robot is held",
+    ),
     Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
     Counted(
         ROBOT_SERVER,
