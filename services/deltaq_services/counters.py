@@ -110,6 +110,11 @@ COUNTERS: tuple[Counted, ...] = (
         "tokens_not_compared",
         "tokens refused without a comparison because wrong ones came from the same address",
     ),
+    Counted(
+        HLI,
+        "tokens_in_clear",
+        "tokens that came from another machine over lines without TLS; none was compared, and each connection ended",
+    ),
     Counted(HLI, "tcp_unencrypted", "TCP connections that ended because the TLS handshake failed"),
     Counted(
         HLI,
