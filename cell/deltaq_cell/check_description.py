@@ -10,7 +10,13 @@ from deltaq_cell.description import CellDescription, RobotDescription, RsiDescri
 from deltaq_cell.find import resolve_near
 from deltaq_cell.krc_files import judge_krc_files
 from deltaq_cell.models import nearest_name
-from deltaq_cell.open_realm import ALLOWS_ANYBODY, NEEDS_TOKENS, off_loopback
+from deltaq_cell.open_realm import (
+    ALLOWS_ANYBODY,
+    CROSSES_IN_CLEAR,
+    NEEDS_TOKENS,
+    off_loopback,
+    zenoh_in_clear,
+)
 from deltaq_cell.placed_problems import FieldPath, PlacedProblems
 from deltaq_cell.problems import Problem
 
@@ -65,9 +71,14 @@ class DescriptionCheck:
                 taken[port] = ".".join(str(part) for part in field)
 
     def _open_realm(self) -> Iterator[Problem]:
-        """Nobody on another machine moves a robot without a token, unless the cell says so."""
+        """Nobody on another machine moves a robot without a token, unless the cell says so, or by one overheard."""
         exposed = off_loopback(self._cell)
-        if exposed is None or self._cell.clients_need_tokens:
+        if exposed is None:
+            return
+        if self._cell.clients_need_tokens:
+            if (crosses := zenoh_in_clear(self._cell)) is not None:
+                field, value = crosses
+                yield self._at((field,), CROSSES_IN_CLEAR, value, severity="warning")
             return
         field, value = exposed
         if self._cell.anyone_who_connects_may_move_the_robots:

@@ -9,6 +9,12 @@ from deltaq_protocol.endpoint import Endpoint
 
 NEEDS_TOKENS = "clients_need_tokens"
 ALLOWS_ANYBODY = "anyone_who_connects_may_move_the_robots"
+CROSSES_IN_CLEAR = (
+    "zenoh's links of the open realm are not encrypted, and other machines reach this address: tokens do not cross "
+    "them, but whoever reads a link while a lease is granted has its secret, and can move that robot; put a tunnel "
+    "between the machines, or listen on 127.0.0.1 and let clients come over lines with TLS (`tcp_address`)"
+)
+"""What there is to say of an `hli` that leaves the loopback, where clients have to prove who they are."""
 
 
 def off_loopback(cell: CellDescription) -> tuple[str, str] | None:
@@ -18,6 +24,11 @@ def off_loopback(cell: CellDescription) -> tuple[str, str] | None:
     if not is_loopback(cell.tcp_address):
         return "tcp_address", cell.tcp_address
     return None
+
+
+def zenoh_in_clear(cell: CellDescription) -> tuple[str, str] | None:
+    """The field that lets zenoh's open realm cross a network, where nothing encrypts it, and its value; or None."""
+    return None if Endpoint.parse(cell.hli).is_loopback else ("hli", cell.hli)
 
 
 def is_loopback(host: str) -> bool:

@@ -30,10 +30,10 @@ _PANELS = (
         ),
     ),
     (
-        "Cycles of the brake a second",
+        "Cycles of the brake a second, by cause",
         "short",
-        "No admission had come in time",
-        ((f"rate(deltaq_braked_cycles_total{_RATE})", "{{robot}}"),),
+        "No admission had come in time, one was not taken, or the robot is held",
+        ((f"rate(deltaq_braked_cycles_total{_RATE})", "{{robot}} {{cause}}"),),
     ),
     (
         "Admissions not taken, by reason",
@@ -100,8 +100,24 @@ _PANELS = (
     (
         "Clients",
         "short",
-        "Robots that are leased, and connections over TCP",
-        (("deltaq_leased", "{{robot}} leased"), ("deltaq_tcp_connections", "connections over TCP")),
+        "Robots that are leased, connections over TCP, and zenoh sessions",
+        (
+            ("deltaq_leased", "{{robot}} leased"),
+            ("deltaq_tcp_connections", "connections over TCP"),
+            ("deltaq_zenoh_sessions", "zenoh sessions"),
+        ),
+    ),
+    (
+        "Attempts refused, times in the last hour",
+        "short",
+        "What clients tried, and why it was refused; the audit log has each",
+        (("increase(deltaq_attempts_refused_total[1h])", "{{what}} {{reason}}"),),
+    ),
+    (
+        "Guarded messages that were not believed, a second",
+        "short",
+        "Forged ones, and such as were not made for this process: a few at each start",
+        ((f"rate(deltaq_guarded_refused_total{_RATE})", "{{service}} {{robot}} {{cause}}"),),
     ),
 )
 """Title, unit, description, and queries with their legends."""

@@ -12,15 +12,17 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deltaq_cell.description import CellDescription, RsiDescription
 from deltaq_cell.load import load_cell
 from deltaq_launch.child_process import Child
+from deltaq_protocol.certified.names import IDENTITY
 from deltaq_protocol.endpoint import Transport
 from deltaq_protocol.errors import DeltaqError
 from deltaq_protocol.given_token import CLIENT_TOKEN, OPERATOR_TOKEN
-from deltaq_services.guarded_key import KEY_FILE, write_new_key
+from deltaq_protocol.sayings import HLI, services
+from deltaq_services.guarded_key import KEY_FILE
 from deltaq_services.hli.client_tokens import CONTROLLER_TOKEN
 from deltaq_verification.impairment.packets import within as thread_within
 from deltaq_verification.two_sites import Sites, within, write_cell
@@ -92,6 +94,13 @@ class Running:
             self._said.notify_all()
 
 
+class SiteIdentities(NamedTuple):
+    """Folders of the identities that each site has."""
+
+    office: Path
+    robots: Path
+
+
 class TwoSites:
     """A cell that runs on two sites.
 
@@ -99,16 +108,17 @@ class TwoSites:
         sites: the networks.
         file: the cell's, as both sites have it.
         cell: its description.
+        identities: of its services.
     """
 
     def __init__(self, sites: Sites, folder: Path, transport: Transport, stack: ExitStack) -> None:
         self.sites, self._folder, self._stack = sites, folder, stack
         self.file = write_cell(folder, transport)
         self.cell: CellDescription = load_cell(str(self.file))
-        key, self._controller_token = folder / "guarded.key", secrets.token_hex(16)
-        write_new_key(key)
+        self._controller_token = secrets.token_hex(16)
+        self.identities = _identities_of_sites(self.file, self.cell, folder)
         tokens = {OPERATOR_TOKEN: secrets.token_hex(16), CONTROLLER_TOKEN: self._controller_token}
-        self._environment = {KEY_FILE: str(key), "XDG_STATE_HOME": str(folder)}
+        self._environment = {KEY_FILE: "", "XDG_STATE_HOME": str(folder)}
         self._operator = tokens[OPERATOR_TOKEN]
         for name, token in tokens.items():
             file = folder / f"{name.lower()}.txt"
@@ -117,9 +127,10 @@ class TwoSites:
             self._environment[f"{name}_FILE"] = str(file)
 
     def up(self, namespace: str, only: str) -> Running:
-        """`deltaq up --only` at a site."""
+        """`deltaq up --only` at a site, which has the identities of its own services alone."""
         command = (*DELTAQ, "up", "--cell", str(self.file), "--only", only, "--no-console")
-        site = self.run(only, namespace, command)
+        own = self.identities.robots if namespace == self.sites.robots else self.identities.office
+        site = self.run(only, namespace, command, **{IDENTITY: str(own)})
         site.wait_for("is up: ")
         return site
 
@@ -179,6 +190,25 @@ class TwoSites:
         if not answer["ok"]:
             raise SiteError(f"the emulated controller of {robot}: {answer['error']}")
         return answer
+
+
+def _identities_of_sites(cell_file: Path, cell: CellDescription, folder: Path) -> SiteIdentities:
+    """Make identities as the page tells, and give each site its own; the authority stays with neither.
+
+    Raises:
+        SiteError: if they cannot be made.
+    """
+    made = folder / "identities"
+    command = [*DELTAQ, "keys", str(cell_file), "--to", str(made)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SiteError(f"`deltaq keys`: {done.stderr.strip()}")
+    of_sites = SiteIdentities(folder / "identities-office", folder / "identities-robots")
+    for site in of_sites:
+        site.mkdir(mode=0o700)
+    for service in services(tuple(cell.robots)):
+        (made / service).rename((of_sites.office if service == HLI else of_sites.robots) / service)
+    return of_sites
 
 
 @contextmanager

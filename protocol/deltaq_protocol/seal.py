@@ -7,16 +7,16 @@ realm there is one MAC; with an identity for each service there is one for each 
 who says what (`deltaq_protocol.sayings`), with the key of its speaker and that listener (`deltaq_protocol.seal_keys`).
 
 Sender and receivers are processes, each by a random number of its own. A process acts only upon what names it as a
-receiver: a message that was recorded before it began cannot. It learns of the others by what they send, and tells them
-of itself by a greeting whenever one does not know it yet. Numbers of a sender only grow, and each is valid once; a
-sender that another has taken the place of is not heard again. No clock is involved.
+receiver: a message that was recorded before it began cannot. So its random number is a challenge, and who names it has
+answered: such a sender is known, and all that is sealed from then on names it. A sender that has not answered yet, or
+was recorded and never will, is named in one greeting. Numbers of a sender only grow, and each is valid once; a sender
+that another has taken the place of is not heard again. No clock is involved.
 """
 
 from __future__ import annotations
 
-import contextlib
 import secrets
-from collections import deque
+from collections.abc import Iterator
 from hashlib import blake2b
 from hmac import compare_digest
 
@@ -34,8 +34,10 @@ _RECEIVERS = _COUNT + 1
 _MOST_RECEIVERS = 255
 MAX_SEALED_BYTES = 16 * 1024
 """Longest sealed message, many times what services send: nobody shall keep one busy with the MACs of long ones."""
-_NEWCOMERS = 4
-"""Processes under one zenoh key that are told of this one, though they have not shown that they know it."""
+_NEWCOMERS = 32
+"""Senders under one zenoh key that a greeting names, though they have not shown that they know this process. Where more
+were heard, which takes recordings of many, each has the same chance, whoever was heard first or oftener."""
+_LOT_BYTES = 8
 
 
 class ForgedMessageError(ProtocolError):
@@ -47,13 +49,20 @@ class UnboundMessageError(ProtocolError):
 
 
 class _Link:
-    """The senders heard under one zenoh key: the present one, and those that claim to be its successor."""
+    """The senders heard under one zenoh key: the present one, and those that claim to be its successor.
+
+    Attributes:
+        sender: the process that has shown that it knows this one; empty if none has.
+        number: of its newest message.
+        ended: processes whose place it, or one before it, has taken.
+        newcomers: those heard since the last greeting that have shown nothing, each with its lot.
+    """
 
     def __init__(self) -> None:
         self.sender = b""
         self.number = 0
         self.ended: set[bytes] = set()
-        self.newcomers: deque[bytes] = deque(maxlen=_NEWCOMERS)
+        self.newcomers: dict[bytes, bytes] = {}
 
 
 class Seal:
@@ -61,6 +70,9 @@ class Seal:
 
     Args:
         keys: of this process.
+
+    Attributes:
+        passed_over: how often a sender that has shown nothing found no place in the next greeting.
     """
 
     def __init__(self, keys: SealKeys) -> None:
@@ -68,15 +80,26 @@ class Seal:
         self._process = secrets.token_bytes(_PROCESS_BYTES)
         self._number = 0
         self._links: dict[str, _Link] = {}
-        self._receivers = b"\0"
+        self._known: list[bytes] = []
+        self._receivers = _named([])
+        self._draw = secrets.token_bytes(_LOT_BYTES)
+        self.passed_over = 0
 
     def close(self, zenoh_key: str, message: bytes) -> bytes:
-        """The bytes to publish under `zenoh_key` for a message, valid for every process that was heard so far."""
-        self._number += 1
-        number = self._number.to_bytes(_NUMBER_BYTES, "big")
-        sealed = b"".join((self._process, number, self._receivers, message))
-        text = _text(zenoh_key, sealed)
-        return b"".join([_mac(key, text) for key in self._keys.said(zenoh_key)]) + sealed
+        """The bytes to publish under `zenoh_key` for a message, valid for every process that is known."""
+        return self._closed(zenoh_key, message, self._receivers)
+
+    def greet(self, zenoh_key: str, message: bytes) -> bytes:
+        """The same, valid also for those heard since the last greeting that have not shown that they know this process.
+
+        It is named to each of them here and nowhere else, so that recordings make no other message longer, and no
+        sender is kept from being known by those that were recorded.
+        """
+        receivers = _named(list(dict.fromkeys([*self._known, *self._newcomers()]))[:_MOST_RECEIVERS])
+        for link in self._links.values():
+            link.newcomers.clear()
+        self._draw = secrets.token_bytes(_LOT_BYTES)
+        return self._closed(zenoh_key, message, receivers)
 
     def open(self, zenoh_key: str, sealed: bytes) -> bytes:
         """The message that came under `zenoh_key`, to be acted upon.
@@ -93,17 +116,17 @@ class Seal:
         if sender in link.ended:
             raise ForgedMessageError(f"{zenoh_key}: from a process that another has taken the place of")
         if not self._is_receiver(opened):
-            if sender != link.sender and sender not in link.newcomers:
-                link.newcomers.append(sender)
-                self._address_all()
+            if sender not in self._known:
+                self._admit(link, sender)
             raise UnboundMessageError(f"{zenoh_key}: not made for this process, but for another or before it")
         number = int.from_bytes(opened[_NUMBER:_COUNT], "big")
         if sender != link.sender:
             if link.sender:
                 link.ended.add(link.sender)
             link.sender, link.number = sender, 0
-            link.newcomers.clear()
-            self._address_all()
+            # more cannot be named; the services of a cell are fewer
+            self._known = sorted({link.sender for link in self._links.values()} - {b""})[:_MOST_RECEIVERS]
+            self._receivers = _named(self._known)
         if number <= link.number:
             raise ForgedMessageError(
                 f"{zenoh_key}: number {number} again, the newest so far is {link.number}"
@@ -111,14 +134,17 @@ class Seal:
         link.number = number
         return message
 
-    def meet(self, zenoh_key: str, sealed: bytes) -> None:
-        """Register the sender of a greeting: messages sealed from now on are valid for it.
+    def meet(self, zenoh_key: str, sealed: bytes) -> bool:
+        """Register the sender of a greeting; returns whether it was made for this process, and so is known from now on.
 
         Raises:
             ForgedMessageError: as `open` does.
         """
-        with contextlib.suppress(UnboundMessageError):
+        try:
             self.open(zenoh_key, sealed)
+        except UnboundMessageError:
+            return False
+        return True
 
     def read(self, zenoh_key: str, sealed: bytes) -> bytes:
         """The message, for a process that only watches; it may be old or for another process. Any thread may call it.
@@ -149,11 +175,32 @@ class Seal:
         at = opened.find(self._process, _RECEIVERS, _RECEIVERS + _PROCESS_BYTES * opened[_COUNT])
         return at >= 0 and (at - _RECEIVERS) % _PROCESS_BYTES == 0
 
-    def _address_all(self) -> None:
-        """From now on, close messages for all who were heard."""
-        known = {process for link in self._links.values() for process in (link.sender, *link.newcomers)}
-        receivers = sorted(known - {b""})[:_MOST_RECEIVERS]
-        self._receivers = bytes([len(receivers)]) + b"".join(receivers)
+    def _closed(self, zenoh_key: str, message: bytes, receivers: bytes) -> bytes:
+        self._number += 1
+        number = self._number.to_bytes(_NUMBER_BYTES, "big")
+        sealed = b"".join((self._process, number, receivers, message))
+        text = _text(zenoh_key, sealed)
+        return b"".join([_mac(key, text) for key in self._keys.said(zenoh_key)]) + sealed
+
+    def _admit(self, link: _Link, sender: bytes) -> None:
+        """Name a sender in the next greeting, if its lot is among the first."""
+        link.newcomers[sender] = blake2b(sender, digest_size=_LOT_BYTES, key=self._draw).digest()
+        if len(link.newcomers) > _NEWCOMERS:
+            del link.newcomers[max(link.newcomers, key=link.newcomers.__getitem__)]
+            self.passed_over += 1
+
+    def _newcomers(self) -> Iterator[bytes]:
+        """Of each key those drawn first, in turn: no key's may take the places of another's."""
+        drawn = [
+            (place, lot, sender)
+            for link in self._links.values()
+            for place, (lot, sender) in enumerate(sorted((lot, who) for who, lot in link.newcomers.items()))
+        ]
+        return (sender for _, _, sender in sorted(drawn))
+
+
+def _named(receivers: list[bytes]) -> bytes:
+    return bytes([len(receivers)]) + b"".join(receivers)
 
 
 def _message(opened: bytes) -> bytes:

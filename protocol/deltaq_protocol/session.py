@@ -113,6 +113,10 @@ class SealedPublisher:
         """Seal a message and publish it."""
         self._publisher.put(self._seal.close(self._key, message))
 
+    def greet(self, message: bytes) -> None:
+        """Publish a greeting, for those too that do not know this process yet."""
+        self._publisher.put(self._seal.greet(self._key, message))
+
 
 def sending(priority: Priority) -> dict[str, Any]:
     """How zenoh sends what is so urgent."""

@@ -67,6 +67,12 @@ COUNTERS: tuple[Counted, ...] = (
         "sealed messages from the guarded realm that were not made for this process: it has just begun, or they were "
         "recorded before",
     ),
+    Counted(
+        HLI,
+        "newcomers_passed_over",
+        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
+        "them are heard than start, so recordings of many are repeated",
+    ),
     Counted(HLI, "version_mismatches", "clients that speak another version of the protocol"),
     Counted(
         HLI,
@@ -87,6 +93,7 @@ COUNTERS: tuple[Counted, ...] = (
     Counted(HLI, "commands_unanswered", "commands that the gate did not answer in time"),
     Counted(HLI, "commands_too_many", "commands refused because clients sent too many in a second"),
     Counted(HLI, "stops_sent_again", "stops sent once more because the gate had not answered them"),
+    Counted(HLI, "zenoh_sessions_open", "zenoh sessions of clients that are open now"),
     Counted(HLI, "connections_lost", "TCP connections that ended"),
     Counted(HLI, "tcp_connections", "TCP connections that began"),
     Counted(HLI, "tcp_connections_open", "TCP connections that are open now"),
@@ -102,6 +109,11 @@ COUNTERS: tuple[Counted, ...] = (
         HLI,
         "tokens_not_compared",
         "tokens refused without a comparison because wrong ones came from the same address",
+    ),
+    Counted(
+        HLI,
+        "tokens_in_clear",
+        "tokens that came from another machine over lines without TLS; none was compared, and each connection ended",
     ),
     Counted(HLI, "tcp_unencrypted", "TCP connections that ended because the TLS handshake failed"),
     Counted(
@@ -121,6 +133,11 @@ COUNTERS: tuple[Counted, ...] = (
     ),
     Counted(
         HLI, "failed", "messages that could not be served because of a fault of the HLI; its log has each"
+    ),
+    Counted(
+        HLI,
+        "attempts_refused_{what}_{code}",
+        "attempts of clients that were refused for this reason, as the audit log names both",
     ),
     Counted(HLI, "audit_lines", "entries of the audit log that were handed to its file"),
     Counted(
@@ -159,6 +176,12 @@ COUNTERS: tuple[Counted, ...] = (
         "unbound_messages",
         "sealed messages that were not made for this process: it has just begun, or they were recorded before",
     ),
+    Counted(
+        SIM,
+        "newcomers_passed_over",
+        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
+        "them are heard than start, so recordings of many are repeated",
+    ),
     Counted(SIM, "invalid_messages", "messages that are malformed"),
     Counted(ROBOT_SERVER, "admissions", "admissions that were taken"),
     Counted(ROBOT_SERVER, "{refusal}", "admissions that were not taken, by reason, e.g. `admission_late`"),
@@ -167,7 +190,13 @@ COUNTERS: tuple[Counted, ...] = (
         "admission_while_not_ready",
         "admissions that came in a phase in which the robot must not move",
     ),
-    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, because no admission had come"),
+    Counted(ROBOT_SERVER, "braked_cycles", "cycles of the brake, because no admission was taken"),
+    Counted(
+        ROBOT_SERVER,
+        "braked_cycles_{cause}",
+        "the same by what caused them: `no_admission`, since none had come by then; one that was not taken, e.g. "
+        "`admission_unchained`; or the reason for which the robot is held",
+    ),
     Counted(ROBOT_SERVER, "held_{reason}", "times that the robot was held for this reason"),
     Counted(
         ROBOT_SERVER,
@@ -212,6 +241,12 @@ COUNTERS: tuple[Counted, ...] = (
         "unbound_{message}",
         "sealed messages of this type that were not made for this process: it has just begun, or they were recorded "
         "before",
+    ),
+    Counted(
+        ROBOT_SERVER,
+        "newcomers_passed_over",
+        "times that a sender that has not shown that it knows this process was left out of the next greeting: more of "
+        "them are heard than start, so recordings of many are repeated",
     ),
     Counted(ROBOT_SERVER, "invalid_{message}", "malformed messages of this type"),
     Counted(CONSOLE, "clients", "browsers that were let in"),

@@ -222,3 +222,17 @@ def test_off_the_loopback_a_cell_says_who_may_move_its_robots(
     open_address = ("tcp_address: 127.0.0.1", f"tcp_address: 0.0.0.0\n{field}: true")
     path, _ = checked(tmp_path, open_address)
     assert [problem.severity for problem in check_cell(path).problems] == severities
+
+
+@pytest.mark.parametrize("transport", ["tcp", "tcp+udp"])
+def test_where_clients_prove_who_they_are_zenoh_in_the_clear_is_told_with_field_value_and_remedy(
+    tmp_path: Path, transport: str
+) -> None:
+    value = f"{transport}/192.0.2.1:7447"
+    open_address = ("hli: tcp/127.0.0.1:7447", f"hli: {value}\nclients_need_tokens: true")
+    path, _ = checked(tmp_path, open_address)
+    (problem,) = check_cell(path).problems
+    assert (problem.severity, problem.field, problem.value) == ("warning", "hli", value)
+    for remedy in ("tunnel", "127.0.0.1", "TLS (`tcp_address`)"):
+        assert remedy in problem.message
+    assert check_cell(path).ok

@@ -42,7 +42,7 @@ NOT_RUN = {
         "tests/services/test_line_proofs.py says hello the same way",
         "tests/services/test_encrypted_lines.py makes one the same way",
         "needs the certificate; tests/services/test_encrypted_lines.py connects the same way",
-        "needs two machines",
+        "needs two machines; tests/services/test_encrypting_recipe.py runs it on one",
     ],
     "README.md": [
         "makes an environment of its own; the next block runs the same demonstration",
@@ -76,7 +76,7 @@ NOT_RUN = {
     "systemd.md": ["needs root, and systemd"],
     "two-sites.md": [
         "a picture",
-        *["needs two machines; tests/live/test_two_sites.py does it with one key"] * 4,
+        *["needs two machines; tests/live/test_two_sites.py does it"] * 4,
         "takes a minute; tests/experiments/test_far_controllers.py runs shorter ones",
     ],
     "drive-by-hand.md": [

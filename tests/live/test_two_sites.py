@@ -62,6 +62,9 @@ def wait_until_led(running: TwoSites, leader: Running) -> None:
 
 @pytest.mark.nightly
 def test_robots_rest_when_their_site_is_cut_off_and_go_on_by_the_documented_road(running: TwoSites) -> None:
+    office, robots = running.identities
+    assert [one.name for one in office.iterdir()] == ["hli"], "who breaks in there cannot speak as the gate"
+    assert sorted(one.name for one in robots.iterdir()) == ["robot-server-fr", "robot-server-gr", "sim"]
     status = running.ask("status")
     assert status["mismatches"] == []
     assert {robot["phase"] for robot in status["robots"].values()} <= {"ready", "held"}

@@ -10,13 +10,26 @@ from deltaq_protocol.seal_keys import KEY_BYTES, RealmKey
 KEY = bytes(range(KEY_BYTES))
 WHERE = "deltaq-guarded/lab/fr/request"
 BACK = "deltaq-guarded/lab/fr/admission"
+HELLO = "deltaq-guarded/lab/greeting/hli"
 
 
-def acquainted(key: bytes = KEY) -> tuple[Seal, Seal]:
-    """A sender and a receiver that it knows."""
-    sender, receiver = Seal(RealmKey(key)), Seal(RealmKey(key))
-    sender.meet(BACK, receiver.close(BACK, b"greeting"))
+def acquainted(receiver: Seal | None = None) -> tuple[Seal, Seal]:
+    """A sender that has just begun and a receiver that it knows."""
+    sender, receiver = Seal(RealmKey(KEY)), receiver or Seal(RealmKey(KEY))
+    receiver.meet(HELLO, sender.close(HELLO, b"greeting"))
+    assert sender.meet(BACK, receiver.greet(BACK, b"greeting"))
     return sender, receiver
+
+
+def recordings(where: str, processes: int) -> list[bytes]:
+    """One message of each of so many processes that are gone."""
+    return [Seal(RealmKey(KEY)).close(where, b"recorded") for _ in range(processes)]
+
+
+def hear_in_vain(receiver: Seal, where: str, *said: bytes) -> None:
+    for sealed in said:
+        with pytest.raises(UnboundMessageError):
+            receiver.open(where, sealed)
 
 
 @given(st.lists(st.binary(max_size=300)), st.text())
@@ -81,7 +94,7 @@ def test_a_message_is_good_once_and_an_older_one_never_again():
     first, second = sender.close(WHERE, b"reset"), sender.close(WHERE, b"stop")
     assert receiver.open(WHERE, second) == b"stop"
     for replayed in (second, first):
-        with pytest.raises(ForgedMessageError, match="again, the newest so far is 2"):
+        with pytest.raises(ForgedMessageError, match="again, the newest so far is 3"):
             receiver.open(WHERE, replayed)
 
 
@@ -100,7 +113,7 @@ def test_a_process_that_begins_anew_is_known_after_one_greeting():
     after = Seal(RealmKey(KEY))
     with pytest.raises(UnboundMessageError):
         after.open(WHERE, sender.close(WHERE, b"state"))
-    sender.meet(BACK, after.close(BACK, b"greeting"))
+    assert sender.meet(BACK, after.greet(BACK, b"greeting"))
     assert after.open(WHERE, sender.close(WHERE, b"state")) == b"state"
 
 
@@ -108,22 +121,16 @@ def test_both_ends_may_begin_anew_and_whoever_speaks_first_is_answered():
     one, other = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
     with pytest.raises(UnboundMessageError):
         other.open(WHERE, one.close(WHERE, b"state"))
-    one.meet(BACK, other.close(BACK, b"greeting"))
+    assert one.meet(BACK, other.greet(BACK, b"greeting"))
     assert other.open(WHERE, one.close(WHERE, b"state")) == b"state"
     assert one.open(BACK, other.close(BACK, b"supervision")) == b"supervision"
-
-
-def successor(receiver: Seal) -> Seal:
-    after = Seal(RealmKey(KEY))
-    after.meet(BACK, receiver.close(BACK, b"greeting"))
-    return after
 
 
 def test_a_sender_that_starts_anew_is_heard_at_once_and_what_it_said_before_is_not():
     before, receiver = acquainted()
     said = [before.close(WHERE, b"%d" % k) for k in range(10)]
     receiver.open(WHERE, said[4])
-    after = successor(receiver)
+    after, _ = acquainted(receiver)
     assert receiver.open(WHERE, after.close(WHERE, b"again")) == b"again"
     for message in said:
         with pytest.raises(ForgedMessageError):
@@ -136,7 +143,8 @@ def test_no_predecessor_is_forgotten_however_often_a_sender_starts_anew():
     first = [sender.close(WHERE, b"%d" % k) for k in range(2)]
     receiver.open(WHERE, first[0])
     for _ in range(100):
-        receiver.open(WHERE, successor(receiver).close(WHERE, b"again"))
+        after, _ = acquainted(receiver)
+        receiver.open(WHERE, after.close(WHERE, b"again"))
     with pytest.raises(ForgedMessageError, match="taken the place"):
         receiver.open(WHERE, first[1])
 
@@ -150,15 +158,71 @@ def test_what_a_long_gone_process_said_takes_nobody_s_place():
     assert receiver.open(WHERE, sender.close(WHERE, b"two")) == b"two"
 
 
-def test_recordings_of_many_processes_keep_nobody_from_being_known():
-    receiver, sender = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
-    for _ in range(100):
-        receiver.meet(WHERE, Seal(RealmKey(KEY)).close(WHERE, b"recorded"))
-    with pytest.raises(UnboundMessageError):
-        receiver.open(WHERE, sender.close(WHERE, b"state"))
-    greeting = receiver.close(BACK, b"greeting")
-    assert sender.open(BACK, greeting) == b"greeting"
-    assert len(greeting) < 200
+# --- recordings of many processes, which come while one has just begun ---------------------------------
+
+
+@pytest.mark.parametrize("order", ["before it", "after it"])
+def test_as_many_recordings_as_a_greeting_names_keep_no_newcomer_from_being_greeted(order):
+    receiver, newcomer = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
+    old = recordings(WHERE, 31)
+    said = newcomer.close(WHERE, b"state")
+    hear_in_vain(receiver, WHERE, *([*old, said] if order == "before it" else [said, *old, *old]))
+    assert newcomer.open(BACK, receiver.greet(BACK, b"greeting")) == b"greeting"
+    assert receiver.open(WHERE, newcomer.close(WHERE, b"state")) == b"state"
+    assert receiver.passed_over == 0
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_more_recordings_and_oftener_leave_a_newcomer_its_chance_with_each_greeting(times):
+    receiver, newcomer = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
+    old = recordings(WHERE, 319)
+    for _ in range(400):  # one of ten greetings names it: that none of so many does has a chance of 1e-18
+        hear_in_vain(receiver, WHERE, newcomer.close(WHERE, b"state"), *old * times)
+        greeting = receiver.greet(BACK, b"greeting")
+        assert len(greeting) < 400, "and it has a bound"
+        if newcomer.meet(BACK, greeting):
+            break
+    else:
+        pytest.fail("it was never named")
+    assert receiver.open(WHERE, newcomer.close(WHERE, b"state")) == b"state"
+    assert receiver.passed_over >= 319 + 1 - 32
+
+
+def test_recordings_take_nothing_from_those_who_have_shown_that_they_know_the_process():
+    known = [f"deltaq-guarded/lab/{k}/state" for k in range(10)]
+    senders = {where: acquainted() for where in known}
+    receiver = Seal(RealmKey(KEY))
+    for where in known:
+        hear_in_vain(receiver, where, senders[where][0].close(where, b"state"))
+    greeting = receiver.greet(BACK, b"greeting")
+    for where, (sender, _) in senders.items():
+        assert sender.meet(BACK, greeting)
+        assert receiver.open(where, sender.close(where, b"state")) == b"state"
+    for k in range(40):
+        other = f"deltaq-guarded/lab/{k}/request"
+        hear_in_vain(receiver, other, *recordings(other, 32))
+    for said in (receiver.close(BACK, b"order"), receiver.greet(BACK, b"order")):
+        assert [sender.open(BACK, said) for sender, _ in senders.values()] == [b"order"] * len(known)
+
+
+def test_recordings_under_many_keys_leave_a_newcomer_under_another_its_place():
+    receiver, newcomer = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
+    for k in range(40):
+        other = f"deltaq-guarded/lab/{k}/request"
+        hear_in_vain(receiver, other, *recordings(other, 32))
+    hear_in_vain(receiver, WHERE, newcomer.close(WHERE, b"state"))
+    greeting = receiver.greet(BACK, b"greeting")
+    assert newcomer.open(BACK, greeting) == b"greeting"
+    assert len(greeting) < 32 + 17 + 255 * 8 + 10
+
+
+def test_who_has_shown_nothing_is_named_in_a_greeting_alone():
+    receiver, newcomer = Seal(RealmKey(KEY)), Seal(RealmKey(KEY))
+    before = len(receiver.close(BACK, b"order"))
+    hear_in_vain(receiver, WHERE, newcomer.close(WHERE, b"state"), *recordings(WHERE, 100))
+    assert len(receiver.close(BACK, b"order")) == before
+    receiver.greet(BACK, b"greeting")
+    assert len(receiver.greet(BACK, b"order")) == before, "and in one"
 
 
 def test_one_key_is_not_kept_waiting_for_the_numbers_of_another():
@@ -171,7 +235,8 @@ def test_one_key_is_not_kept_waiting_for_the_numbers_of_another():
 def test_one_message_is_good_for_all_who_are_known():
     sender, receivers = Seal(RealmKey(KEY)), [Seal(RealmKey(KEY)) for _ in range(3)]
     for number, receiver in enumerate(receivers):
-        sender.meet(f"greeting/{number}", receiver.close(f"greeting/{number}", b""))
+        receiver.meet(HELLO, sender.close(HELLO, b""))
+        sender.meet(f"greeting/{number}", receiver.greet(f"greeting/{number}", b""))
     sealed = sender.close(WHERE, b"state")
     assert [receiver.open(WHERE, sealed) for receiver in receivers] == [b"state"] * 3
 

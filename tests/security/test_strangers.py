@@ -1,5 +1,7 @@
 """Strangers in the guarded realm: they join its endpoints, say what its services say, and nothing comes of it."""
 
+import math
+
 import pytest
 from sealed_realm import SealedRealm
 from stranger import Stranger, ghost, orders, request
@@ -321,3 +323,41 @@ def test_two_services_that_start_at_once_find_one_another(realm):
     assert realm.sim.robots["fr"].tracker.state.process == fr.core.process
     while fr.state.phase is not Phase.READY:  # both are new: there is no hold to keep
         realm.turn()
+
+
+@pytest.mark.long
+def test_recordings_of_many_servers_keep_the_gate_from_none_that_has_just_started(realm, stranger):
+    """The attack: all that were recorded under one key are repeated between a new server's state and a greeting."""
+    recordings = []
+    for _ in range(8):
+        realm.restart("fr")
+        heard = len(realm.recording)
+        while not (states := [said for said in realm.recording[heard:] if said[0].endswith("fr/state")]):
+            realm.turn()
+        recordings.append(states[-1])
+    realm.restart_gate()  # which has never heard any of them
+    realm.settle_held()
+    realm.pump_until(lambda: all(realm.has_mail(robot) for robot in realm.robots.values()))
+    fr, gate = realm.restart("fr"), realm.sim.counters
+    greetings = realm.shell._greeter._pace
+
+    def unbound(more):
+        wanted = gate["unbound_messages"] + more
+        return lambda: gate["unbound_messages"] >= wanted
+
+    greetings.restore(math.inf)  # none until all have been heard
+    reached = unbound(1)
+    while not reached():  # the new server is heard once somebody listens to it
+        fr.cycle()
+        realm.pump()
+    reached = unbound(len(recordings))
+    stranger.repeat(recordings)
+    realm.pump_until(reached)
+    greetings.restore(-math.inf)
+    stranger.repeat(recordings[:1])
+    realm.pump_until(fr.link._greetings.has_come)
+    taken, reached = realm.sim.taken, unbound(1)
+    fr.cycle()
+    realm.pump_until(lambda: realm.sim.taken > taken or reached())
+    assert realm.sim.robots["fr"].tracker.state.process == fr.core.process
+    assert "newcomers_passed_over" not in gate

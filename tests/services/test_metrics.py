@@ -15,6 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from small_cell import small_cell, told, tool_pose
 
 from deltaq_deploy.grafana import FILE, dashboard, dashboard_text, queries
+from deltaq_protocol import topics
 from deltaq_protocol.client import connect
 from deltaq_services.hli.shell import Hli
 from deltaq_services.metrics.delays import Delays
@@ -113,6 +114,63 @@ async def test_refusals_are_told_by_their_reason() -> None:
         assert value(await reader.read(), "deltaq_refusals_total", reason="lease_not_held") == 1
 
 
+async def test_what_clients_tried_in_vain_is_told_by_what_it_was_and_why() -> None:
+    async with running() as (peer, reader), json_client(peer.cell.tcp_port) as rude:
+        for _ in range(2):
+            await rude.ask("error", type="reset", robot="nobody")
+        rude.send(type="increment", robot="fr", seq=1, cycle=await peer.turn(), dq=[0.0] * 6)
+        await rude.receive("verdict")
+        read = await reader.read()
+        refused = {labels: n for (name, labels), n in read.items() if name == "deltaq_attempts_refused_total"}
+        assert refused == {
+            (("reason", "unknown_robot"), ("what", "reset")): 2,
+            (("reason", "lease_not_held"), ("what", "increment")): 1,
+        }
+
+
+async def test_forged_messages_of_the_guarded_realm_are_told_by_the_service_that_refused_them() -> None:
+    async with running() as (peer, reader):
+        key = topics.SERVER_STATE.key(peer.cell.cell, robot="fr")
+
+        def forge_and_look(read: Samples) -> bool:
+            peer._sim.put(key, b"forged")
+            return bool(value(read, "deltaq_guarded_refused_total", service="hli", robot="", cause="forged"))
+
+        await reader.until(forge_and_look)
+
+
+async def test_cycles_of_the_brake_are_told_by_their_cause() -> None:
+    async with running() as (peer, reader):
+        counted = {"braked_cycles": 7, "braked_cycles_no_admission": 5, "braked_cycles_operator_stop": 2}
+
+        def told(read: Samples) -> dict[str | None, float]:
+            peer.publish_state("fr", counters=counted)
+            return {
+                dict(labels).get("cause"): n
+                for (name, labels), n in read.items()
+                if name == "deltaq_braked_cycles_total" and dict(labels)["robot"] == "fr"
+            }
+
+        await reader.until(lambda read: told(read) == {"no_admission": 5, "operator_stop": 2})
+
+
+async def test_clients_are_counted_over_zenoh_and_over_lines() -> None:
+    """The exporter is one of those over zenoh."""
+
+    def connected(sessions: int, lines: int) -> Callable[[Samples], bool]:
+        return lambda read: (
+            (value(read, "deltaq_zenoh_sessions"), value(read, "deltaq_tcp_connections")) == (sessions, lines)
+        )
+
+    async with running() as (peer, reader):
+        await reader.until(connected(1, 0))
+        async with connect(peer.cell.hli, "one"), connect(peer.cell.hli, "two"):
+            await reader.until(connected(3, 0))
+            async with json_client(peer.cell.tcp_port):
+                await reader.until(connected(3, 1))
+        await reader.until(connected(1, 0))
+
+
 async def test_what_a_client_calls_itself_is_in_no_label() -> None:
     name = 'stranger"}\ndeltaq_up 7\n'
     async with running() as (peer, reader), json_client(peer.cell.tcp_port, name=name) as client:
@@ -164,8 +222,9 @@ async def test_the_dashboard_asks_for_what_there_is_and_is_the_one_that_is_shipp
         rude.send(type="increment", robot="fr", seq=1, cycle=1, dq=[0.0] * 6)
         await rude.receive("verdict")
         await peer.turn()  # the time between two states takes two
-        # what this peer never does: it holds nobody, and its gate judges nothing and has no nearest pair
+        # what this peer never does: it brakes and holds nobody, and its gate judges nothing and has no nearest pair
         silent = {
+            "deltaq_braked_cycles_total",
             "deltaq_held_total",
             "deltaq_admissions_not_taken_total",
             "deltaq_gate_reasons_total",

@@ -182,6 +182,22 @@ def test_starved_it_drives_the_brake_and_is_ready_again(rig):
     assert np.all(np.abs(np.diff(speeds, axis=0)) <= STEP * (1 + 1e-6))
 
 
+def test_cycles_of_the_brake_are_counted_by_what_caused_them(rig):
+    rig.run_up(5)
+    rig.cycle()
+    rig.cycle(rig.admission(STEP, follows_resets=7))
+    rig.cycle(rig.admission(3 * STEP), stop=ReasonCode.OPERATOR_STOP)
+    while np.any(rig.server.state.dq):
+        rig.cycle()
+    causes = {name: count for name, count in rig.counters.items() if name.startswith("braked_cycles_")}
+    assert causes == {
+        "braked_cycles_no_admission": 1,
+        "braked_cycles_admission_unchained": 1,
+        "braked_cycles_operator_stop": 3,
+    }
+    assert rig.counters["braked_cycles"] == sum(causes.values())
+
+
 @pytest.mark.parametrize(
     ("changes", "counter"),
     [

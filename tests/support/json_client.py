@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -50,9 +51,15 @@ class JsonClient:
 
 
 @asynccontextmanager
-async def json_client(port: int, name: str | None = "octave", **hello: Any) -> AsyncIterator[JsonClient]:
+async def json_client(
+    port: int,
+    name: str | None = "octave",
+    host: str = "127.0.0.1",
+    encryption: ssl.SSLContext | None = None,
+    **hello: Any,
+) -> AsyncIterator[JsonClient]:
     """A connected client; it has said hello unless `name` is None."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=2**22)
+    reader, writer = await asyncio.open_connection(host, port, limit=2**22, ssl=encryption)
     client = JsonClient(reader, writer)
     try:
         if name is not None:

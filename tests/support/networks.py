@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import shutil
+import socket
 import subprocess
 
 from deltaq_protocol.errors import DeltaqError
@@ -26,6 +27,17 @@ def why_none() -> str:
     except DeltaqError as error:
         return str(error)
     return ""
+
+
+@functools.cache
+def own_address() -> str | None:
+    """This machine's address towards others, off the loopback; None if it has none. Nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            return None
+        return str(probe.getsockname()[0])
 
 
 @functools.cache

@@ -147,10 +147,11 @@ def seals(loaded: LoadedCell, robot: str, passes: int) -> list[BenchRow]:
 def _realm(cell: str, robots: Sequence[str], keys: Mapping[str, SealKeys]) -> dict[str, Seal]:
     """The seals of a cell's services, of which each knows those that it speaks with."""
     seals = {name: Seal(of_service) for name, of_service in keys.items()}
-    for row in sayings(cell, robots):
+    greetings = [row for row in sayings(cell, robots) if row.topic is topics.GREETING]
+    for row in greetings * 2:  # first of those that nobody has heard yet
+        greeting = seals[row.speaker].greet(row.key, b"")
         for listener in row.listeners:
-            if row.topic is topics.GREETING:
-                seals[listener].meet(row.key, seals[row.speaker].close(row.key, b""))
+            seals[listener].meet(row.key, greeting)
     return seals
 
 

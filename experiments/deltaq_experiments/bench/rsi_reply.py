@@ -126,7 +126,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
 
     def answer(sample: object) -> None:
         sealed = sample.payload.to_bytes()  # type: ignore[attr-defined] # zenoh has no types
-        seal.meet(state_key, sealed)  # so that the answer is made for that process
+        is_known = seal.meet(state_key, sealed)
         state = unpack(ServerState, seal.read(state_key, sealed))
         heartbeat = Supervision(robot=ROBOT, epoch=1, cycle=state.cycle, cell=identity)
         admission = Admission(
@@ -141,7 +141,7 @@ def _gate(cell: CellDescription) -> Iterator[None]:
             dq=state.dq,
             brake_cycles=1,
         )
-        heartbeats.put(pack(heartbeat))
+        (heartbeats.put if is_known else heartbeats.greet)(pack(heartbeat))
         admissions.put(pack(admission))
 
     subscriber = session.declare_subscriber(state_key, answer)

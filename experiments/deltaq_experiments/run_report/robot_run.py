@@ -13,7 +13,7 @@ from deltaq_protocol.guarded import ServerState
 from deltaq_protocol.messages import Outcome, Phase, Reason, RobotState, RobotSummary, Verdict
 from deltaq_protocol.reasons import ReasonCode
 
-ORDINARY_COUNTERS = frozenset({"admissions", "braked_cycles"})
+ORDINARY_COUNTERS = frozenset({"admissions", "braked_cycles", "braked_cycles_no_admission"})
 """Counters of a Robot Server that grow while nothing is wrong."""
 
 

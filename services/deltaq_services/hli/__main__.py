@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.description import CellDescription
+from deltaq_cell.open_realm import CROSSES_IN_CLEAR, zenoh_in_clear
 from deltaq_protocol.certified.names import AUTHORITY_FILE, IDENTITY
 from deltaq_protocol.messages import Description, ToolPose
 from deltaq_protocol.real_time import SchedulingPriority, ask_for_real_time
@@ -86,6 +87,8 @@ def main() -> None:
     roles = client_roles(cell.description)
     identities, authority = _client_identities(cell.description)
     encryption = line_encryption(cell.description, authority=authority)
+    if (crosses := zenoh_in_clear(cell.description)) is not None and (roles.tokens or identities):
+        _log.warning("%s (%s): %s", *crosses, CROSSES_IN_CLEAR)
     description = cell.description_message()
     _allow_many_connections()
     ask_for_real_time(SchedulingPriority.HLI)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from deltaq_protocol.audit import LONGEST_ADDRESS, LONGEST_NAME, LONGEST_TEXT, AuditEntry
+from deltaq_protocol.audit import LONGEST_ADDRESS, LONGEST_NAME, LONGEST_TEXT, AuditEntry, AuditOutcome
 from deltaq_services.hli.audit_file import AuditFile
 from deltaq_services.hli.deed_groups import CountedDeed, DeedGroups
 from deltaq_services.hli.deeds import Deed
@@ -31,6 +32,7 @@ class Audit:
         now: monotonic time [s].
 
     Attributes:
+        counters: attempts that were refused, by what was tried and why.
         lines: entries that were handed to the file.
         unpublished: entries that were too many for recorders.
 
@@ -51,11 +53,14 @@ class Audit:
         self._pace = Pace(_LOOK_PERIOD_S)
         self._rate = RateLimit(MOST_PUBLISHED_S)
         self._is_closed = False
+        self.counters: Counter[str] = Counter()
         self.lines = 0
         self.unpublished = 0
 
     def tell(self, deed: Deed, count: int = 1) -> None:
         """Take a deed, or several equal ones; after `close` nothing is told any more."""
+        if deed.outcome is AuditOutcome.REFUSED:
+            self.counters[f"attempts_refused_{deed.what}_{deed.code or 'unknown'}"] += count
         if not self._is_closed:
             self._say(self._groups.add(deed, self._now(), count))
 

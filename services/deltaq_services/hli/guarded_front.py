@@ -44,7 +44,7 @@ class GuardedFront:
         for topic in (topics.SERVER_STATE, topics.GATE_VERDICT, topics.COMMAND_REPLY, topics.HEALTH):
             self._session.subscribe(topic, partial(self._take, topic.message))
         self._session.subscribe(topics.GREETING, self._meet)
-        self._greeter = Greeter(HLI, partial(self.publish, topics.GREETING, ""))
+        self._greeter = Greeter(HLI, partial(self._session.greet, topics.GREETING, service=HLI))
 
     def publish(self, topic: Topic, robot: str, message: Message) -> None:
         """Publish a message in the guarded realm."""
@@ -52,7 +52,9 @@ class GuardedFront:
 
     def counters(self) -> Counter[str]:
         """What the session counted."""
-        return self._session.counters()
+        counters = self._session.counters()
+        counters["newcomers_passed_over"] = self._seal.passed_over
+        return counters
 
     def close(self) -> None:
         """Leave the guarded realm."""
@@ -77,7 +79,8 @@ class GuardedFront:
 
     def _meet(self, sample: zenoh.Sample) -> None:
         try:
-            self._seal.meet(str(sample.key_expr), sample.payload.to_bytes())
+            if not self._seal.meet(str(sample.key_expr), sample.payload.to_bytes()):
+                self._port.core.counters["unbound_guarded"] += 1
         except ForgedMessageError as error:
             self._count_forged(error)
 

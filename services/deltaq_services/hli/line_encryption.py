@@ -21,6 +21,16 @@ class LineEncryptionError(DeltaqError):
     """A certificate or key that is missing or of no use."""
 
 
+def is_overheard(address: str, is_encrypted: bool) -> bool:
+    """Whether others on a network can read a client's lines.
+
+    Args:
+        address: of the other end; a host by number.
+        is_encrypted: whether TLS was agreed on.
+    """
+    return not is_encrypted and not is_loopback(address)
+
+
 def line_encryption(
     cell: CellDescription, environment: Mapping[str, str] = os.environ, authority: str = ""
 ) -> ssl.SSLContext | None:

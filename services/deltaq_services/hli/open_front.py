@@ -80,8 +80,8 @@ class OpenFront:
         self._lock = threading.Lock()
         self._stamps = stamps_if_asked("hli", list(cell.robots))
         rules = access(Party.HLI, Realm.OPEN, cell.cell)
-        opened = open_session(listen=[cell.hli], access=rules)
-        session = self._session = LoopSession(opened, cell.cell, port.loop)
+        self._opened = open_session(listen=[cell.hli], access=rules)
+        session = self._session = LoopSession(self._opened, cell.cell, port.loop)
         self._sieve = Sieve(self._increment_keys, cell.cycle_s, port.authentication, port.now)
         session.subscribe_sifted(topics.INCREMENT, self._sieve.sift, self._on_increment)
         session.answer(topics.LEASE, self._on_lease, self._goes_first)
@@ -105,7 +105,9 @@ class OpenFront:
 
     def counters(self) -> Counter[str]:
         """What the session counted."""
-        return self._session.counters() + self._sieve.counters()
+        counters = self._session.counters() + self._sieve.counters()
+        counters["zenoh_sessions_open"] = len(self._opened.info.transports())
+        return counters
 
     @property
     def unproven(self) -> int:

@@ -186,6 +186,7 @@ class Hli:
 
     def _front_counters(self) -> Counter[str]:
         counters = self._tcp.counters + self._open.counters() + self._guarded.counters()
+        counters += self._audit.counters
         counters["tcp_connections_open"] = len(self._tcp.connections)
         counters["audit_lines"] = self._audit.lines
         counters["audit_lines_lost"] = self._audit.lost

@@ -26,6 +26,7 @@ from deltaq_protocol.messages import (
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_services.hli.deeds import Deed
 from deltaq_services.hli.handshake import identity_of
+from deltaq_services.hli.line_encryption import CERTIFICATE_FILE, is_overheard
 from deltaq_services.hli.line_requests import hello_of, of_client, request_type
 from deltaq_services.hli.port import Port
 from deltaq_services.hli.received_lines import MAX_LINE_BYTES, ReceivedLines
@@ -90,6 +91,7 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._is_slow = False
         self._for_stop_alone = False
         self._address = self._identity = ""
+        self._is_overheard = True
         self._newest_states: dict[str, bytes] = {}
         self._hello_deadline: asyncio.TimerHandle | None = None
         self.leases: dict[str, str] = {}
@@ -106,6 +108,8 @@ class TcpConnection(asyncio.Protocol, Sender):
         self._identity = identity_of(transport)
         peer = transport.get_extra_info("peername")
         self._address = peer[0] if peer else ""
+        is_encrypted = transport.get_extra_info("ssl_object") is not None
+        self._is_overheard = is_overheard(self._address, is_encrypted)
         self.origin = self._origin(None, address_of(transport))
         if not self._front.admit(self, self._address):
             self._for_stop_alone = True
@@ -248,15 +252,19 @@ class TcpConnection(asyncio.Protocol, Sender):
         return core.take(of_client(request, client, self.leases), now, self)
 
     def _greet(self, said: Hello) -> list[Output]:
+        if said.token is not None and self._is_overheard:
+            self._front.counters["tokens_in_clear"] += 1
+            text = "`token` came over a network without TLS, where others can read it; the connection ends"
+            hint = (
+                "ask for a `challenge` and prove the token in the hello, by `challenge` and `proof`; or give the HLI a "
+                f"certificate ({CERTIFICATE_FILE}). Draw a new token: this one may be known"
+            )
+            return self._turn_away(said, text, hint)
         hello = self._front.proven(said, self._address)
         if hello is None:
             text = "wrong token, or too many wrong ones came from this address; the connection ends"
             hint = "give the right one a second later, or none: then you may watch, and stop"
-            self.origin = replace(self.origin, client=said.client)
-            self._tell(AuditKind.CONNECTED, ReasonCode.NOT_PERMITTED, text)
-            self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=said.type))
-            self.close()
-            return []
+            return self._turn_away(said, text, hint)
         self.origin = self._origin(hello, self.origin.address)
         outputs = self._port.core.take(hello, self._port.now(), self)
         self._port.carry_out(outputs)
@@ -266,6 +274,13 @@ class TcpConnection(asyncio.Protocol, Sender):
             self._client = hello
             if self._hello_deadline is not None:
                 self._hello_deadline.cancel()
+        return []
+
+    def _turn_away(self, said: Hello, text: str, hint: str) -> list[Output]:
+        self.origin = replace(self.origin, client=said.client)
+        self._tell(AuditKind.CONNECTED, ReasonCode.NOT_PERMITTED, text)
+        self.deliver(Error(code=ReasonCode.NOT_PERMITTED, message=text, hint=hint, request=said.type))
+        self.close()
         return []
 
     def _increment(self, data: dict[str, Any], now: float) -> list[Output]:

@@ -102,14 +102,11 @@ class LoopSession:
 
     def publish(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message of a topic; `fields` of its key as in `Topic.key`."""
-        known = (topic.name, *fields.values())
-        publisher = self._publishers.get(known)
-        if publisher is None:
-            key = topic.key(self._cell, **fields)
-            publisher = self._publishers[known] = declare_publisher(
-                self._session, key, self._seal, topic.priority
-            )
-        publisher.put(pack(message))
+        self._publisher(topic, **fields).put(pack(message))
+
+    def greet(self, topic: Topic, message: Message, **fields: str) -> None:
+        """Publish a greeting of the guarded realm, for those too that do not know this process yet."""
+        self._publisher(topic, **fields).greet(pack(message))
 
     def publish_once(self, topic: Topic, message: Message, **fields: str) -> None:
         """Publish a message on a key that is not one of ours, without keeping anything for the next time."""
@@ -124,6 +121,16 @@ class LoopSession:
     def close(self) -> None:
         """Stop listening, and close the session."""
         self._served.close()
+
+    def _publisher(self, topic: Topic, **fields: str) -> Any:
+        known = (topic.name, *fields.values())
+        publisher = self._publishers.get(known)
+        if publisher is None:
+            key = topic.key(self._cell, **fields)
+            publisher = self._publishers[known] = declare_publisher(
+                self._session, key, self._seal, topic.priority
+            )
+        return publisher
 
     def _inbox(
         self, topic: Topic, take: Callable[[Any], None], a_turn: int = ITEMS_A_TURN

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
+from deltaq_protocol.audit import AuditKind
 from deltaq_protocol.messages import Phase, RobotStatus, Status
 from deltaq_services.counters import HLI, ROBOT_SERVER, SIM
 
@@ -43,7 +44,6 @@ def _of_robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
     )
     for family, counter, help_ in (
         ("deltaq_admissions", "admissions", "Cycles with a fresh admission"),
-        ("deltaq_braked_cycles", "braked_cycles", "Cycles of the brake, because no admission had come"),
         ("deltaq_replies_missed", "reply_missed", "Cycles whose reply the KRC did not take"),
     ):
         yield _counter(
@@ -54,6 +54,7 @@ def _of_robots(robots: Mapping[str, RobotStatus]) -> Iterator[Metric]:
         )
     for family, prefix, label, help_ in (
         ("deltaq_admissions_not_taken", "admission_", "reason", "Admissions that were not taken"),
+        ("deltaq_braked_cycles", "braked_cycles_", "cause", "Cycles of the brake"),
         ("deltaq_held", "held_", "reason", "Times that the robot was held"),
     ):
         yield _counter(
@@ -98,7 +99,30 @@ def _of_cell(status: Status) -> Iterator[Metric]:
         ("deltaq_missed_admissions", status.gate, "missed_admissions_", "robot", "Admissions not taken"),
     ):
         yield _counter(family, help_, (label,), [((end,), n) for end, n in _endings(counted, prefix)])
-    connections = status.hli.get("tcp_connections_open", 0)
+    yield _counter(
+        "deltaq_attempts_refused",
+        "Attempts of clients that were refused",
+        ("what", "reason"),
+        [
+            ((kind.value, code), n)
+            for kind in AuditKind
+            for code, n in _endings(status.hli, f"attempts_refused_{kind}_")
+        ],
+    )
+    yield _counter(
+        "deltaq_guarded_refused",
+        "Messages of the guarded realm that were not believed",
+        ("service", "robot", "cause"),
+        [
+            ((service, robot, cause), sum(n for _, n in refused))
+            for service, robot, counted in _counted(status)
+            for cause in ("forged", "unbound")
+            if (refused := _endings(counted, f"{cause}_"))
+        ],
+    )
+    connections, sessions = (
+        status.hli.get(name, 0) for name in ("tcp_connections_open", "zenoh_sessions_open")
+    )
     clearance_m = None if status.nearest is None else status.nearest.distance_m
     for family, value, help_ in (
         ("deltaq_gate_age_seconds", status.gate_age_s, "Age of the gate's newest heartbeat at the HLI"),
@@ -111,17 +135,24 @@ def _of_cell(status: Status) -> Iterator[Metric]:
         ),
         ("deltaq_cell_mismatches", len(status.mismatches), "Services that have read another cell"),
         ("deltaq_tcp_connections", connections, "TCP connections that are open now"),
+        ("deltaq_zenoh_sessions", sessions, "zenoh sessions of clients that are open now"),
     ):
         if value is not None:
             yield _gauge(family, help_, (), [((), value)])
 
 
 def _all(status: Status) -> list[_Sample]:
-    services = [(HLI, "", status.hli), (SIM, "", status.gate)]
-    services += [(ROBOT_SERVER, name, robot.counters) for name, robot in status.robots.items()]
     return [
-        ((service, robot, name), n) for service, robot, counted in services for name, n in counted.items()
+        ((service, robot, name), n)
+        for service, robot, counted in _counted(status)
+        for name, n in counted.items()
     ]
+
+
+def _counted(status: Status) -> list[tuple[str, str, Mapping[str, int]]]:
+    """What each service counts: its name, its robot if it has one, and its counters."""
+    services: list[tuple[str, str, Mapping[str, int]]] = [(HLI, "", status.hli), (SIM, "", status.gate)]
+    return services + [(ROBOT_SERVER, name, robot.counters) for name, robot in status.robots.items()]
 
 
 def _cell(status: Status) -> _Labels:

@@ -25,7 +25,7 @@ from deltaq_protocol.setpoint_motion import SetpointMotion
 from deltaq_services.outputs import ToRobot
 from deltaq_services.phases import MAY_MOVE, Event, next_phase
 from deltaq_services.robot_server.admissions_due import AdmissionsDue
-from deltaq_services.robot_server.guards import Bounds, refusal
+from deltaq_services.robot_server.guards import Bounds, Refusal, refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.mode_probe import KinematicMode, ModeProbe, mode_of_session
 from deltaq_services.robot_server.probe_trial import Mode
@@ -347,24 +347,26 @@ class RobotServer:
             forgotten = self._admissions.forget() + (admission is not None)
             self.counters.update({"admission_while_not_ready": forgotten} if forgotten else {})
             admission = None
-        if admission is not None and follows is not None and self._follows(admission, follows):
+        refused = None if admission is None or follows is None else self._refused(admission, follows)
+        if admission is not None and refused is None:
             self._motion = self._motion.admitted(admission)
             self._enter(Event.ADMITTED)
         else:
             if not self._motion.rests:
                 self.counters["braked_cycles"] += 1
+                self.counters[f"braked_cycles_{self._reason or refused or 'no_admission'}"] += 1
             self._motion = self._motion.braked()
             self._enter(Event.STARVED)
         if self._motion.rests:
             self._enter(Event.RESTED)
 
-    def _follows(self, admission: Admission, state: ServerState) -> bool:
+    def _refused(self, admission: Admission, state: ServerState) -> Refusal | None:
         why = refusal(admission, state, self._bounds)
-        if why is not None:
+        if why is None:
+            self.counters["admissions"] += 1
+        else:
             self.counters[why] += 1
-            return False
-        self.counters["admissions"] += 1
-        return True
+        return why
 
     def _stop(self, reason: ReasonCode) -> None:
         was = self._phase

@@ -30,6 +30,8 @@ _WAITING = 32
 """Messages of a kind that may wait for a cycle. The gate sends one; were it the only one kept, any process that sends
 forged ones would keep it from being heard. All that wait are opened before the reply, so that there must be few."""
 
+_GREETING = Greeting.__name__.lower()
+
 
 class _Waiting:
     """Samples of one key that wait to be read, in zenoh's own memory."""
@@ -80,7 +82,7 @@ class GuardedLink:
         self._state = self._publisher(topics.SERVER_STATE, cell.cell, robot=robot)
         self._health = self._publisher(topics.HEALTH, cell.cell, service=self._service)
         greeting = self._publisher(topics.GREETING, cell.cell, service=self._service)
-        self._greeter = Greeter(self._service, lambda message: greeting.put(pack(message)))
+        self._greeter = Greeter(self._service, lambda message: greeting.greet(pack(message)))
         self._is_unknown = False
         self._heartbeat = Heartbeat()
         self._pace = Pace(topics.HEALTH.period_s(cell.cycle_s))
@@ -155,9 +157,12 @@ class GuardedLink:
             if sample is None:
                 break
             try:
-                self._seal.meet(str(sample.key_expr), sample.payload.to_bytes())
+                if not self._seal.meet(str(sample.key_expr), sample.payload.to_bytes()):
+                    self._counters[f"unbound_{_GREETING}"] += 1
             except ForgedMessageError:
-                self._counters[f"forged_{Greeting.__name__.lower()}"] += 1
+                self._counters[f"forged_{_GREETING}"] += 1
+        if self._seal.passed_over:
+            self._counters["newcomers_passed_over"] = self._seal.passed_over
         if self._is_unknown:
             self._is_unknown = False
             self._greeter.greet(time_s)

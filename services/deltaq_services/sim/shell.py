@@ -81,7 +81,7 @@ class Shell:
         self._pace = Pace(topics.HEALTH.period_s(description.cycle_s))
         self._log_pace = Pace(_LOG_PERIOD_S)
         self._heartbeat = Heartbeat()
-        self._greeter = Greeter(SIM, lambda greeting: self._publisher(topics.GREETING).put(pack(greeting)))
+        self._greeter = Greeter(SIM, lambda greeting: self._publisher(topics.GREETING).greet(pack(greeting)))
         for topic in (topics.SUPERVISION, topics.ADMISSION, topics.GATE_VERDICT):
             for robot in description.robots:
                 self._publisher(topic, robot)
@@ -101,7 +101,8 @@ class Shell:
         topic = self._taken.get(key.rpartition("/")[2])
         try:
             if key.startswith(self._greetings):
-                self._seal.meet(key, payload)
+                if not self._seal.meet(key, payload):
+                    self.sim.counters["unbound_messages"] += 1
                 return
             if topic is None:
                 return  # a heartbeat of the others
@@ -149,6 +150,8 @@ class Shell:
         if not self._pace.due(now_s):
             return
         self._log.look_for_listeners()
+        if self._seal.passed_over:
+            self.sim.counters["newcomers_passed_over"] = self._seal.passed_over
         health = Health(
             service=SIM,
             healthy=True,

@@ -11,6 +11,7 @@ from deltaq_protocol.guarded import Admission, Request, ServerState, Supervision
 from deltaq_protocol.reasons import ReasonCode
 from deltaq_protocol.rsi import KrcTelegram
 from deltaq_services.robot_server.core import RobotServer
+from deltaq_services.robot_server.guards import Refusal
 from deltaq_services.robot_server.measurement import Measurement
 from deltaq_services.robot_server.peer import DatagramSource, Peer
 from deltaq_services.robot_server.session import Belief, Judgement, Session, TelegramKind
@@ -38,14 +39,14 @@ class LateIsTaken(System):
 
 
 class _LooksAtNoChain(RobotServer):
-    def _follows(self, admission: Admission, state: ServerState) -> bool:
+    def _refused(self, admission: Admission, state: ServerState) -> Refusal | None:
         follows = {
             "follows_sequence": state.sequence,
             "follows_q_cmd": state.q_cmd,
             "follows_dq": state.dq,
             "follows_resets": state.resets,
         }
-        return super()._follows(admission.model_copy(update=follows), state)
+        return super()._refused(admission.model_copy(update=follows), state)
 
 
 class ChainIsNotLookedAt(System):
