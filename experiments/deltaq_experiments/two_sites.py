@@ -84,6 +84,8 @@ def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, A
         )  # fmt: skip
         if status := follower.wait(_TO_START_S + given.duration_s):
             raise SiteError(f"the follower ended with status {status}:\n{follower.text()}")
+        if leader.has_ended:
+            raise SiteError(f"the leader ended before the follower:\n{leader.text()}")
         cell_status = running.ask("status")
         leader.end()
         recorder.end()
