@@ -32,7 +32,19 @@ def experiment(
     name: Annotated[Experiment, typer.Argument(help="Experiment to run.")],
     cell: CellOption = "lab",
     controller: Annotated[str, typer.Option(help=f"Who moves the camera: {CONTROLLERS}")] = "paper",
-    leader_speed_m_s: Annotated[float, typer.Option(min=0.0, help="Speed of the leader's tool.")] = 0.25,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot with the camera (default: the cell's first).", metavar="ROBOT")
+    ] = None,
+    leader: Annotated[
+        str | None,
+        typer.Option(help="Robot that is watched (default: the first other one).", metavar="ROBOT"),
+    ] = None,
+    leader_speed_m_s: Annotated[
+        float, typer.Option(min=0.0, help="Speed that the leader's tool is asked for.")
+    ] = 0.25,
+    stick_m_s2: Annotated[
+        float, typer.Option(min=0.1, help="Largest acceleration that the leader's tool is asked for.")
+    ] = 2.0,
     latency_s: Annotated[float, typer.Option(min=0.0, help="Time from command to motion.")] = 0.06,
     duration_s: Annotated[
         float | None,
@@ -87,7 +99,10 @@ def experiment(
     options = Options(
         cell=cell,
         controller=controller,
+        robot=robot,
+        leader=leader,
         leader_speed_m_s=leader_speed_m_s,
+        stick_m_s2=stick_m_s2,
         latency_s=latency_s,
         duration_s=duration_s,
         seed=seed,
@@ -106,7 +121,9 @@ def experiment(
             outcome = module.run(options)
     report = outcome.report.model_dump(mode="json")
     if figure is not None:
-        title = f"{name.value}, controller {controller}, leader at {leader_speed_m_s:g} m/s, seed {seed}"
+        reached = report["leader_reached_m_s"]
+        leads = f"{leader_speed_m_s:g} m/s asked, mean {reached['mean']:.2f}, peak {reached['peak']:.2f}"
+        title = f"{name.value}, controller {controller}, leader: {leads}, seed {seed}"
         draw(outcome.panels, title, figure)
     if json:
         print_json(report)

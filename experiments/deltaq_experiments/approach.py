@@ -8,19 +8,11 @@ import time
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel
-from deltaq_experiments.report import ExperimentOutcome, Figures, LeastClearance, Report
-from deltaq_experiments.scene import (
-    FOLLOWER,
-    LEADER,
-    VIEW_DISTANCE_M,
-    aim_arguments,
-    camera_controller,
-    camera_scene,
-    load,
-)
+from deltaq_experiments.report import ExperimentOutcome, Figures, LeastClearance, ReachedSpeed, Report
+from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load
 from deltaq_experiments.seen import SeenRun, seen, shares_of
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.trace import time_to_stay_below
@@ -66,35 +58,37 @@ def run(options: Options) -> ExperimentOutcome:
             start was found.
     """
     options = options.lasting(DURATION_S)
-    cell = load(options, "approach")
+    scene = load(options)
     began_s = time.perf_counter()
     runs = [
-        _run_from(options, cell, math.radians(error), options.seed + index)
+        _run_from(options, scene, math.radians(error), options.seed + index)
         for index, error in enumerate(START_ERRORS_DEG)
     ]
     elapsed_s = time.perf_counter() - began_s
-    return ExperimentOutcome(_report(options, cell, runs, elapsed_s), _panels(runs))
+    return ExperimentOutcome(_report(options, scene, runs, elapsed_s), _panels(runs))
 
 
 RunViews = tuple[RunRecord, Array, SeenRun]
 """A recording, (k, 2) view angle error [deg] and view distance [m], and what was seen."""
 
 
-def _run_from(options: Options, cell: CellModel, error: float, seed: int) -> RunViews:
-    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
-    start = start_with_error(cell, camera, error, seed)
+def _run_from(options: Options, scene: Scene, error: float, seed: int) -> RunViews:
+    camera = camera_controller(scene, options.controller)
+    start = start_with_error(scene, camera, error, seed)
     recording = (
-        _run_live(options, cell, start) if options.live else record(options, camera, start={FOLLOWER: start})
+        _run_live(options, scene, start)
+        if options.live
+        else record(options, camera, start={scene.robot_name: start})
     )
-    looks = seen(cell, recording.trace, camera_scene(cell, options).focus_at)
-    return recording, recording.trace.views(camera, FOLLOWER, LEADER), looks
+    looks = seen(scene, recording.trace, scene.focus_at)
+    return recording, recording.trace.views(camera, scene), looks
 
 
-def _run_live(options: Options, cell: CellModel, start: Array) -> RunRecord:
+def _run_live(options: Options, scene: Scene, start: Array) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     starting = ["--start", *(f"{value:.9f}" for value in start)]
-    return run_live(options, cell, [*starting, *aim_arguments(options)], leading=None)
+    return run_live(options, scene, [*starting, *aim_arguments(options)], leading=None)
 
 
 def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> ApproachStart:
@@ -111,26 +105,33 @@ def approach_of(time_s: Array, angle_deg: Array, distance_error_m: Array) -> App
     )
 
 
-def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: float) -> ApproachReport:
+def _report(options: Options, scene: Scene, runs: list[RunViews], elapsed_s: float) -> ApproachReport:
     starts = [
         approach_of(recording.trace.time_s, views[:, 0], views[:, 1] - VIEW_DISTANCE_M)
         for recording, views, _ in runs
     ]
     together = np.concatenate([views for _, views, _ in runs])
-    rolls = np.concatenate([np.abs(recording.trace.rolls(cell.robots[FOLLOWER])) for recording, _, _ in runs])
+    rolls = np.concatenate([np.abs(recording.trace.rolls(scene.robot)) for recording, _, _ in runs])
     everything = np.ones(len(together), dtype=np.bool_)
     times = [start.time_to_1_deg_s for start in starts]
-    clearances = [recording.trace.least_clearance(cell) for recording, _, _ in runs]
+    clearances = [recording.trace.least_clearance(scene.cell) for recording, _, _ in runs]
+    speeds = [recording.trace.reached_speed(scene.leader) for recording, _, _ in runs]
     nearest = min(clearances, key=lambda clearance: clearance.min)
     return ApproachReport(
         experiment="approach",
         controller=options.controller,
+        robot=scene.robot_name,
+        leader=scene.leader_name,
         seed=options.seed,
         live=options.live,
         cycles=len(together),
-        cycle_s=cell.description.cycle_s,
+        cycle_s=scene.cycle_s,
         latency_s=options.latency_s,
         leader_speed_m_s=0.0,
+        stick_m_s2=options.stick_m_s2,
+        leader_reached_m_s=ReachedSpeed(
+            mean=float(np.mean([speed.mean for speed in speeds])), peak=max(speed.peak for speed in speeds)
+        ),
         angle_deg=Figures.of(together[:, 0], everything),
         distance_m=Figures.of(np.abs(together[:, 1] - VIEW_DISTANCE_M), everything),
         roll_deg=Figures.of(rolls, everything),
@@ -142,7 +143,7 @@ def _report(options: Options, cell: CellModel, runs: list[RunViews], elapsed_s: 
             robots_min=min(clearance.robots_min for clearance in clearances),
             self_min=min(clearance.self_min for clearance in clearances),
         ),
-        limits=LimitCounts.sum(recording.trace.limit_counts(cell) for recording, _, _ in runs),
+        limits=LimitCounts.sum(recording.trace.limit_counts(scene.cell) for recording, _, _ in runs),
         gate=GateCounts.sum(recording.gate for recording, _, _ in runs),
         reasons={
             code: sum(recording.reasons.get(code, 0) for recording, _, _ in runs)

@@ -8,15 +8,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
 from deltaq_experiments.attack_starts import attack_start
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.pressure import Pressing
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M, camera_controller, load
+from deltaq_experiments.scene import VIEW_DISTANCE_M, camera_controller, load
 from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
 from deltaq_experiments.ungated import record_ungated
@@ -60,26 +60,25 @@ def run(options: Options) -> ExperimentOutcome:
             is no such target.
     """
     options = options.lasting(DURATION_S)
-    cell = load(options, "collision")
+    scene = load(options)
     if options.target not in TARGETS:
         raise DeltaqError(f"--target {options.target}: there are {', '.join(TARGETS)}")
-    leader_model = cell.robots[LEADER]
-    focus = leader_model.forward(leader_model.home)[:3, 3]
-    camera = camera_controller(cell, options.controller, focus=focus)
+    focus = scene.leader.forward(scene.leader.home)[:3, 3]
+    camera = camera_controller(scene, options.controller, focus=focus)
     _refuse_without_a_gate(options)
     began_s = time.perf_counter()
-    attacker = _attacker(options, cell)
-    run_live, run_virtual = partial(_run_live, options, cell, focus), partial(_run_virtual, options, cell)
+    attacker = _attacker(options, scene)
+    run_live, run_virtual = partial(_run_live, options, scene, focus), partial(_run_virtual, options, scene)
     recording = run_live() if options.live else run_virtual(camera, attacker)
     elapsed_s = time.perf_counter() - began_s
     trace = recording.trace
-    views = trace.views(camera, FOLLOWER, LEADER)
-    between = trace.robot_clearances(cell)
-    evading = trace.clearances(camera, FOLLOWER, LEADER) < camera.evades_below_m
+    views = trace.views(camera, scene)
+    between = trace.robot_clearances(scene.cell)
+    evading = trace.clearances(camera, scene) < camera.evades_below_m
     error = views[:, 1] - VIEW_DISTANCE_M
-    looks = seen(cell, trace, lambda _q_leader: focus)
+    looks = seen(scene, trace, lambda _q_leader: focus)
     report = CollisionReport(
-        **summary("collision", options, cell, recording, views[:, 0], error, looks, elapsed_s),
+        **summary("collision", options, scene, recording, views[:, 0], error, looks, elapsed_s),
         target=options.target,
         contacts=int((between <= 0.0).sum()),
         evading_share=float(evading.mean()),
@@ -101,25 +100,31 @@ def _refuse_without_a_gate(options: Options) -> None:
         raise DeltaqError("--no-gate runs without services: neither --live nor --record goes with it")
 
 
-def _attacker(options: Options, cell: CellModel) -> Pressing:
-    model, cycle_s = cell.robots[LEADER], cell.description.cycle_s
-    speed_m_s, seed, target = options.leader_speed_m_s, options.seed, options.target
-    leader = AttackingLeader(model, cell.robots[FOLLOWER], cycle_s, speed_m_s, seed, target)
-    return Pressing(leader, model, cycle_s)
+def _attacker(options: Options, scene: Scene) -> Pressing:
+    leader = AttackingLeader(
+        scene.leader,
+        scene.robot,
+        scene.cycle_s,
+        options.leader_speed_m_s,
+        options.seed,
+        options.target,
+        options.stick_m_s2,
+    )
+    return Pressing(leader, scene.leader, scene.cycle_s)
 
 
-def _run_virtual(options: Options, cell: CellModel, camera: FocusController, attacker: Pressing) -> RunRecord:
-    start = attack_start(cell, camera, options.seed)
+def _run_virtual(options: Options, scene: Scene, camera: FocusController, attacker: Pressing) -> RunRecord:
+    start = attack_start(scene, camera, options.seed)
     if options.gated:
         return record(options, camera, attacker, start)
-    return record_ungated(options, cell, camera, attacker, start)
+    return record_ungated(options, scene, camera, attacker, start)
 
 
-def _run_live(options: Options, cell: CellModel, focus: Array) -> RunRecord:
+def _run_live(options: Options, scene: Scene, focus: Array) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     following = ["--focus-m", *(f"{value:.9f}" for value in focus)]
-    return run_live(options, cell, following, ["--attack", FOLLOWER, "--target", options.target])
+    return run_live(options, scene, following, ["--attack", scene.robot_name, "--target", options.target])
 
 
 def _panels(

@@ -44,6 +44,10 @@ class FarWire(MessageWire):
         loss_share: of packets.
         spacing_s: between two packets.
         seed: of the random numbers.
+
+    Attributes:
+        lost: packets so far.
+        cut_until_s: time until which nothing passes; over TCP it comes afterwards.
     """
 
     def __init__(
@@ -62,13 +66,18 @@ class FarWire(MessageWire):
         self._under_way: list[tuple[float, int, Message]] = []
         self._latest_s = {True: 0.0, False: 0.0}
         self._number = count()
-        self.lost = 0
+        self.lost, self.cut_until_s = 0, 0.0
         self.link = _Due(self._under_way)
 
     def send(self, now_s: float, message: Message) -> None:
         """Put a message in."""
         due_s = now_s + self._delay_s + self._random.uniform(-self._jitter_s, self._jitter_s)
         is_datagram = self._datagrams and isinstance(message, _STREAMS)
+        if now_s < self.cut_until_s:
+            self.lost += 1
+            if is_datagram:
+                return
+            due_s = max(due_s, self.cut_until_s + self._again_s)
         while self._random.random() < self._loss_share:
             self.lost += 1
             if is_datagram:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.last_lines import LastLines
 from deltaq_experiments.options import Options
 from deltaq_experiments.scene import added_delay_cycles
@@ -33,29 +33,31 @@ START_S = 30.0
 
 
 def run_live(
-    options: Options, cell: CellModel, following: Sequence[str] = (), leading: Sequence[str] | None = ()
+    options: Options, scene: Scene, following: Sequence[str] = (), leading: Sequence[str] | None = ()
 ) -> RunRecord:
     """Start the cell's services, lead and follow, and end everything again.
 
     Args:
         options: with `length_s` known.
-        cell: the cell.
+        scene: who watches whom.
         following: further arguments of `deltaq_controllers.camera_follower`.
         leading: further arguments of `deltaq_controllers.leader`; None lets the leader stand.
 
     Raises:
         LaunchError: if a service does not come up, or dies, or the follower does not reach its start.
     """
-    description = cell.description
+    cell, description = scene.cell, scene.cell.description
     with tempfile.TemporaryDirectory() as folder:
         records = {name: Path(folder, f"{name}.csv") for name in cell.robots}
         services = [_recorded(service, records) for service in cell_services(description, str(options.cell))]
         leader, follower = demo_controllers(description)
-        view_delay_s = added_delay_cycles(cell, options.latency_s) * description.cycle_s
+        view_delay_s = added_delay_cycles(scene, options.latency_s) * scene.cycle_s
         follower = _with(follower, "--controller", options.controller, "--view-delay-s", f"{view_delay_s}")
+        follower = _with(follower, "--robot", scene.robot_name, "--leader", scene.leader_name)
         follower = _with(follower, "--duration-s", f"{options.length_s}", *following)
         if leading is not None:
             speed, seed = f"{options.leader_speed_m_s}", f"{options.seed}"
+            leader = _with(leader, "--robot", scene.leader_name, "--stick-m-s2", f"{options.stick_m_s2}")
             services.append(_with(leader, "--speed-m-s", speed, "--seed", seed, *leading))
         if options.record is not None:
             services.append(recorder(str(options.cell), str(not_there_yet(options.record))))

@@ -6,15 +6,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
+from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2
+
 
 @dataclass(frozen=True)
 class Options:
     """Options of one run.
 
     Attributes:
-        cell: name or file of a cell with robots `fr` (camera) and `gr` (leader).
+        cell: name or file of a cell in which a robot with a camera can watch another one.
         controller: name of the camera controller, or `package.module:function` of one's own.
-        leader_speed_m_s: largest speed of the leader's tool.
+        robot: the one with the camera; None for the cell's first.
+        leader: the one that is watched; None for the first other one, if there is one without a camera.
+        leader_speed_m_s: speed that the leader's tool is asked for.
+        stick_m_s2: largest acceleration that it is asked for.
         latency_s: from the leader's motion to the camera's, the drives' lag and the loop's own cycles
             included; the rest is added to the age of the measurement. The controller knows it.
         duration_s: length of the run; None for the experiment's own.
@@ -29,7 +34,10 @@ class Options:
 
     cell: str | Path = "lab"
     controller: str = "paper"
+    robot: str | None = None
+    leader: str | None = None
     leader_speed_m_s: float = 0.25
+    stick_m_s2: float = STICK_ACCELERATION_M_S2
     latency_s: float = 0.06
     duration_s: float | None = None
     seed: int = 0

@@ -1,6 +1,7 @@
 """A picture of a recording, with the gate's interventions.
 
-Of the paper's two robots it is Fig. 9, how well the camera kept the leader in view; of others, where their tools went.
+Of a robot with a camera and the one that it watches it is Fig. 9, how well the camera kept the leader in view; of
+others, where their tools went.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from deltaq_cell.cell_model import CellModel
+from deltaq_cell.roles import RoleError
+from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.figures import draw
 from deltaq_experiments.live import trace_of
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
-from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
+from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_experiments.tracking import panels
 from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
@@ -63,13 +67,22 @@ def panels_of(recording: Recording) -> tuple[FigurePanel, ...]:
         for name, at in bound.items()
     }
     cell = recording.cell()
-    camera = cell.robots[FOLLOWER].description.camera if FOLLOWER in cell.robots else None
-    if camera is None or not {FOLLOWER, LEADER} <= {state.robot for state in states}:
+    scene = _scene(cell)
+    both = () if scene is None else (scene.robot_name, scene.leader_name)
+    if scene is None or not set(both) <= {state.robot for state in states}:
         return tuple(_tool_path(name, states, times, marks) for name in cell.robots)
-    trace = trace_of(states, (FOLLOWER, LEADER), {})
-    views = trace.views(camera_controller(cell), FOLLOWER, LEADER)
-    first, *others = panels(cell, trace, views[:, 0], views[:, 1])
-    return (replace(first, marks=tuple(marks[name] for name in (FOLLOWER, LEADER) if name in marks)), *others)
+    trace = trace_of(states, both, {})
+    views = trace.views(camera_controller(scene), scene)
+    first, *others = panels(scene, trace, views[:, 0], views[:, 1])
+    return (replace(first, marks=tuple(marks[name] for name in both if name in marks)), *others)
+
+
+def _scene(cell: CellModel) -> Scene | None:
+    """Who watches whom; None in a cell without a camera, or without another robot."""
+    try:
+        return scene_of(cell)
+    except RoleError:
+        return None
 
 
 def _tool_path(

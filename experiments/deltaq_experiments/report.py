@@ -45,6 +45,17 @@ class LeastClearance(BaseModel):
     """Between two bodies of one robot."""
 
 
+class ReachedSpeed(BaseModel):
+    """Speed that the leader's tool reached after the settling time, whatever it was asked for [m/s]."""
+
+    model_config = ConfigDict(frozen=True)
+
+    mean: float
+    """Length of its path over the time."""
+    peak: float
+    """The largest over any 60 ms."""
+
+
 class SeenShares(BaseModel):
     """Shares of the time in which the camera saw its target, after the settling time."""
 
@@ -69,12 +80,20 @@ class Report(BaseModel):
 
     experiment: str
     controller: str
+    robot: str
+    """The one with the camera."""
+    leader: str
+    """The one that is watched."""
     seed: int
     live: bool
     cycles: int
     cycle_s: float
     latency_s: float
     leader_speed_m_s: float
+    """That its tool was asked for."""
+    stick_m_s2: float
+    """Largest acceleration that it was asked for."""
+    leader_reached_m_s: ReachedSpeed
     angle_deg: Figures
     distance_m: Figures
     roll_deg: Figures

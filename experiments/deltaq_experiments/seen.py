@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.visibility import Visibility, VisibilityGauge
 from deltaq_experiments.panels import Marks
 from deltaq_experiments.report import SeenShares
-from deltaq_experiments.scene import FOLLOWER, LEADER
 from deltaq_experiments.trace import Trace
 from deltaq_protocol.arrays import Array
 
@@ -60,18 +59,17 @@ def shares_of(looks: Sequence[Visibility]) -> SeenShares:
     )
 
 
-def seen(cell: CellModel, trace: Trace, target: Callable[[Array], Array]) -> SeenRun:
+def seen(scene: Scene, trace: Trace, target: Callable[[Array], Array]) -> SeenRun:
     """What the camera saw in a run.
 
     Args:
-        cell: the cell.
+        scene: who watches whom.
         trace: of its robots.
         target: (3,) point that is looked at, in the world, by the leader's configuration [m].
     """
-    gauge = VisibilityGauge(cell, FOLLOWER)
-    every = max(1, round(EVERY_S / cell.description.cycle_s))
+    gauge = VisibilityGauge(scene.cell, scene.robot_name)
+    every = max(1, round(EVERY_S / scene.cycle_s))
     indices = range(0, len(trace.time_s), every)
-    looks = [
-        gauge.look({name: q[k] for name, q in trace.q.items()}, target(trace.q[LEADER][k])) for k in indices
-    ]
+    q_leader = trace.q[scene.leader_name]
+    looks = [gauge.look({name: q[k] for name, q in trace.q.items()}, target(q_leader[k])) for k in indices]
     return SeenRun(trace.time_s[::every], looks)

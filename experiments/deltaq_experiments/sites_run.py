@@ -77,6 +77,11 @@ class Running:
             raise SiteError(f"{self._child.name} went on for {within_s:g} s:\n{self.text()}")
         return status
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it has ended by itself."""
+        return self._child.exited.is_set()
+
     def last_json(self) -> dict[str, Any]:
         """The last line that is a JSON object."""
         return dict(json.loads(next(line for line in reversed(self._child.lines) if line.startswith("{"))))

@@ -6,8 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
-from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_controllers.camera.scene import Scene
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.oracle import ClearanceOracle
@@ -35,11 +34,11 @@ class MeasuredView(Protocol):
         ...
 
 
-def start_with_error(cell: CellModel, camera: MeasuredView, error: float, seed: int) -> Array:
+def start_with_error(scene: Scene, camera: MeasuredView, error: float, seed: int) -> Array:
     """A configuration from which the camera misses the leader's tool at its home by a given angle.
 
     Args:
-        cell: the cell.
+        scene: who watches whom.
         camera: measures the view.
         error: the angle [rad].
         seed: of the search.
@@ -50,8 +49,9 @@ def start_with_error(cell: CellModel, camera: MeasuredView, error: float, seed: 
     Raises:
         DeltaqError: if none is found.
     """
-    robot, q_leader = cell.robots[FOLLOWER], cell.robots[LEADER].home
-    random, oracle = np.random.default_rng(seed), ClearanceOracle(cell)
+    robot, q_leader = scene.robot, scene.leader.home
+    at_home = {name: one.home for name, one in scene.cell.robots.items()}
+    random, oracle = np.random.default_rng(seed), ClearanceOracle(scene.cell)
     guard = 0.05 * (robot.upper - robot.lower)
     reach = np.resize(_REACH_RAD, robot.n)
     for _ in range(2000):
@@ -62,15 +62,15 @@ def start_with_error(cell: CellModel, camera: MeasuredView, error: float, seed: 
         distance = camera.errors(q, q_leader)[1] + camera.desired_distance_m
         if not DISTANCES_M[0] < distance < DISTANCES_M[1]:
             continue
-        both = {FOLLOWER: q, LEADER: q_leader}
+        places = at_home | {robot.name: q}
         if (
-            oracle.between_robots_and_structure(both).distance_m > 0.9 * LEAST_CLEARANCE_M
-            and oracle.between_robots(both).distance_m > LEAST_CLEARANCE_M
-            and oracle.of_one_robot(both).distance_m > LEAST_SELF_CLEARANCE_M
+            oracle.between_robots_and_structure(places).distance_m > 0.9 * LEAST_CLEARANCE_M
+            and oracle.between_robots(places).distance_m > LEAST_CLEARANCE_M
+            and oracle.of_one_robot(places).distance_m > LEAST_SELF_CLEARANCE_M
         ):
             return q
     raise DeltaqError(
-        f"no configuration of {FOLLOWER} looks {np.rad2deg(error):.0f} degrees past the leader's tool within its "
+        f"no configuration of {robot.name} looks {np.rad2deg(error):.0f} degrees past the leader's tool within its "
         "limits and clear of everything; try another --seed"
     )
 

@@ -16,13 +16,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
 from deltaq_controllers.interface import Controller, View
 from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
-from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
+from deltaq_experiments.scene import camera_controller, load
 from deltaq_experiments.virtual import record
 from deltaq_protocol.arrays import Array
 
@@ -82,18 +81,18 @@ def run(
     Returns:
         The percentiles on a quiet core, and those of one pass.
     """
-    cell = CellModel.load("lab")
-    leader_model, cycle_s = cell.robots[LEADER], cell.description.cycle_s
-    focus = leader_model.forward(leader_model.home)[:3, 3] if attacked else None
+    options = Options(duration_s=duration_s)
+    scene = load(options)
+    focus = scene.leader.forward(scene.leader.home)[:3, 3] if attacked else None
     leader: Controller = (
-        AttackingLeader(leader_model, cell.robots[FOLLOWER], cycle_s, speed_m_s)
+        AttackingLeader(scene.leader, scene.robot, scene.cycle_s, speed_m_s)
         if attacked
-        else ScriptedLeader(leader_model, cycle_s, speed_m_s)
+        else ScriptedLeader(scene.leader, scene.cycle_s, speed_m_s)
     )
-    listening = Listening(camera_controller(cell, name, focus=focus))
-    record(Options(duration_s=duration_s), listening, leader)
+    listening = Listening(camera_controller(scene, name, focus=focus))
+    record(options, listening, leader)
     times = [
-        seconds_of_steps(camera_controller(cell, name, focus=focus), listening.views) for _ in range(passes)
+        seconds_of_steps(camera_controller(scene, name, focus=focus), listening.views) for _ in range(passes)
     ]
     return percentiles_us(np.min(times, axis=0)), percentiles_us(times[0])
 

@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from deltaq_cell.cell_model import CellModel
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.camera.controllers import FocusController
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.camera.subtasks import LEVEL_RATIO, roll
-from deltaq_experiments.report import LeastClearance
+from deltaq_experiments.report import LeastClearance, ReachedSpeed
 from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import LimitCounts
 from deltaq_verification.oracle import ClearanceOracle, limit_violations
+
+PEAK_OVER_S = 0.06
+"""Time over which a speed counts: stamps of a live run are off by a part of a cycle."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +37,22 @@ class Trace:
     q: Mapping[str, Array]
     setpoints: Mapping[str, Array]
 
-    def views(self, camera: FocusController, robot: str, leader: str) -> Array:
+    def views(self, camera: FocusController, scene: Scene) -> Array:
         """(k, 2) view angle error [deg] and view distance [m] of the measured configurations.
 
         Args:
             camera: controller with the camera and its focus.
-            robot: the one with the camera.
-            leader: the one that is watched.
+            scene: who watches whom.
         """
-        pairs = zip(self.q[robot], self.q[leader], strict=True)
+        pairs = zip(self.q[scene.robot_name], self.q[scene.leader_name], strict=True)
         both: Array = np.array([camera.errors(q, q_leader) for q, q_leader in pairs])
         both *= np.array([180.0 / np.pi, 1.0])
         both[:, 1] += camera.desired_distance_m
         return both
 
-    def clearances(self, camera: FocusController, robot: str, leader: str) -> Array:
+    def clearances(self, camera: FocusController, scene: Scene) -> Array:
         """(k,) clearance as the controller measures it [m]."""
-        pairs = zip(self.q[robot], self.q[leader], strict=True)
+        pairs = zip(self.q[scene.robot_name], self.q[scene.leader_name], strict=True)
         return np.array([camera.clearance(q, q_leader) for q, q_leader in pairs])
 
     def near_limit(self, robot: RobotModel, share: float = 0.03) -> NDArray[np.bool_]:
@@ -73,6 +76,12 @@ class Trace:
         """(k, 3) the tool in the world [m]."""
         return np.array([robot.forward(q)[:3, 3] for q in self.q[robot.name]])
 
+    def reached_speed(self, robot: RobotModel, settle_s: float = 0.0) -> ReachedSpeed:
+        """How fast the tool went from `settle_s` on, or in all of a run that is shorter."""
+        settled = self.time_s >= settle_s
+        counted = settled if settled.sum() > 1 else np.ones_like(settled)
+        return reached_speed(self.time_s[counted], self.points(robot)[counted])
+
     def least_clearance(self, cell: CellModel) -> LeastClearance:
         """Measured by the oracle at every recorded time."""
         oracle = ClearanceOracle(cell)
@@ -94,6 +103,20 @@ class Trace:
             limit_violations(cell.robots[name], setpoints, cell.description.cycle_s)
             for name, setpoints in self.setpoints.items()
         )
+
+
+def reached_speed(time_s: Array, points: Array) -> ReachedSpeed:
+    """How fast a point went that was at `points` (k, 3) [m] at the times (k,) [s], two at least."""
+    way_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    later = np.searchsorted(time_s, time_s + PEAK_OVER_S - 1e-9)
+    first = np.flatnonzero(later < len(time_s))
+    if not first.size:  # a run shorter than that
+        first, later = np.array([0]), np.array([len(time_s) - 1])
+    last = later[first]
+    return ReachedSpeed(
+        mean=float(way_m[-1] / (time_s[-1] - time_s[0])),
+        peak=float(((way_m[last] - way_m[first]) / (time_s[last] - time_s[first])).max()),
+    )
 
 
 def time_to_stay_below(time_s: Array, values: Array, bound: float) -> float | None:

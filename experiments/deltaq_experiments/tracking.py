@@ -6,20 +6,12 @@ import time
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
+from deltaq_controllers.camera.scene import Scene
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import (
-    FOLLOWER,
-    LEADER,
-    VIEW_DISTANCE_M,
-    aim_arguments,
-    camera_controller,
-    camera_scene,
-    load,
-)
+from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load
 from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
 from deltaq_experiments.trace import Trace
@@ -35,44 +27,47 @@ def run(options: Options) -> ExperimentOutcome:
         DeltaqError: if the loop alone is slower than the latency asked for, or the cell has no such robots.
     """
     options = options.lasting(DURATION_S)
-    cell = load(options, "tracking")
+    scene = load(options)
     began_s = time.perf_counter()
-    recording = _run_live(options, cell) if options.live else _run_virtual(options, cell)
+    recording = _run_live(options, scene) if options.live else _run_virtual(options, scene)
     elapsed_s = time.perf_counter() - began_s
     trace = recording.trace
-    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
-    views = trace.views(camera, FOLLOWER, LEADER)
-    looks = seen(cell, trace, camera_scene(cell, options).focus_at)
+    views = trace.views(camera_controller(scene, options.controller), scene)
+    looks = seen(scene, trace, scene.focus_at)
     angle, error = views[:, 0], views[:, 1] - VIEW_DISTANCE_M
-    report = Report(**summary("tracking", options, cell, recording, angle, error, looks, elapsed_s))
-    return ExperimentOutcome(report, panels(cell, trace, angle, views[:, 1], (looks.hidden(),)))
+    report = Report(**summary("tracking", options, scene, recording, angle, error, looks, elapsed_s))
+    return ExperimentOutcome(report, panels(scene, trace, angle, views[:, 1], (looks.hidden(),)))
 
 
-def _run_virtual(options: Options, cell: CellModel) -> RunRecord:
-    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
-    speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
-    return record(options, camera, ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed))
+def _run_virtual(options: Options, scene: Scene) -> RunRecord:
+    return record(options, camera_controller(scene, options.controller), scripted_leader(options, scene))
 
 
-def _run_live(options: Options, cell: CellModel) -> RunRecord:
+def scripted_leader(options: Options, scene: Scene) -> ScriptedLeader:
+    """The leader that moves its tool about, as the options ask."""
+    speed, seed, stick = options.leader_speed_m_s, options.seed, options.stick_m_s2
+    return ScriptedLeader(scene.leader, scene.cycle_s, speed, seed, stick_m_s2=stick)
+
+
+def _run_live(options: Options, scene: Scene) -> RunRecord:
     from deltaq_experiments.live import run_live
 
-    return run_live(options, cell, aim_arguments(options))
+    return run_live(options, scene, aim_arguments(options))
 
 
 def panels(
-    cell: CellModel, trace: Trace, angle: np.ndarray, distance: np.ndarray, marks: tuple[Marks, ...] = ()
+    scene: Scene, trace: Trace, angle: np.ndarray, distance: np.ndarray, marks: tuple[Marks, ...] = ()
 ) -> tuple[FigurePanel, ...]:
     """The layout of Fig. 9.
 
     Args:
-        cell: that was recorded.
+        scene: who watches whom in what was recorded.
         trace: of both robots.
         angle: (k,) view angle error [deg].
         distance: (k,) view distance [m].
         marks: what is marked beside the angle.
     """
-    clock, p = trace.time_s, trace.points(cell.robots[LEADER])
+    clock, p = trace.time_s, trace.points(scene.leader)
     moved = p - p[0]
     size = np.linalg.norm(moved, axis=1)
     scaled = size * (float(angle.max()) / max(float(size.max()), 1e-9))

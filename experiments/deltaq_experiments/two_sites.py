@@ -20,7 +20,7 @@ from deltaq_cell.cell_model import CellModel
 from deltaq_emulator.faults import LinkFaults
 from deltaq_experiments.far_virtual import figures_of, follow_in_virtual_time
 from deltaq_experiments.live import trace_of
-from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_experiments.scene import scene_of
 from deltaq_experiments.sites_run import DELTAQ, SiteError, TwoSites, two_sites
 from deltaq_protocol import topics
 from deltaq_protocol.errors import DeltaqError
@@ -84,6 +84,8 @@ def _follow(given: argparse.Namespace, made: Sites, folder: Path) -> dict[str, A
         )  # fmt: skip
         if status := follower.wait(_TO_START_S + given.duration_s):
             raise SiteError(f"the follower ended with status {status}:\n{follower.text()}")
+        if leader.has_ended:
+            raise SiteError(f"the leader ended before the follower:\n{leader.text()}")
         cell_status = running.ask("status")
         leader.end()
         recorder.end()
@@ -102,17 +104,18 @@ def _figures(
         for one in Recording.open(record).messages([topics.STATE])
         if isinstance(one.message, RobotState)
     ]
-    trace = trace_of(states, (FOLLOWER, LEADER), {}, summary["began_s"], given.duration_s)
+    scene = scene_of(CellModel.load(running.file))
+    trace = trace_of(states, (scene.robot_name, scene.leader_name), {}, summary["began_s"], given.duration_s)
     robots = {name: robot["counters"] for name, robot in status["robots"].items()}
     return {
-        **figures_of(trace, CellModel.load(running.file), given),
+        **figures_of(trace, scene, given),
         "follower": {name: summary[name] for name in ("cycles", "unanswered", "gate", "reasons")},
         "admissions": {name: counters.get("admissions", 0) for name, counters in robots.items()},
     }
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Measure, and print one JSON object."""
+def options_of(argv: Sequence[str] | None = None) -> argparse.Namespace:
+    """The options of a command line; a wrong one ends the program with what is wrong."""
     parser = argparse.ArgumentParser(prog="python -m deltaq_experiments.two_sites", description=__doc__)
     parser.add_argument(
         "--delay-s", type=float, default=0.04, help="of a packet, each way (default: %(default)s)"
@@ -129,7 +132,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--controller", default="predictive", help="that follows (default: %(default)s)")
     parser.add_argument(
-        "--leader-speed-m-s", type=float, default=0.1, help="of its tool (default: %(default)s)"
+        "--leader-speed-m-s",
+        type=float,
+        default=0.1,
+        help="that its tool is asked for (default: %(default)s)",
     )
     parser.add_argument("--duration-s", type=float, default=30.0, help="to follow for (default: %(default)s)")
     parser.add_argument("--settle-s", type=float, default=5.0, help="that is left out (default: %(default)s)")
@@ -146,6 +152,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         parser.error("--leader-speed-m-s is more than 0, --jitter-s not negative")
     if given.delay_s < given.jitter_s:
         parser.error("--jitter-s: more than --delay-s, and no packet arrives before it was sent")
+    return given
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure, and print one JSON object."""
+    given = options_of(argv)
     asked = (
         "delay_s",
         "jitter_s",

@@ -11,11 +11,12 @@ import numpy as np
 from deltaq_controllers.held_back import HeldBack
 from deltaq_controllers.interface import Controller, RobotView, View
 from deltaq_experiments.options import Options
-from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles
+from deltaq_experiments.scene import added_delay_cycles, scene_of
 from deltaq_experiments.trace import Trace
 from deltaq_protocol.arrays import Array
 from deltaq_verification.counts import GateCounts
 from deltaq_verification.recorded import virtual_cell
+from deltaq_verification.virtual_cell.arm import KrcArm
 from deltaq_verification.virtual_cell.cell import VirtualCell
 
 
@@ -45,8 +46,8 @@ def record(
 ) -> RunRecord:
     """Run the whole stack in virtual time.
 
-    The camera controller sees its own robot's newest state and the leader's as old as the latency wants it; the
-    leader sees both robots' newest.
+    The camera controller sees its own robot's newest state and the others' as old as the latency wants it; the
+    leader sees the newest of all. Robots that neither watch nor are watched stand where they start.
 
     Args:
         options: with `length_s` known.
@@ -69,12 +70,13 @@ def _run(
     leader: Controller | None,
     before_cycle: Callable[[float], None] | None,
 ) -> RunRecord:
-    cycle_s = stack.cell.description.cycle_s
-    late_camera = HeldBack(camera, added_delay_cycles(stack.cell, options.latency_s))
+    scene = scene_of(stack.cell, options)
+    cycle_s = scene.cycle_s
+    late_camera = HeldBack(camera, added_delay_cycles(scene, options.latency_s))
     stack.run_until_ready()
-    stack.acquire(FOLLOWER, "camera-follower")
+    stack.acquire(scene.robot_name, "camera-follower")
     if leader is not None:
-        stack.acquire(LEADER, "scripted-leader")
+        stack.acquire(scene.leader_name, "scripted-leader")
     q: dict[str, list[Array]] = {name: [] for name in stack.arms}
     setpoints: dict[str, list[Array]] = {name: [] for name in stack.arms}
     verdicts: dict[str, Counter[str]] = defaultdict(Counter)
@@ -83,17 +85,17 @@ def _run(
         stack.cycle()
         if before_cycle is not None:
             before_cycle(cycle * cycle_s)
-        own, other = (RobotView.from_state(stack.states[name]) for name in (FOLLOWER, LEADER))
-        asked = {FOLLOWER: late_camera.increment(View(own, {LEADER: other}))}
+        views = {name: RobotView.from_state(state) for name, state in stack.states.items()}
+        asked = {scene.robot_name: late_camera.increment(view_of(views, scene.robot_name))}
         if leader is not None:
-            asked = {LEADER: leader.increment(View(other, {FOLLOWER: own})), **asked}
+            asked = {scene.leader_name: leader.increment(view_of(views, scene.leader_name)), **asked}
         for name, dq in asked.items():
             verdict = stack.ask(name, dq)
             if verdict is not None:
                 verdicts[name][verdict.outcome] += 1
-        for name, arm in stack.krc_arms.items():
-            q[name].append(arm.krc.sample.q)
-            setpoints[name].append(arm.krc.sample.q_setpoint)
+        for name, arm in stack.arms.items():
+            q[name].append(arm.q)
+            setpoints[name].append(arm.krc.sample.q_setpoint if isinstance(arm, KrcArm) else arm.q)
     trace = Trace(
         np.arange(cycles, dtype=np.float64) * cycle_s,
         {name: np.array(rows) for name, rows in q.items()},
@@ -103,3 +105,8 @@ def _run(
     reasons = {k.removeprefix("reason_"): v for k, v in counters.items() if k.startswith("reason_")}
     by_robot = {name: GateCounts.of(counts) for name, counts in verdicts.items()}
     return RunRecord(trace, GateCounts.of(counters), reasons, by_robot)
+
+
+def view_of(views: Mapping[str, RobotView], robot: str) -> View:
+    """What the controller of a robot sees: its own robot, and the others."""
+    return View(views[robot], {name: view for name, view in views.items() if name != robot})

@@ -9,23 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.controllers import FocusController
-from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_controllers.camera.scene import Scene
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.report import ExperimentOutcome, Report
-from deltaq_experiments.scene import (
-    FOLLOWER,
-    LEADER,
-    VIEW_DISTANCE_M,
-    aim_arguments,
-    camera_controller,
-    camera_scene,
-    load,
-)
+from deltaq_experiments.scene import VIEW_DISTANCE_M, aim_arguments, camera_controller, load
 from deltaq_experiments.seen import seen
 from deltaq_experiments.summary import summary
+from deltaq_experiments.tracking import scripted_leader
 from deltaq_experiments.virtual import RunRecord, record
 from deltaq_protocol.arrays import Array
 
@@ -85,20 +77,20 @@ def run(options: Options) -> ExperimentOutcome:
         DeltaqError: if the loop alone is slower than the latency asked for, or the cell has no such robots.
     """
     options = options.lasting(DURATION_S)
-    cell = load(options, "zoom")
+    scene = load(options)
     hold_s = options.length_s / len(DISTANCES_M)
-    camera = camera_controller(cell, options.controller, aim_offset_m=options.aim_offset_m)
+    camera = camera_controller(scene, options.controller)
     began_s = time.perf_counter()
     recording = (
-        _run_live(options, cell, hold_s) if options.live else _run_virtual(options, cell, camera, hold_s)
+        _run_live(options, scene, hold_s) if options.live else _run_virtual(options, scene, camera, hold_s)
     )
     elapsed_s = time.perf_counter() - began_s
-    views = _views(cell, recording, camera, hold_s)
+    views = _views(scene, recording, camera, hold_s)
     error = views.distance_m - views.desired_m
     clock = recording.trace.time_s
-    looks = seen(cell, recording.trace, camera_scene(cell, options).focus_at)
+    looks = seen(scene, recording.trace, scene.focus_at)
     report = ZoomReport(
-        **summary("zoom", options, cell, recording, views.angle_deg, error, looks, elapsed_s),
+        **summary("zoom", options, scene, recording, views.angle_deg, error, looks, elapsed_s),
         plateaus=tuple(
             plateau(views, clock, index * hold_s, (index + 1) * hold_s) for index in range(len(DISTANCES_M))
         ),
@@ -106,21 +98,19 @@ def run(options: Options) -> ExperimentOutcome:
     return ExperimentOutcome(report, _panels(clock, views, looks.hidden()))
 
 
-def _run_virtual(options: Options, cell: CellModel, camera: FocusController, hold_s: float) -> RunRecord:
+def _run_virtual(options: Options, scene: Scene, camera: FocusController, hold_s: float) -> RunRecord:
     def turn_the_dial(time_s: float) -> None:
         camera.desired_distance_m = desired_at(time_s, hold_s)
 
-    speed, cycle_s = options.leader_speed_m_s, cell.description.cycle_s
-    leader = ScriptedLeader(cell.robots[LEADER], cycle_s, speed, options.seed)
-    return record(options, camera, leader, before_cycle=turn_the_dial)
+    return record(options, camera, scripted_leader(options, scene), before_cycle=turn_the_dial)
 
 
-def _run_live(options: Options, cell: CellModel, hold_s: float) -> RunRecord:
+def _run_live(options: Options, scene: Scene, hold_s: float) -> RunRecord:
     from deltaq_experiments.live import run_live
 
     distances = [f"{distance:g}" for distance in DISTANCES_M]
     zooming = ["--hold-s", f"{hold_s}", "--distances-m", *distances]
-    return run_live(options, cell, [*zooming, *aim_arguments(options)])
+    return run_live(options, scene, [*zooming, *aim_arguments(options)])
 
 
 def desired_at(time_s: float, hold_s: float) -> float:
@@ -156,15 +146,15 @@ def _why(near_limit: NDArray[np.bool_], evading: NDArray[np.bool_], on_average: 
     return " and ".join(found) if found else "the arm reaches no farther, or the camera is still on its way"
 
 
-def _views(cell: CellModel, recording: RunRecord, camera: FocusController, hold_s: float) -> Views:
+def _views(scene: Scene, recording: RunRecord, camera: FocusController, hold_s: float) -> Views:
     trace = recording.trace
-    views = trace.views(camera, FOLLOWER, LEADER)
+    views = trace.views(camera, scene)
     return Views(
         views[:, 0],
         views[:, 1],
         np.array([desired_at(time_s, hold_s) for time_s in trace.time_s]),
-        trace.near_limit(cell.robots[FOLLOWER]),
-        trace.clearances(camera, FOLLOWER, LEADER) < camera.evades_below_m,
+        trace.near_limit(scene.robot),
+        trace.clearances(camera, scene) < camera.evades_below_m,
     )
 
 

@@ -70,6 +70,7 @@ def test_where_nobody_serves_both_say_so_and_exit_with_3() -> None:
         (FOLLOWER, ("--robot", "gr", "--leader", "fr"), "'gr' has no camera"),
         pytest.param(FOLLOWER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr", marks=pytest.mark.nightly),
         (LEADER, ("--speed-m-s", "-1"), "speed_m_s"),
+        pytest.param(LEADER, ("--robot", "xx"), "no robot 'xx'; it has fr, gr", marks=pytest.mark.nightly),
     ],
 )
 def test_what_the_cell_cannot_do_is_said_and_ends_with_2(
@@ -129,6 +130,7 @@ def test_the_camera_follows_the_leader_over_real_processes_and_both_end_when_tol
             process.communicate()
     assert followed["controller"] == "paper"
     assert led["controller"] == "leader"
+    assert led["robot"] == "gr", "the one that the cell's camera watches"
     for summary in (followed, led):
         counts = summary["gate"]
         assert isinstance(counts, dict)

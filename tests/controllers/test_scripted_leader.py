@@ -5,6 +5,7 @@ from closed_loop import CYCLE_S, lab, limit_violations
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, RobotView, View
 from deltaq_controllers.kinematics import Kinematics
+from deltaq_controllers.leader.attacking import AttackingLeader
 from deltaq_controllers.leader.scripted import Joystick, ScriptedLeader, Workspace
 from deltaq_verification.oracle import ClearanceOracle
 
@@ -65,6 +66,19 @@ def test_a_fast_leader_keeps_its_limits_too(speed_m_s: float) -> None:
     assert 0.8 * speed_m_s < speed.max() < 1.01 * speed_m_s
 
 
+@pytest.mark.long
+def test_a_stick_that_accelerates_harder_is_followed_as_far_as_the_joints_can() -> None:
+    means, accelerations = [], []
+    for stick_m_s2 in (2.0, 8.0):
+        leader = ScriptedLeader(GR, CYCLE_S, 0.5, 0, stick_m_s2=stick_m_s2)
+        velocity = np.diff(lead(leader, 15.0)[1], axis=0) / CYCLE_S
+        means.append(np.linalg.norm(velocity, axis=1).mean())
+        accelerations.append(np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / CYCLE_S)
+    assert accelerations[0] < 2.1
+    assert accelerations[1] > 3.5
+    assert means[1] > 1.03 * means[0]
+
+
 @pytest.mark.nightly
 def test_around_its_home_in_the_lab_the_leader_stays_clear_of_everything() -> None:
     cell, oracle = lab(), ClearanceOracle(lab())
@@ -94,6 +108,14 @@ def test_a_leader_without_speed_stands_still() -> None:
 def test_a_speed_that_is_none_is_refused(speed_m_s: float) -> None:
     with pytest.raises(ControllerError, match="speed_m_s must be a finite number"):
         ScriptedLeader(GR, CYCLE_S, speed_m_s)
+
+
+@pytest.mark.parametrize("stick_m_s2", [0.0, -1.0, float("nan"), float("inf")])
+def test_an_acceleration_that_is_none_is_refused(stick_m_s2: float) -> None:
+    with pytest.raises(ControllerError, match=r"stick_m_s2 must be a finite number of m/s\^2 above 0"):
+        ScriptedLeader(GR, CYCLE_S, stick_m_s2=stick_m_s2)
+    with pytest.raises(ControllerError, match="stick_m_s2"):
+        AttackingLeader(GR, lab().robots["fr"], CYCLE_S, stick_m_s2=stick_m_s2)
 
 
 def test_a_box_that_is_none_is_refused() -> None:

@@ -29,9 +29,9 @@ from deltaq_experiments.figures import draw
 from deltaq_experiments.options import Options
 from deltaq_experiments.panels import Curve, FigurePanel, Marks
 from deltaq_experiments.pressure import Pressing
-from deltaq_experiments.scene import camera_controller
+from deltaq_experiments.scene import camera_controller, load
 from deltaq_experiments.seen import SeenRun
-from deltaq_experiments.trace import Trace, time_to_stay_below
+from deltaq_experiments.trace import Trace, reached_speed, time_to_stay_below
 from deltaq_protocol.arrays import Array
 from deltaq_protocol.errors import DeltaqError
 from deltaq_verification.oracle import ClearanceOracle
@@ -98,7 +98,26 @@ def test_tracking_is_one_run_a_seed_and_draws_three_panels() -> None:
     assert first.report.seen.by_all_eyes == 0.0
     assert list(first.report.seen.bodies) == ["gr/tool_finger_1"], "which is nearer to the camera"
     assert first.report.angle_deg.max < 0.9
+    reached = first.report.leader_reached_m_s
+    assert 0.0 < reached.mean < reached.peak <= first.report.leader_speed_m_s == 0.5
     assert sum(first.report.limits.model_dump().values()) == 0
+
+
+def test_the_speed_that_was_reached_is_the_path_over_the_time_and_the_most_of_any_60_ms() -> None:
+    time_s = 0.012 * np.arange(101)
+    speed = np.where(time_s < 0.6, 0.5, 0.1)[:-1]
+    along = np.concatenate([[0.0], np.cumsum(0.012 * speed)])
+    points = np.outer(along, [0.6, 0.0, 0.8])
+    told = reached_speed(time_s, points)
+    assert told.mean == pytest.approx(0.3)
+    assert told.peak == pytest.approx(0.5)
+    # there and back is a way too, and a stamp that is 2 ms off makes no peak
+    late = time_s.copy()
+    late[20] += 0.002
+    assert reached_speed(late, points).peak == pytest.approx(0.5, rel=0.04)
+    there_and_back = np.outer(np.abs(along - along[50]), [1.0, 0.0, 0.0])
+    assert reached_speed(time_s, there_and_back).mean == pytest.approx(0.3)
+    assert reached_speed(time_s[:3], points[:3]).peak == pytest.approx(0.5), "a run of less than 60 ms"
 
 
 def test_what_was_seen_is_told_as_shares_of_the_time() -> None:
@@ -213,10 +232,10 @@ def test_the_pressure_of_an_attack_is_the_share_of_the_time_in_which_its_tool_mo
 @pytest.mark.long
 @pytest.mark.parametrize("cell_name", CELLS)
 def test_an_attack_begins_elsewhere_with_every_seed_and_clear_of_everything(cell_name: str) -> None:
-    cell = CellModel.load(cell_name)
-    camera = camera_controller(cell, "paper")
-    starts = [attack_start(cell, camera, seed) for seed in (0, 1, 0)]
-    oracle = ClearanceOracle(cell)
+    scene = load(Options(cell=cell_name))
+    camera = camera_controller(scene, "paper")
+    starts = [attack_start(scene, camera, seed) for seed in (0, 1, 0)]
+    oracle = ClearanceOracle(scene.cell)
     assert all(oracle.between_robots_and_structure(start).distance_m > 0.05 for start in starts)
     for robot in ("fr", "gr"):
         assert np.abs(starts[0][robot] - starts[1][robot]).max() > 0.05
@@ -258,6 +277,7 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
         "angle_deg": {"max": 0.9, "rms": 0.5},
         "distance_m": {"max": 0.02, "rms": 0.01},
         "roll_deg": {"max": 3.0},
+        "leader_reached_m_s": {"mean": 0.21, "peak": 0.25},
         "seen": {"by_all_eyes": 0.5},
     }
     bad = good | {"angle_deg": {"max": 1.3, "rms": 0.5}}
@@ -265,7 +285,8 @@ def test_the_page_says_of_each_claim_whether_it_holds() -> None:
     text = page(CAMERA, [ClaimOutcome(claim, reports[:2]), ClaimOutcome(claim, reports)])
     assert "| 2 of 2 |" in text
     assert "| **2 of 3**, not 2 |" in text
-    assert "| angle 0.90°, angle rms 0.50°, distance 2.0 cm, roll 3°, seen 50 % | angle 1.30° (2)," in text
+    shown = "angle 0.90°, angle rms 0.50°, distance 2.0 cm, leader's mean 0.21 m/s, peak 0.25 m/s, roll 3°"
+    assert f"| {shown}, seen 50 % | angle 1.30° (2)," in text
     assert "`deltaq experiment tracking --controller paper --duration-s 20`" in text
     assert "Each row has 2 to 3 runs" in text
     assert "Where a row has fewer than 10 runs, there was no time for more" in text
@@ -309,7 +330,13 @@ def test_a_series_that_was_interrupted_goes_on_where_it_was(
 
     def made(_claim: Claim, seed: int, _picture: Path | None) -> dict[str, object]:
         ran.append(seed)
-        return report | {"seed": seed, "seen": {"by_all_eyes": 0.5}, "limits": {}}
+        reached = {"mean": 0.21, "peak": 0.25}
+        return report | {
+            "seed": seed,
+            "leader_reached_m_s": reached,
+            "seen": {"by_all_eyes": 0.5},
+            "limits": {},
+        }
 
     monkeypatch.setattr("deltaq_experiments.claims.__main__.run", made)
     arguments = ["--root", str(tmp_path), "--reports", str(tmp_path / "reports"), "--seeds"]

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from deltaq_experiments import two_sites
 from deltaq_experiments.far_controller import FarWire
+from deltaq_experiments.far_virtual import follow_in_virtual_time
 from deltaq_protocol.messages import Increment, StopRequest
+from deltaq_verification.virtual_cell.cell import VirtualCell
 
 FAST = ["--virtual", "--duration-s", "4", "--settle-s", "2"]
+CUT_CYCLES = 167
+"""Of 12 ms: two seconds."""
 NO_VIOLATION = {"position_violations": 0, "velocity_violations": 0, "acceleration_violations": 0}
 
 
@@ -48,6 +54,34 @@ def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
     assert min(told["admission_rate"].values()) > 0.9
     if seed == "3":
         assert figures(capsys, *link) == told
+
+
+@pytest.mark.long
+def test_controllers_that_are_cut_off_for_two_seconds_lose_their_robots_at_rest_and_clear_of_one_another() -> (
+    None
+):
+    """With datagrams, that is: an increment under way when the link is cut is lost, and none comes late."""
+    given = two_sites.options_of(
+        ["--virtual", "--controller", "qp", "--delay-s", "0.03", "--jitter-s", "0.01", "--loss-share", "0.01",
+         "--leader-speed-m-s", "0.25", "--duration-s", "5", "--settle-s", "1"]
+    )  # fmt: skip
+    setpoints: list[list[float]] = []
+
+    def cut(stack: VirtualCell, wires: Sequence[FarWire]) -> None:
+        if len(setpoints) == CUT_CYCLES:
+            for wire in wires:
+                wire.cut_until_s = stack.now_s + 2.0
+        setpoints.append([float(q) for arm in stack.krc_arms.values() for q in arm.krc.sample.q_setpoint])
+
+    told = follow_in_virtual_time(given, cut)
+    assert told["messages_lost"] > 100
+    assert set(told["phases"].values()) == {"held"}
+    assert set(told["reasons"].values()) == {"controller_lost"}
+    assert told["limits"] == NO_VIOLATION
+    assert told["robots_clearance_m"] >= 0.05
+    moved = [before != after for before, after in pairwise(setpoints)]
+    assert all(moved[CUT_CYCLES // 2 : CUT_CYCLES])
+    assert not any(moved[2 * CUT_CYCLES :])
 
 
 def test_a_wire_keeps_the_order_and_a_loss_holds_up_what_is_behind_it() -> None:

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
 
 from deltaq_cell.cell_model import CellModel
-from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
+from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_experiments.training import ENVIRONMENT, speed
 from deltaq_experiments.training.environment import CameraEnvironment
 from deltaq_experiments.training.task import CameraTask, ViewErrors
@@ -32,7 +32,7 @@ def env() -> CameraEnvironment:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"cell": "dawm"}, "the camera environment needs robots fr and gr, cell dawm has dawm"),
+        ({"cell": "dawm"}, "no robot of cell dawm carries a camera"),
         ({"duration_s": 0.0}, "duration_s must be a finite time above 0 s, got 0.0"),
         ({"duration_s": float("nan")}, "duration_s must be a finite time above 0 s, got nan"),
         ({"start_error_deg": 181.0}, "start_error_deg must be above 0 and at most 150, got 181.0"),
@@ -109,13 +109,12 @@ def test_an_episode_is_as_long_as_its_time_and_every_increment_has_a_verdict(env
 @pytest.mark.long
 def test_the_reward_is_that_of_the_view_that_the_experiments_measure(env: CameraEnvironment) -> None:
     env.reset(seed=1)
-    cell = CellModel.load("lab")
-    camera = camera_controller(cell)
+    camera = camera_controller(scene_of(CellModel.load("lab")))
     for _ in range(3):
         observation, reward, *_, info = env.step(np.full(6, 0.05))
-        q = {name: np.array(env.episode.stack.states[name].q) for name in (FOLLOWER, LEADER)}
-        angle, distance = camera.errors(q[FOLLOWER], q[LEADER])
-        np.testing.assert_array_equal(observation["own"]["q"], q[FOLLOWER])
+        q = {name: np.array(env.episode.stack.states[name].q) for name in ("fr", "gr")}
+        angle, distance = camera.errors(q["fr"], q["gr"])
+        np.testing.assert_array_equal(observation["own"]["q"], q["fr"])
         assert (info["angle_rad"], info["distance_m"]) == pytest.approx((angle, distance))
         assert reward == pytest.approx(-angle - abs(distance))
     assert ViewErrors(0.0, -0.5).reward == -0.5
@@ -123,10 +122,10 @@ def test_the_reward_is_that_of_the_view_that_the_experiments_measure(env: Camera
 
 @pytest.mark.long
 def test_a_start_is_where_it_was_asked_for_or_as_far_off_as_it_may(env: CameraEnvironment) -> None:
-    home = CellModel.load("lab").robots[FOLLOWER].home
+    home = CellModel.load("lab").robots["fr"].home
     observation, _ = env.reset(seed=0, options={"start": home})
     np.testing.assert_allclose(observation["own"]["q"], home, atol=1e-5)
-    task = CameraTask(CellModel.load("lab"))
+    task = CameraTask(scene_of(CellModel.load("lab")))
     for seed in range(3):
         observation, info = env.reset(seed=seed)
         assert np.pi / 6 - 0.01 < info["angle_rad"] < np.pi / 3 + 0.01

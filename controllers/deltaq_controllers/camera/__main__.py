@@ -37,11 +37,14 @@ def compile_ahead(names: Sequence[str]) -> Sequence[str]:
     # heavy packages are imported only if something is left to do
     from deltaq_cell.cell_model import CellModel
     from deltaq_cell.compiled import told_of_compiling
+    from deltaq_cell.roles import camera_roles
     from deltaq_controllers.camera.controllers import NAMES, camera_controller_named
     from deltaq_controllers.camera.scene import Scene
 
     chosen = [name for name in NAMES if not names or name in names]
-    scene = Scene(CellModel.load("lab"), robot_name="fr", leader_name="gr")
+    cell = CellModel.load("lab")
+    roles = camera_roles(cell.description)
+    scene = Scene(cell, roles.follower, roles.leader)
     with told_of_compiling(lambda function: print(f"compiling {function}", flush=True)):
         for name in chosen:
             camera_controller_named(name, scene, distance_m=1.25)

@@ -7,9 +7,11 @@ import asyncio
 import contextlib
 import logging
 
+from deltaq_cell.load import parse_cell
+from deltaq_cell.roles import camera_roles
 from deltaq_controllers.interface import Controller
 from deltaq_controllers.leader.attacking import TARGETS, AttackingLeader
-from deltaq_controllers.leader.scripted import ScriptedLeader
+from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2, ScriptedLeader
 from deltaq_controllers.live import drive, model_of, robot_models, run
 from deltaq_controllers.statistics import ControlStatistics
 from deltaq_protocol import connect
@@ -22,15 +24,25 @@ async def lead(options: argparse.Namespace, statistics: ControlStatistics) -> No
     """Connect and lead for as long as asked."""
     async with connect(options.url, client="scripted-leader") as cell:
         models, cycle_s = robot_models(cell.description), cell.description.cycle_s
+        if options.robot is None:
+            options.robot = camera_roles(parse_cell(cell.description.yaml, cell.description.cell)).leader
         model = model_of(models, options.robot)
         controller: Controller
         if options.attack is None:
-            controller = ScriptedLeader(model, cycle_s, options.speed_m_s, options.seed)
+            controller = ScriptedLeader(
+                model, cycle_s, options.speed_m_s, options.seed, stick_m_s2=options.stick_m_s2
+            )
             does = "leads"
         else:
             victim = model_of(models, options.attack)
             controller = AttackingLeader(
-                model, victim, cycle_s, options.speed_m_s, options.seed, options.target
+                model,
+                victim,
+                cycle_s,
+                options.speed_m_s,
+                options.seed,
+                options.target,
+                options.stick_m_s2,
             )
             does = f"attacks {options.attack}"
         _log.info("ready: %s %s at %g m/s", options.robot, does, options.speed_m_s)
@@ -46,8 +58,16 @@ def main() -> int:
         description="Move a robot's tool about like an operator would; one JSON line of counts at the end.",
     )
     parser.add_argument("--url", default=DEFAULT_ADDRESS, help="where the HLI serves (default: %(default)s)")
-    parser.add_argument("--robot", default="gr", help="robot to lead with (default: %(default)s)")
+    parser.add_argument(
+        "--robot", help="robot to lead with (default: the one that the cell's camera watches)"
+    )
     parser.add_argument("--speed-m-s", type=float, default=0.25, help="tool speed (default: %(default)s)")
+    parser.add_argument(
+        "--stick-m-s2",
+        type=float,
+        default=STICK_ACCELERATION_M_S2,
+        help="largest acceleration of the tool that the operator asks for (default: %(default)s)",
+    )
     parser.add_argument("--seed", type=int, default=0, help="one seed is one motion (default: %(default)s)")
     parser.add_argument("--attack", metavar="ROBOT", help="a robot to run into, again and again")
     parser.add_argument(
@@ -59,7 +79,7 @@ def main() -> int:
         lead(options, statistics),
         lambda: {"controller": "leader", "robot": options.robot, **statistics.summary()},
         "leader",
-        options.robot,
+        options.robot or "",
     )
 
 

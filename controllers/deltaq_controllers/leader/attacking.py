@@ -13,7 +13,12 @@ import numpy as np
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.interface import ControllerError, View
 from deltaq_controllers.kinematics import Kinematics
-from deltaq_controllers.leader.scripted import STICK_ACCELERATION_M_S2, ScriptedLeader, Workspace
+from deltaq_controllers.leader.scripted import (
+    STICK_ACCELERATION_M_S2,
+    ScriptedLeader,
+    Workspace,
+    acceleration_of_stick,
+)
 from deltaq_protocol.arrays import Array
 
 TARGETS = ("lens", "wrist", "elbow", "all")
@@ -28,14 +33,18 @@ class HomingStick:
     Args:
         speed_m_s: speed that the operator keeps [m/s].
         cycle_s: time between two calls [s].
+        acceleration_m_s2: largest acceleration that is asked for [m/s^2].
 
     Attributes:
         point: (3,) where to [m].
         velocity: (3,) the last velocity [m/s].
     """
 
-    def __init__(self, speed_m_s: float, cycle_s: float) -> None:
+    def __init__(
+        self, speed_m_s: float, cycle_s: float, acceleration_m_s2: float = STICK_ACCELERATION_M_S2
+    ) -> None:
         self._speed, self._cycle_s = speed_m_s, cycle_s
+        self._acceleration = acceleration_of_stick(acceleration_m_s2)
         self.point: Array | None = None
         self.velocity: Array = np.zeros(3)
 
@@ -46,9 +55,9 @@ class HomingStick:
             way = self.point - position
             far = float(np.linalg.norm(way))
             # the speed from which the tool can still stop at the point
-            wanted = (min(self._speed, np.sqrt(2.0 * STICK_ACCELERATION_M_S2 * far)) / max(far, 1e-9)) * way
+            wanted = (min(self._speed, np.sqrt(2.0 * self._acceleration * far)) / max(far, 1e-9)) * way
         change = wanted - self.velocity
-        size, largest = float(np.linalg.norm(change)), STICK_ACCELERATION_M_S2 * self._cycle_s
+        size, largest = float(np.linalg.norm(change)), self._acceleration * self._cycle_s
         self.velocity = wanted if size <= largest else self.velocity + (largest / size) * change
         return self.velocity
 
@@ -72,6 +81,7 @@ class AttackingLeader:
         speed_m_s: speed of the tool [m/s].
         seed: of the points that the attacks come from.
         target: one of `TARGETS`; `lens` needs a victim with a camera.
+        stick_m_s2: largest acceleration of the tool that is asked for [m/s^2].
 
     Attributes:
         attacking: whether it attacks; else it withdraws.
@@ -86,11 +96,12 @@ class AttackingLeader:
         speed_m_s: float = 0.25,
         seed: int = 0,
         target: str = "lens",
+        stick_m_s2: float = STICK_ACCELERATION_M_S2,
     ) -> None:
         if target not in TARGETS:
             raise ControllerError(f"target must be one of {', '.join(TARGETS)}, got {target!r}")
         self._victim, self._cycle_s, self.speed_m_s = victim, cycle_s, speed_m_s
-        self._stick = HomingStick(speed_m_s, cycle_s)
+        self._stick = HomingStick(speed_m_s, cycle_s, stick_m_s2)
         self._leader = ScriptedLeader(model, cycle_s, speed_m_s, seed, stick=self._stick)
         self._random = np.random.default_rng(seed)
         self._targets = cycle(TARGETS[:3] if target == "all" else (target,))

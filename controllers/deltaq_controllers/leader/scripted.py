@@ -19,7 +19,7 @@ from deltaq_controllers.limits import IncrementLimits
 from deltaq_protocol.arrays import Array
 
 STICK_ACCELERATION_M_S2 = 2.0
-"""Largest acceleration of the tool that the operator asks for [m/s^2]."""
+"""Largest acceleration of the tool that the operator asks for, unless told otherwise [m/s^2]."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,17 @@ class Stick(Protocol):
         ...
 
 
+def acceleration_of_stick(stick_m_s2: float) -> float:
+    """An acceleration that can be asked for, as given [m/s^2].
+
+    Raises:
+        ControllerError: it cannot be.
+    """
+    if not 0.0 < stick_m_s2 < np.inf:
+        raise ControllerError(f"stick_m_s2 must be a finite number of m/s^2 above 0, got {stick_m_s2}")
+    return stick_m_s2
+
+
 class Joystick:
     """Tool velocities as an operator's stick gives them.
 
@@ -67,12 +78,20 @@ class Joystick:
         seed: seed of the points steered to.
         workspace: box that the points lie in.
         cycle_s: time between two calls [s].
+        acceleration_m_s2: largest acceleration that is asked for [m/s^2].
 
     Attributes:
         velocity: (3,) the last velocity [m/s].
     """
 
-    def __init__(self, speed_m_s: float, seed: int, workspace: Workspace, cycle_s: float) -> None:
+    def __init__(
+        self,
+        speed_m_s: float,
+        seed: int,
+        workspace: Workspace,
+        cycle_s: float,
+        acceleration_m_s2: float = STICK_ACCELERATION_M_S2,
+    ) -> None:
         self._low, self._high = np.array(workspace.low), np.array(workspace.high)
         if not 0.0 <= speed_m_s < np.inf:
             raise ControllerError(f"speed_m_s must be a finite number of m/s, 0 or more, got {speed_m_s}")
@@ -81,19 +100,20 @@ class Joystick:
                 f"workspace: each of low {workspace.low} must be below high {workspace.high} [m]"
             )
         self._speed, self._cycle_s = speed_m_s, cycle_s
+        self._acceleration = acceleration_of_stick(acceleration_m_s2)
         self._random = np.random.default_rng(seed)
         self._point: Array | None = None
         self.velocity: Array = np.zeros(3)
 
     def update(self, position: Array) -> Array:
         """The next velocity (3,) for a tool at `position` (3,) [m/s]."""
-        turn_m = self._speed**2 / (2.0 * STICK_ACCELERATION_M_S2) + 0.02
+        turn_m = self._speed**2 / (2.0 * self._acceleration) + 0.02
         if self._point is None or np.linalg.norm(self._point - position) < turn_m:
             self._point = self._next_point(position)
         way = self._point - position
         wanted = self._speed * way / max(float(np.linalg.norm(way)), 1e-9)
         change = wanted - self.velocity
-        largest = STICK_ACCELERATION_M_S2 * self._cycle_s
+        largest = self._acceleration * self._cycle_s
         size = float(np.linalg.norm(change))
         self.velocity = wanted if size <= largest else self.velocity + (largest / size) * change
         return self.velocity
@@ -120,7 +140,8 @@ class ScriptedLeader:
         speed_m_s: largest tool speed, kept nearly always [m/s].
         seed: seed of the motion; one seed is one motion.
         workspace: box that the tool moves in; 0.7 x 0.6 x 0.3 m around the tool's home if not given.
-        stick: moves the tool in place of the joystick that the box and the seed are for.
+        stick: moves the tool in place of the joystick that the box, the seed and the acceleration are for.
+        stick_m_s2: largest acceleration of the tool that the joystick asks for [m/s^2].
     """
 
     posture_rate = 0.3
@@ -142,6 +163,7 @@ class ScriptedLeader:
         seed: int = 0,
         workspace: Workspace | None = None,
         stick: Stick | None = None,
+        stick_m_s2: float = STICK_ACCELERATION_M_S2,
     ) -> None:
         if model.n < 6:
             raise ControllerError(f"the leader needs six joints or more, robot {model.name!r} has {model.n}")
@@ -149,7 +171,7 @@ class ScriptedLeader:
         self._kinematics = Kinematics(model, "tool")
         home = Kinematics(model, "tool").position
         self.workspace = workspace or Workspace.around(home, (0.35, 0.3, 0.15))
-        self._joystick: Stick = stick or Joystick(speed_m_s, seed, self.workspace, cycle_s)
+        self._joystick: Stick = stick or Joystick(speed_m_s, seed, self.workspace, cycle_s, stick_m_s2)
         self._cycle_s = cycle_s
         self._inverse_weights = np.where(model.revolute, 1.0 / self.revolute_weight**2, 1.0)
         self._last = LastIncrement(self.limits.max_ddq)

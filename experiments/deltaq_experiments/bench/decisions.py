@@ -18,7 +18,7 @@ from deltaq_controllers.interface import RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_experiments.bench.cornered import CELL, CorneredSituation, stored
 from deltaq_experiments.bench.table import BenchRow
-from deltaq_experiments.scene import FOLLOWER, LEADER, camera_controller
+from deltaq_experiments.scene import camera_controller, scene_of
 from deltaq_protocol.arrays import Array
 from deltaq_services.sim.core import Decider, Sim
 from deltaq_services.sim.gate import Decision
@@ -94,27 +94,27 @@ def tracking(cell_name: str | Path, cycles: int, on_cycle: Callable[[int, int], 
     """Every decision while the camera tracks at 0.25 m/s.
 
     Args:
-        cell_name: cell with a camera robot `fr` and a leader `gr`.
+        cell_name: cell in which a robot with a camera watches another one.
         cycles: of tracking.
         on_cycle: called with the number of cycles done and the number of all.
     """
     stack = VirtualCell(cell_name)
     raw = RawDistances(stack.cell)
-    cycle_s = stack.cell.description.cycle_s
-    leader = ScriptedLeader(stack.cell.robots[LEADER], cycle_s, 0.25, 0)
-    camera = camera_controller(stack.cell)
+    scene = scene_of(stack.cell)
+    leader = ScriptedLeader(scene.leader, scene.cycle_s, 0.25, 0)
+    camera = camera_controller(scene)
     stopwatch = Stopwatch(stack.sim.gate)
     stack.sim.gate = stopwatch
     references: list[float] = []
     stack.run_until_ready()
-    stack.acquire(LEADER, "bench")
-    stack.acquire(FOLLOWER, "bench")
+    stack.acquire(scene.leader_name, "bench")
+    stack.acquire(scene.robot_name, "bench")
     gc.collect()
     for cycle in range(cycles):
         stack.cycle()
         states = {name: RobotView.from_state(state) for name, state in stack.states.items()}
-        stack.ask(LEADER, leader.increment(View(states[LEADER])))
-        stack.ask(FOLLOWER, camera.increment(View(states[FOLLOWER], states)))
+        stack.ask(scene.leader_name, leader.increment(View(states[scene.leader_name])))
+        stack.ask(scene.robot_name, camera.increment(View(states[scene.robot_name], states)))
         references.append(raw.seconds({name: state.q_cmd for name, state in states.items()}))
         on_cycle(cycle + 1, cycles)
     return BenchRow.of(

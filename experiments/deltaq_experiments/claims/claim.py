@@ -71,6 +71,8 @@ class Claim:
         words += ["--controller", options.controller]
         if options.leader_speed_m_s != Options.leader_speed_m_s:
             words += ["--leader-speed-m-s", f"{options.leader_speed_m_s:g}"]
+        if options.stick_m_s2 != Options.stick_m_s2:
+            words += ["--stick-m-s2", f"{options.stick_m_s2:g}"]
         if options.target != Options.target:
             words += ["--target", options.target]
         if options.aim_offset_m != Options.aim_offset_m:

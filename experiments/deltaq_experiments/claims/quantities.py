@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from deltaq_experiments.claims.claim import JsonReport, Quantity
-from deltaq_experiments.scene import FOLLOWER
 
 
 def _slowest_s(report: JsonReport) -> float:
@@ -26,7 +25,7 @@ def _plateau_angle(report: JsonReport) -> float:
 
 
 def _followers_held_share(report: JsonReport) -> float:
-    counts: dict[str, int] = report["gate_by_robot"][FOLLOWER]
+    counts: dict[str, int] = report["gate_by_robot"][report["robot"]]
     return float(counts["held"] + counts["refused"]) / max(sum(counts.values()), 1)
 
 
@@ -42,6 +41,10 @@ CONTACTS = Quantity("contacts", lambda r: float(r["contacts"]), "", decimals=0)
 BELOW_1_DEG = Quantity(
     "below 1°", lambda r: float(r["angle_below_1_deg_share"]), " % of cycles", 100.0, 0, least_is_worst=True
 )
+LEADER_MEAN = Quantity(
+    "leader's mean", lambda r: float(r["leader_reached_m_s"]["mean"]), " m/s", least_is_worst=True
+)
+LEADER_PEAK = Quantity("peak", lambda r: float(r["leader_reached_m_s"]["peak"]), " m/s", least_is_worst=True)
 PRESSURE = Quantity(
     "attacker free", lambda r: float(r["attack_pressure"]), " %", 100.0, 0, least_is_worst=True
 )

@@ -39,8 +39,17 @@ def _plateaus_and_view(report: JsonReport) -> bool:
 
 
 _APPROACH = (q.SLOWEST, q.RISE, q.SEEN)
-_TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.ROLL, q.SEEN)
-_ZOOM = (q.IN_REACH, q.IN_REACH_ANGLE, q.ON_THE_WAY, q.OUT_OF_REACH, q.ROLL, q.SEEN)
+_TRACKING = (q.ANGLE, q.ANGLE_RMS, q.DISTANCE, q.LEADER_MEAN, q.LEADER_PEAK, q.ROLL, q.SEEN)
+_ZOOM = (
+    q.IN_REACH,
+    q.IN_REACH_ANGLE,
+    q.ON_THE_WAY,
+    q.OUT_OF_REACH,
+    q.LEADER_MEAN,
+    q.LEADER_PEAK,
+    q.ROLL,
+    q.SEEN,
+)
 
 
 def _tracking(claim: str, angle_deg: float, distance_m: float, picture: str = "", **options: Any) -> Claim:
@@ -70,8 +79,9 @@ CLAIMS = (
         lambda r: _within(0.1, 0.003)(r) and bool(r["seen"]["by_all_eyes"] == 1.0),
         _TRACKING,
     ),
-    _tracking("at 0.5 m/s: 0.1°, 0.3 cm", 0.1, 0.003, controller="qp", leader_speed_m_s=0.5),
-    _tracking("at 1 m/s: 0.2°, 1 cm", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0),
+    _tracking("asked for 0.5 m/s: 0.1°, 0.3 cm", 0.1, 0.003, controller="qp", leader_speed_m_s=0.5),
+    _tracking("asked for 1 m/s: 0.2°, 1 cm", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0),
+    _tracking("and with 8 m/s²", 0.2, 0.01, controller="qp", leader_speed_m_s=1.0, stick_m_s2=8.0),
     Claim(
         "zoom",
         Options(),

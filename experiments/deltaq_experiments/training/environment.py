@@ -12,7 +12,7 @@ from gymnasium import spaces
 
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_experiments.scene import FOLLOWER, LEADER, added_delay_cycles, require_both
+from deltaq_experiments.scene import added_delay_cycles, scene_of
 from deltaq_experiments.starts import start_with_error
 from deltaq_experiments.training.episode import Episode, Observation
 from deltaq_experiments.training.observation import robot_space
@@ -43,7 +43,7 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
     decides where the follower begins and how the leader moves; with the same actions it is the same run to the bit.
 
     Args:
-        cell: name or file of a cell with robots `fr`, which carries the camera, and `gr`, whose tool is watched.
+        cell: name or file of a cell in which a robot with a camera can watch the tool of another one.
         leader_speed_m_s: largest speed of the leader's tool [m/s].
         latency_s: from the leader's motion to the camera's, the drives' lag and the loop's cycles included [s].
         duration_s: length of an episode [s].
@@ -71,15 +71,16 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
                 f"start_error_deg must be above 0 and at most {LARGEST_START_ERROR_DEG:g}, got {start_error_deg}"
             )
         self._loaded = LoadedCell.load(cell)
-        model = self._loaded.model
-        require_both(model, "camera environment")
-        cycle_s = model.description.cycle_s
+        self._scene = scene_of(self._loaded.model)
+        cycle_s = self._scene.cycle_s
         self._cycles = max(1, round(duration_s / cycle_s))
-        self._delay_cycles = added_delay_cycles(model, latency_s)
+        self._delay_cycles = added_delay_cycles(self._scene, latency_s)
         self._start_error_deg, self._leader_speed_m_s = start_error_deg, leader_speed_m_s
         self._leader(seed=0)  # refuses a wrong speed now rather than at the first reset
         self._episode: Episode | None = None
-        own, leader = (IncrementLimits.of(model.robots[name], cycle_s) for name in (FOLLOWER, LEADER))
+        own, leader = (
+            IncrementLimits.of(robot, cycle_s) for robot in (self._scene.robot, self._scene.leader)
+        )
         self.action_space = spaces.Box(-1.0, 1.0, own.max_dq.shape, dtype=np.float64)
         both = spaces.Dict({"own": robot_space(own), "leader": robot_space(leader)})
         # Gymnasium types a Dict by the spaces in it, and not by their elements
@@ -110,9 +111,10 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
         error_deg = self._start_error_deg * float(self.np_random.uniform(0.5, 1.0))
         start = self._given(options or {})
         if start is None:
-            model = self._loaded.model
-            start = start_with_error(model, CameraTask(model), math.radians(error_deg), start_seed)
-        stack = VirtualCell(self._loaded, {FOLLOWER: start})
+            start = start_with_error(
+                self._scene, CameraTask(self._scene), math.radians(error_deg), start_seed
+            )
+        stack = VirtualCell(self._loaded, {self._scene.robot_name: start})
         self._episode = Episode(stack, self._leader(leader_seed), self._delay_cycles)
         return self._episode.observation, self._episode.errors._asdict()
 
@@ -132,15 +134,14 @@ class CameraEnvironment(gymnasium.Env[Observation, Array]):
         return episode.observation, errors.reward, episode.is_lost, episode.cycles >= self._cycles, info
 
     def _leader(self, seed: int) -> ScriptedLeader:
-        model = self._loaded.model
-        return ScriptedLeader(model.robots[LEADER], model.description.cycle_s, self._leader_speed_m_s, seed)
+        return ScriptedLeader(self._scene.leader, self._scene.cycle_s, self._leader_speed_m_s, seed)
 
     def _given(self, options: dict[str, Any]) -> Array | None:
         if unknown := set(options) - {"start"}:
             raise DeltaqError(f"options: {', '.join(sorted(unknown))} is no option; there is start")
         if "start" not in options:
             return None
-        robot = self._loaded.model.robots[FOLLOWER]
+        robot = self._scene.robot
         start = np.asarray(options["start"], dtype=np.float64)
         if start.shape != robot.home.shape or not ((robot.lower <= start) & (start <= robot.upper)).all():
             raise DeltaqError(

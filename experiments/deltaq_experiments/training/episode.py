@@ -7,7 +7,7 @@ from collections import deque
 from deltaq_controllers.interface import LastIncrement, RobotView, View
 from deltaq_controllers.leader.scripted import ScriptedLeader
 from deltaq_controllers.limits import IncrementLimits
-from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_experiments.scene import scene_of
 from deltaq_experiments.training.observation import RobotObservation, RobotObserver
 from deltaq_experiments.training.task import CameraTask, ViewErrors
 from deltaq_protocol.arrays import Array
@@ -34,29 +34,32 @@ class Episode:
 
     def __init__(self, stack: VirtualCell, leader: ScriptedLeader, delay_cycles: int) -> None:
         self.stack, self.cycles = stack, 0
-        self._leader, cycle_s = leader, stack.cell.description.cycle_s
-        limits = {name: IncrementLimits.of(stack.cell.robots[name], cycle_s) for name in (FOLLOWER, LEADER)}
-        self._limits = limits[FOLLOWER]
-        self._own, self._other = RobotObserver(limits[FOLLOWER]), RobotObserver(limits[LEADER])
+        self._leader, self._scene = leader, scene_of(stack.cell)
+        own, other = (
+            IncrementLimits.of(robot, self._scene.cycle_s)
+            for robot in (self._scene.robot, self._scene.leader)
+        )
+        self._limits = own
+        self._own, self._other = RobotObserver(own), RobotObserver(other)
         self._last = LastIncrement(self._limits.max_ddq)
-        self._task = CameraTask(stack.cell)
+        self._task = CameraTask(self._scene)
         self._seen: deque[RobotView] = deque(maxlen=delay_cycles + 1)
         stack.run_until_ready()
-        stack.acquire(FOLLOWER, "policy")
-        stack.acquire(LEADER, "scripted-leader")
+        stack.acquire(self._scene.robot_name, "policy")
+        stack.acquire(self._scene.leader_name, "scripted-leader")
         stack.cycle()  # a controller answers states that come after its lease
         self.observation = self._look()
 
     @property
     def errors(self) -> ViewErrors:
         """Of the view that the robots have now, not of the one that is seen late."""
-        q, q_leader = (self._view(name).q for name in (FOLLOWER, LEADER))
+        q, q_leader = (self._view(name).q for name in (self._scene.robot_name, self._scene.leader_name))
         return self._task.errors(q, q_leader)
 
     @property
     def is_lost(self) -> bool:
         """Whether only a reset makes the follower move again."""
-        return self.stack.states[FOLLOWER].phase in (Phase.OFFLINE, Phase.HELD)
+        return self.stack.states[self._scene.robot_name].phase in (Phase.OFFLINE, Phase.HELD)
 
     def step(self, share: Array) -> tuple[Array, Verdict | None]:
         """Ask the gate for a share (n,) of the largest increment, and go on to the next cycle.
@@ -64,11 +67,12 @@ class Episode:
         Returns:
             The increment (n,) that was asked for [rad or m], and the gate's verdict on it.
         """
-        own, other = self._view(FOLLOWER), self._view(LEADER)
+        robot, leader = self._scene.robot_name, self._scene.leader_name
+        own, other = self._view(robot), self._view(leader)
         dq_last = self._last.update(own)
         dq = self._limits.admissible(share * self._limits.max_dq, own.q_cmd, dq_last)
-        self.stack.ask(LEADER, self._leader.increment(View(other, {FOLLOWER: own})))
-        verdict = self.stack.ask(FOLLOWER, dq)
+        self.stack.ask(leader, self._leader.increment(View(other, {robot: own})))
+        verdict = self.stack.ask(robot, dq)
         self.stack.cycle()
         self.cycles += 1
         self.observation = self._look()
@@ -78,8 +82,8 @@ class Episode:
         return RobotView.from_state(self.stack.states[robot])
 
     def _look(self) -> Observation:
-        self._seen.append(self._view(LEADER))
+        self._seen.append(self._view(self._scene.leader_name))
         return {
-            "own": self._own.observe(self._view(FOLLOWER)),
+            "own": self._own.observe(self._view(self._scene.robot_name)),
             "leader": self._other.observe(self._seen[0]),
         }

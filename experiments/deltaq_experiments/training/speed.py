@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv
 
-from deltaq_experiments.scene import FOLLOWER, LEADER
+from deltaq_experiments.scene import scene_of
 from deltaq_experiments.training import ENVIRONMENT
 from deltaq_experiments.training.environment import CameraEnvironment
 from deltaq_protocol.arrays import Array
@@ -35,7 +35,7 @@ def one_environment(steps: int, seed: int) -> tuple[float, Setpoints]:
     env.reset(seed=seed)
     env.action_space.seed(seed)
     states = env.episode.stack.states
-    rows = {name: [states[name].q_cmd] for name in (FOLLOWER, LEADER)}
+    rows = {name: [state.q_cmd] for name, state in states.items()}
     elapsed_s = 0.0
     for action in [env.action_space.sample() for _ in range(steps)]:
         began_s = time.perf_counter()
@@ -54,9 +54,10 @@ def bare_cell(setpoints: Setpoints) -> tuple[float, dict[str, Array]]:
         stack.acquire(name, "speed")
     stack.cycle()
     # what was admitted then is admitted again; the leader asks first, as in an episode
-    steps = {name: np.diff(setpoints[name], axis=0) for name in (LEADER, FOLLOWER)}
+    scene = scene_of(stack.cell)
+    steps = {name: np.diff(setpoints[name], axis=0) for name in (scene.leader_name, scene.robot_name)}
     began_s = time.perf_counter()
-    for step in range(len(steps[LEADER])):
+    for step in range(len(steps[scene.leader_name])):
         for name, increments in steps.items():
             stack.ask(name, increments[step])
         stack.cycle()

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deltaq_cell.cell_model import CellModel
 from deltaq_controllers.camera.error import view_angle
-from deltaq_experiments.scene import FOLLOWER, LEADER, VIEW_DISTANCE_M
+from deltaq_controllers.camera.scene import Scene
+from deltaq_experiments.scene import VIEW_DISTANCE_M
 from deltaq_protocol.arrays import Array
 
 
@@ -33,7 +33,7 @@ class CameraTask:
     """Measures views as the experiments do.
 
     Args:
-        cell: with robots `fr`, which carries the camera, and `gr`, whose tool is the focus.
+        scene: who watches whom.
 
     Attributes:
         desired_distance_m: desired view distance [m].
@@ -41,8 +41,8 @@ class CameraTask:
 
     desired_distance_m = VIEW_DISTANCE_M
 
-    def __init__(self, cell: CellModel) -> None:
-        self._robot, self._leader = cell.robots[FOLLOWER], cell.robots[LEADER]
+    def __init__(self, scene: Scene) -> None:
+        self._robot, self._leader = scene.robot, scene.leader
 
     def errors(self, q: Array, q_leader: Array) -> ViewErrors:
         """The errors at measured configurations (n,) of both robots [rad or m]."""
