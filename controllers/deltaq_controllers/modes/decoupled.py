@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from deltaq_cell.compiled import compiled
 from deltaq_cell.robot import RobotModel
 from deltaq_controllers.modes.held_object import HeldObject
 from deltaq_controllers.modes.motion import ModeName, Motion
 from deltaq_controllers.modes.resolved import DrivenTasks, ResolvedMode
+from deltaq_protocol.arrays import Array, Indices
 
 
 class DecoupledMode(ResolvedMode):
@@ -23,11 +26,31 @@ class DecoupledMode(ResolvedMode):
     def __init__(self, robot: RobotModel) -> None:
         super().__init__(robot)
         self.drives_joints = np.logical_not(self._hands.arms.any(axis=0))
-        self._base = np.eye(robot.n)[self.drives_joints]
+        self._driven = np.flatnonzero(self.drives_joints)
+        self._carries_all = self.drives_joints & self._hands.moved_by.all(axis=0)
 
     def _tasks(self, motion: Motion, held: HeldObject | None) -> DrivenTasks:
-        hands = self._units[:, None] * self._hands.jacobian
-        base = np.where(self.drives_joints, motion.joints, 0.0)
-        carrying = base if held is None else np.where(self._hands.moved_by.all(axis=0), base, 0.0)
-        rates = self._units * motion.hands.ravel() + hands @ carrying
-        return DrivenTasks(np.vstack([hands, self._base]), np.concatenate([rates, base[self.drives_joints]]))
+        carries = self.drives_joints if held is None else self._carries_all
+        rows, rates = _carried(
+            self._units, self._hands.jacobian, motion.hands, motion.joints, self._driven, carries
+        )
+        return DrivenTasks(rows, rates)
+
+
+@compiled
+def _carried(
+    units: Array, jacobian: Array, twists: Array, joints: Array, driven: Indices, carries: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Rows and rates of the hands' twists (h, 6), which the joints that carry add to, and of the driven joints (m,)."""
+    tasks, n = jacobian.shape
+    rows, rates = np.zeros((tasks + len(driven), n)), np.empty(tasks + len(driven))
+    for row in range(tasks):
+        rates[row] = units[row] * twists[row // 6, row % 6]
+        for joint in range(n):
+            rows[row, joint] = units[row] * jacobian[row, joint]
+            if carries[joint]:
+                rates[row] += rows[row, joint] * joints[joint]
+    for place in range(len(driven)):
+        rows[tasks + place, driven[place]] = 1.0
+        rates[tasks + place] = joints[driven[place]]
+    return rows, rates
