@@ -175,3 +175,24 @@ async def test_kill_9_in_a_flood_leaves_whole_lines_in_the_audit_log_and_the_nex
         assert entries[1].what == "lease_refused"
         assert b"guess" not in now
         before = now
+
+
+async def test_where_tokens_are_needed_it_warns_of_links_in_the_clear_with_field_and_remedy(
+    tmp_path: Path,
+) -> None:
+    file, hli = cell_file(tmp_path, free_port())
+    elsewhere = hli.replace("127.0.0.1", "0.0.0.0")
+    text = file.read_text().replace(hli, elsewhere)
+    file.write_text(f"{text}clients_need_tokens: true\n")
+    tokens = {f"DELTAQ_{role}_TOKEN": f"{role} 0123456789abcdef" for role in ("OPERATOR", "CONTROLLER")}
+    async with process("--cell", str(file), **tokens) as started:
+        assert started.stdout is not None
+        said = []
+        while not (said and "ready:" in said[-1]):
+            said.append((await started.stdout.readline()).decode())
+            assert said[-1], "it ended"
+        started.terminate()
+        _, errors = await started.communicate()
+    told = "".join(said) + errors.decode()
+    assert f"hli ({elsewhere}): " in told
+    assert "put a tunnel between the machines" in told
