@@ -82,7 +82,6 @@ def experiment(
     from deltaq_command.console import print_json
     from deltaq_command.progress import progress_bar, shown_compiled_ahead
     from deltaq_experiments.figures import draw
-    from deltaq_experiments.options import Options
     from deltaq_services.recorder.writer import RecordingError
 
     if name is Experiment.ATTACK:
@@ -96,25 +95,27 @@ def experiment(
         raise typer.BadParameter(f"--no-gate goes with collision; {name.value} runs through the gate")
     if record is not None and record.exists():
         raise RecordingError(f"{record} exists already; a recording is never overwritten, name another file")
-    options = Options(
-        cell=cell,
-        controller=controller,
-        robot=robot,
-        leader=leader,
-        leader_speed_m_s=leader_speed_m_s,
-        stick_m_s2=stick_m_s2,
-        latency_s=latency_s,
-        duration_s=duration_s,
-        seed=seed,
-        settle_s=settle_s,
-        live=live,
-        target=target,
-        aim_offset_m=aim_offset_m,
-        gated=not no_gate,
-        record=record,
-    )
     with shown_compiled_ahead([controller]):
         # imported here, since these modules search for their machine code on import
+        from deltaq_experiments.options import Options
+
+        options = Options(
+            cell=cell,
+            controller=controller,
+            robot=robot,
+            leader=leader,
+            leader_speed_m_s=leader_speed_m_s,
+            stick_m_s2=stick_m_s2,
+            latency_s=latency_s,
+            duration_s=duration_s,
+            seed=seed,
+            settle_s=settle_s,
+            live=live,
+            target=target,
+            aim_offset_m=aim_offset_m,
+            gated=not no_gate,
+            record=record,
+        )
         module = importlib.import_module(f"deltaq_experiments.{name.value}")
         length = f"{name.value}, {duration_s or module.DURATION_S:g} s"
         with progress_bar(f"{length} live" if live else length):

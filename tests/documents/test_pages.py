@@ -78,6 +78,7 @@ NOT_RUN = {
         "a picture",
         *["needs two machines; tests/live/test_two_sites.py does it"] * 4,
         "takes a minute; tests/experiments/test_far_controllers.py runs shorter ones",
+        "needs root and takes a minute; tests/live/test_far_bounds.py runs it for each row",
     ],
     "drive-by-hand.md": [
         "waits for keys; tests/command/test_drive.py drives a terminal",

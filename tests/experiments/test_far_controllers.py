@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from far_bounds import BOUNDS, FarBound, module_and_options
 
 from deltaq_experiments import two_sites
 from deltaq_experiments.far_controller import FarWire
@@ -54,6 +55,36 @@ def test_a_controller_far_away_follows_though_packets_are_late_and_lost(
     assert min(told["admission_rate"].values()) > 0.9
     if seed == "3":
         assert figures(capsys, *link) == told
+
+
+def test_the_page_states_bounds_of_four_links() -> None:
+    assert [bound.link.split()[:2] for bound in BOUNDS] == [
+        ["--delay-s", delay_s] for delay_s in ("0.03", "0.03", "0.075", "0.25")
+    ]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.link)
+def test_a_follower_far_away_keeps_the_bound_of_its_link_in_virtual_time(
+    bound: FarBound, seed: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two_sites.main(["--virtual", *module_and_options(bound, seed)[1]])
+    told = json.loads(capsys.readouterr().out)
+    assert bound.virtual.is_kept(told), told
+    assert told["limits"] == NO_VIOLATION
+    assert told["robots_clearance_m"] >= 0.05
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("bound", BOUNDS[:2], ids=lambda bound: bound.link)
+def test_a_short_run_keeps_the_bound_of_a_round_trip_of_60_ms(
+    bound: FarBound, capsys: pytest.CaptureFixture[str]
+) -> None:
+    two_sites.main([*module_and_options(bound, 0)[1], *FAST])
+    told = json.loads(capsys.readouterr().out)
+    assert bound.virtual.is_kept(told), told
+    assert told["limits"] == NO_VIOLATION
 
 
 @pytest.mark.long
