@@ -108,7 +108,8 @@ def test_a_structure_near_one_side_puts_the_other_first(near: int) -> None:
 
     others = tuple(name for name in task.weights if name != "obstacle_clearance")
     assert set(others) == set(WEIGHTS) - {"obstacle_clearance", "robot_clearance"}
-    np.testing.assert_allclose(*costs(task, others, both), atol=1e-6)
+    at_one, at_other = costs(task, others, both)
+    np.testing.assert_allclose(at_one, at_other, atol=1e-6)
 
     # the arm's own pair is the nearest on both sides, so that a clearance of all pairs hardly tells them apart
     at_near = task.data.bodies.nearest(both[near])
