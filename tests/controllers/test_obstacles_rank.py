@@ -37,6 +37,11 @@ ELBOW = 4
 """The joint whose body comes near the structure."""
 BESIDE_M = 0.23
 """From the elbow to the middle of the structure."""
+INERTIA = (
+    '<inertial><mass value="2"/>'
+    '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+"""Of each link: what an option is told with is asked of its loads too."""
 ON_WRIST = {
     "link": "l5",
     "shape": {"kind": "sphere", "radius_m": 0.03},
@@ -51,7 +56,8 @@ def tracker() -> ConstraintTracker:
     attachments = {"on_wrist": Attachment.model_validate(ON_WRIST)}
     changes = {"base": Pose(), "camera": None, "mounted_on": (), "attachments": attachments}
     upright = description.model_copy(update=changes)
-    return ConstraintTracker(RobotModel(upright, "fr", seven_axes.urdf()))
+    heavy = seven_axes.urdf().replace("<collision>", f"{INERTIA}<collision>")
+    return ConstraintTracker(RobotModel(upright, "fr", heavy))
 
 
 @cache
