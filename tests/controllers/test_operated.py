@@ -155,6 +155,27 @@ def test_without_a_camera_there_is_no_following(bench):
         bench.pilot.prepare(DrivingMode.FOLLOW)
 
 
+def test_a_mode_that_could_not_be_prepared_is_refused_with_why_until_it_can_be():
+    compiled = []
+
+    def make():
+        if not compiled:
+            raise ControllerError("the camera controller is being compiled")
+        return CameraInUse({"gr": Follower(6)}, "gr")
+
+    bench = Bench(make)
+    for _ in range(2):
+        with pytest.raises(ControllerError, match="compiled"):
+            bench.pilot.prepare(DrivingMode.FOLLOW)
+        with pytest.raises(ControllerError, match="compiled"):
+            bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    assert bench.pilot.report(DriverStage.FREE).mode is DrivingMode.JOINT
+    compiled.append(True)
+    bench.pilot.prepare(DrivingMode.FOLLOW)
+    bench.pilot.change_mode(DrivingMode.FOLLOW, "world")
+    assert bench.pilot.report(DriverStage.FREE).mode is DrivingMode.FOLLOW
+
+
 def test_between_a_mode_and_the_follower_the_robot_is_at_rest():
     bench = Bench(lambda: CameraInUse({"gr": Follower(6)}, "gr"))
     bench.cycles(2)

@@ -38,7 +38,7 @@ def test_a_pose_out_of_reach_is_told(name):
 def test_a_hand_that_is_not_there_and_a_turn_that_is_none_are_told():
     with pytest.raises(ControllerError, match="has no hand 'left'; it has tool"):
         ReachPlanner(LAB, "fr").plan(HOMES["fr"], {}, "left", (1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))
-    with pytest.raises(ControllerError, match="no rotation"):
+    with pytest.raises(ControllerError, match="not a rotation"):
         ReachPlanner(LAB, "fr").plan(HOMES["fr"], {}, "", (1.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0))
 
 

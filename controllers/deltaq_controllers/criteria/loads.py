@@ -72,17 +72,18 @@ def _own(postures: Postures) -> Flags:
 
 
 def _greatest_share(loads: Array) -> Array:
-    """(N,) the greatest of loads (N, h) as a fraction of them all."""
-    share: Array = loads.max(axis=1) / loads.sum(axis=1)
+    """(N,) the greatest of loads (N, h) as a fraction of them all; where nothing is loaded, all have the same."""
+    total = loads.sum(axis=1)
+    share = np.full(len(loads), 1.0 / loads.shape[1])
+    np.divide(loads.max(axis=1), total, out=share, where=total > 0.0)
     return share
 
 
 def _greatest_share_gradient(loads: Array, derivatives: Array) -> Array:
     """Its derivative, of loads with derivatives (N, h, n)."""
     total = loads.sum(axis=1)[:, None]
-    greatest = of_worst(loads, "less", derivatives)
-    gradient: Array = (greatest - _greatest_share(loads)[:, None] * derivatives.sum(axis=1)) / total
-    return gradient
+    change = of_worst(loads, "less", derivatives) - _greatest_share(loads)[:, None] * derivatives.sum(axis=1)
+    return np.divide(change, total, out=np.zeros_like(change), where=total > 0.0)
 
 
 def relative_load(postures: Postures) -> Array:
