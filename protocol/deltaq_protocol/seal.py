@@ -54,12 +54,14 @@ class _Link:
     Attributes:
         sender: the process that has shown that it knows this one; empty if none has.
         number: of its newest message.
+        ended: processes that it, or one before it, has taken the place of.
         newcomers: those heard since the last greeting that have shown nothing, each with its lot.
     """
 
     def __init__(self) -> None:
         self.sender = b""
         self.number = 0
+        self.ended: set[bytes] = set()
         self.newcomers: dict[bytes, bytes] = {}
 
 
@@ -78,8 +80,6 @@ class Seal:
         self._process = secrets.token_bytes(_PROCESS_BYTES)
         self._number = 0
         self._links: dict[str, _Link] = {}
-        # by speaker: processes that another has taken the place of, under whatever key that was shown
-        self._ended: dict[str, set[bytes]] = {}
         self._known: list[bytes] = []
         self._receivers = _named([])
         self._draw = secrets.token_bytes(_LOT_BYTES)
@@ -109,11 +109,11 @@ class Seal:
                 whose successor was heard.
             UnboundMessageError: if it was not made for this process; a greeting tells its sender of it.
         """
-        opened, speaker = self._opened(zenoh_key, sealed)
+        opened = self._opened(zenoh_key, sealed)
         message = _message(opened)
         link = self._links.get(zenoh_key) or self._links.setdefault(zenoh_key, _Link())
         sender = opened[:_NUMBER]
-        if sender in self._ended.get(speaker, ()):
+        if sender in link.ended:
             raise ForgedMessageError(f"{zenoh_key}: from a process that another has taken the place of")
         if not self._is_receiver(opened):
             if sender not in self._known:
@@ -122,7 +122,7 @@ class Seal:
         number = int.from_bytes(opened[_NUMBER:_COUNT], "big")
         if sender != link.sender:
             if link.sender:
-                self._ended.setdefault(speaker, set()).add(link.sender)
+                link.ended.add(link.sender)
             link.sender, link.number = sender, 0
             # more cannot be named; the services of a cell are fewer
             self._known = sorted({link.sender for link in self._links.values()} - {b""})[:_MOST_RECEIVERS]
@@ -153,11 +153,10 @@ class Seal:
             ForgedMessageError: if nobody published it under `zenoh_key` who may, or it is too long; under an identity
                 also if nothing that is said there is said to it.
         """
-        opened, _ = self._opened(zenoh_key, sealed)
-        return _message(opened)
+        return _message(self._opened(zenoh_key, sealed))
 
-    def _opened(self, zenoh_key: str, sealed: bytes) -> tuple[bytes, str]:
-        """What lies behind the MACs, of which the one for this process is right, and who can have made that."""
+    def _opened(self, zenoh_key: str, sealed: bytes) -> bytes:
+        """What lies behind the MACs, of which the one for this process is right."""
         if len(sealed) > MAX_SEALED_BYTES:
             raise ForgedMessageError(
                 f"{zenoh_key}: {len(sealed)} bytes, at most {MAX_SEALED_BYTES} are sealed"
@@ -170,7 +169,7 @@ class Seal:
         mac = sealed[at : at + MAC_BYTES]
         if len(opened) < _RECEIVERS or not compare_digest(mac, _mac(heard.key, _text(zenoh_key, opened))):
             raise ForgedMessageError(f"{zenoh_key}: {len(sealed)} bytes without the seal of {heard.speaker}")
-        return opened, heard.speaker
+        return opened
 
     def _is_receiver(self, opened: bytes) -> bool:
         at = opened.find(self._process, _RECEIVERS, _RECEIVERS + _PROCESS_BYTES * opened[_COUNT])
