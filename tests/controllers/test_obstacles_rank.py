@@ -1,7 +1,8 @@
 """Of two configurations that mirror each other the one that is near the structure comes second.
 
 The arm of seven axes stands upright with its hand in the plane in which it bends, so that its elbow swings as far to
-one side as to the other: joint travel, clearance from itself and everything else are the same on either.
+one side as to the other: joint travel, clearance from itself and everything else are the same on either. Its links have no masses, as in many a
+URDF: then nothing has a load.
 """
 
 from __future__ import annotations
@@ -37,11 +38,6 @@ ELBOW = 4
 """The joint whose body comes near the structure."""
 BESIDE_M = 0.23
 """From the elbow to the middle of the structure."""
-INERTIA = (
-    '<inertial><mass value="2"/>'
-    '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
-"""Of each link: what an option is told with is asked of its loads too."""
 ON_WRIST = {
     "link": "l5",
     "shape": {"kind": "sphere", "radius_m": 0.03},
@@ -56,8 +52,7 @@ def tracker() -> ConstraintTracker:
     attachments = {"on_wrist": Attachment.model_validate(ON_WRIST)}
     changes = {"base": Pose(), "camera": None, "mounted_on": (), "attachments": attachments}
     upright = description.model_copy(update=changes)
-    heavy = seven_axes.urdf().replace("<collision>", f"{INERTIA}<collision>")
-    return ConstraintTracker(RobotModel(upright, "fr", heavy))
+    return ConstraintTracker(RobotModel(upright, "fr", seven_axes.urdf()))
 
 
 @cache

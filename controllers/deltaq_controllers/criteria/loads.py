@@ -83,7 +83,8 @@ def _greatest_share_gradient(loads: Array, derivatives: Array) -> Array:
     """Its derivative, of loads with derivatives (N, h, n)."""
     total = loads.sum(axis=1)[:, None]
     change = of_worst(loads, "less", derivatives) - _greatest_share(loads)[:, None] * derivatives.sum(axis=1)
-    return np.divide(change, total, out=np.zeros_like(change), where=total > 0.0)
+    gradient: Array = np.divide(change, total, out=np.zeros_like(change), where=total > 0.0)
+    return gradient
 
 
 def relative_load(postures: Postures) -> Array:
