@@ -1,8 +1,8 @@
 """Of two configurations that mirror each other the one that is near the structure comes second.
 
 The arm of seven axes stands upright with its hand in the plane in which it bends, so that its elbow swings as far to
-one side as to the other: joint travel, clearance from itself and everything else are the same on either. Its links have no masses, as in many a
-URDF: then nothing has a load.
+one side as to the other: joint travel, clearance from itself and everything else are the same on either. Its links
+have no masses, as in many a URDF: then nothing has a load.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from deltaq_protocol.errors import DeltaqError
 
 SAMPLES = 50
 """Configurations over which the median is taken."""
+_LEAST_REFERENCE = 1e-12
 
 
 class CriterionError(DeltaqError):
@@ -88,13 +89,16 @@ class Normalised:
 
 
 def references(data: RobotData, criteria: Sequence[Criterion]) -> Array:
-    """(k,) the values that cost one half: the criterion's own, or its median over the robot's workspace."""
+    """(k,) the values that cost one half: the criterion's own, or its median over the robot's workspace.
+
+    Of a criterion that is zero nearly everywhere, such as a load where a URDF has no masses, a very small one.
+    """
     robot = data.robot
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (SAMPLES, robot.n))
     postures = Postures(data, q)
     return np.array(
         [
-            float(np.median(criterion.value(postures)))
+            max(float(np.median(criterion.value(postures))), _LEAST_REFERENCE)
             if criterion.reference is None
             else criterion.reference
             for criterion in criteria
