@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker"))]
 EACH_KIND = (
     *("modes-gr", "modes-dawm", "criteria-panda", "qp", "attacker", "counsel-gr"),
-    *("operated-fr", "operated-gr", "master-gr"),
+    *("operated-fr", "master-gr"),
 )
 """Cases that stand for their kind in every run; the others take their turn at night."""
 
