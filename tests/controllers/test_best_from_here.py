@@ -41,7 +41,7 @@ def asked(robot: str, number: int, hands_may_leave: bool) -> tuple[list[Option],
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in (1, 2))])
 @pytest.mark.parametrize("robot", ["gr", "dawm", "fr"])
 def test_the_best_in_place_is_an_option_with_a_path_where_the_hands_may_leave(
     robot: str, number: int

@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
 COMPILED = [case for case in first_cycles.CASES if not case.startswith(("leader", "attacker"))]
 EACH_KIND = (
-    *("modes-gr", "modes-dawm", "criteria-panda", "qp", "attacker", "counsel-gr"),
+    *("modes-gr", "modes-dawm", "qp", "attacker", "counsel-gr"),
     *("operated-fr", "master-gr"),
 )
 """Cases that stand for their kind in every run; the others take their turn at night."""
